@@ -36,7 +36,7 @@ from ffsm_drake.scenario import (
     shipped_scenarios,
     shown,
 )
-from ffsm_drake.scenario.loading import MAX_FILE_SIZE
+from ffsm_drake.scenario.layers import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder

@@ -14,21 +14,26 @@ from ffsm_drake.scenario.blocks import Block, Blocks
 from ffsm_drake.scenario.capture import CAPTURE_AXES, Approach, Capture
 from ffsm_drake.scenario.fields import PerCoordinate
 from ffsm_drake.scenario.forces import Disturbance, Environment, Harmonic, SolarPressure
-from ffsm_drake.scenario.loading import (
+from ffsm_drake.scenario.layers import (
     MANIFEST_FILE,
+    Override,
     anchor_paths,
-    differing_keys,
+    find_scenario,
     flatten,
     is_overridden,
+    relate_paths,
+    shipped_scenarios,
+)
+from ffsm_drake.scenario.loading import (
+    differing_keys,
     load_scenario,
     override_scenario,
+    place_of,
     portable_scenario,
-    relate_paths,
     scenario_from_dict,
     scenario_from_yaml,
     scenario_to_dict,
     scenario_to_yaml,
-    shipped_scenarios,
 )
 from ffsm_drake.scenario.model import (
     Flexible,
@@ -104,6 +109,9 @@ __all__ = [
     "inertia_matrix",
     "planned_part",
     "is_overridden",
+    "Override",
+    "find_scenario",
+    "place_of",
     "load_scenario",
     "override_scenario",
     "portable_scenario",

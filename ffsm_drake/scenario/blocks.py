@@ -13,6 +13,8 @@ class Block:
 
     SHORTHAND: ClassVar[str] = "system"  # the field that a text alone gives
 
+    KIND: ClassVar[str] = "system"  # another one drops the inherited settings
+
     system: str = unitless(
         "",
         "module:attribute, or the name of an installed one: a factory (BlockSetup -> Drake system)",

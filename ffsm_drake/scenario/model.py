@@ -1,7 +1,7 @@
 """The sections ``model``, ``payload`` and the postures: what is simulated, and how it stands."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class Flexible:
 
     The mass of a panel, a beam, a sloshing mass or a pendulum is part of the body that carries it.
     """
+
+    KIND: ClassVar[str] = "kind"  # another one drops the inherited settings
 
     kind: str = choice_of(
         "panel",

@@ -13,7 +13,6 @@ from typing import Any
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.settings import join, require_valid, settings_of
-from ffsm_drake.scenario.schema import Scenario
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
 _LEAVES = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
@@ -132,8 +131,7 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
                     "{all: 1, joints: 2}",
                 )
             data = {"all": data}
-        alone = getattr(args[1], "SHORTHAND", None)
-        if alone and (isinstance(data, str) or (isinstance(data, Mapping) and alone in data)):
+        if _is_alone(args[1], data):
             data = {"own": data}
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
@@ -148,6 +146,13 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
             raise ScenarioError(path, f"must be a list, not {shown(data)}")
         return [resolve(args[0], None, item, f"{path}[{i}]") for i, item in enumerate(data)]
     return _convert_leaf(schema, data, path)
+
+
+def _is_alone(schema: Any, data: Any) -> bool:
+    """Whether data, in place of a mapping by name, is one value of its type."""
+    shorthand = getattr(schema, "SHORTHAND", None)
+    alone = isinstance(data, str) or (isinstance(data, Mapping) and shorthand in data)
+    return shorthand is not None and alone
 
 
 def _plain(data: Any, path: str) -> Any:
@@ -199,8 +204,43 @@ def _convert_leaf(schema: Any, data: Any, path: str) -> Any:
     raise ScenarioError(path, f"must be {wanted}, not {shown(data)}")
 
 
-def apply_override(resolved: dict[str, Any], override: str) -> str:
-    """Write one ``key=value`` into plain data; returns the key."""
+def merged(schema: Any, below: Any, above: Any) -> Any:
+    """Plain data for ``schema``, not yet checked, of which ``above`` wins over ``below``.
+
+    Mappings merge by key; null takes a name away from a mapping by name, unless null is one of its
+    values. Anything else replaces: a list, a bare number, a group whose ``KIND`` is another.
+    """
+    schema = without_null(schema)
+    fields, args = schema_fields(schema), typing.get_args(schema)
+    is_named = typing.get_origin(schema) is dict
+    if fields is not None and hasattr(schema, "SHORTHAND"):
+        below, above = (
+            {schema.SHORTHAND: data} if isinstance(data, str) else data for data in (below, above)
+        )
+    if is_named and args[1] in (float, int) and isinstance(below, (float, int)):
+        below = {"all": below}
+    if is_named and hasattr(args[1], "SHORTHAND"):
+        below, above = (
+            {"own": data} if _is_alone(args[1], data) else data for data in (below, above)
+        )
+    if not (isinstance(below, Mapping) and isinstance(above, Mapping)):
+        return above
+    if kind := getattr(schema, "KIND", None):
+        known = below.get(kind, getattr(schema, kind))
+        if above.get(kind, known) != known:
+            return above
+    result = dict(below)
+    for key, value in above.items():
+        child = fields.get(key) if fields is not None else args[1] if is_named else schema
+        if is_named and value is None and key in below and without_null(child) is child:
+            del result[key]
+        else:
+            result[key] = merged(child, below.get(key), value)
+    return result
+
+
+def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None:
+    """Write one ``key=value`` into the complete plain data of a schema."""
     key, equals, text = override.partition("=")
     key = key.strip()
     if not equals or not key:
@@ -209,7 +249,6 @@ def apply_override(resolved: dict[str, Any], override: str) -> str:
         value = read_yaml(text)
     except StrictYamlError as error:
         raise ScenarioError(key, f"value is not valid YAML: {one_line(error)}") from error
-    schema: Any = Scenario
     target: Any = resolved
     *parents, last = key.split(".")
     for depth, part in enumerate(parents):
@@ -226,7 +265,6 @@ def apply_override(resolved: dict[str, Any], override: str) -> str:
     target[last] = resolve(schema, default, value, key)
     if key in ("model.directives", "model.servicer") and value is not None:
         target["servicer" if last == "directives" else "directives"] = None
-    return key
 
 
 def _child_schema(schema: Any, part: str, path: str) -> Any:

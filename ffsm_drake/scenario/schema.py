@@ -8,6 +8,7 @@ specific key wins, and a bare number stands for ``{all: number}``.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from pydrake.systems.analysis import SimulatorConfig
 
@@ -17,8 +18,10 @@ from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Capture
 from ffsm_drake.scenario.fields import ZERO, PerCoordinate, name_problems, unitless
 from ffsm_drake.scenario.forces import Disturbance, Environment
+from ffsm_drake.scenario.layers import Layer, assembled, override_layers
 from ffsm_drake.scenario.model import MassProperties, Model, Payload, Posture
 from ffsm_drake.scenario.reference import Planning, Reference
+from ffsm_drake.scenario.resolving import as_dict
 from ffsm_drake.scenario.sensing import CommandFilter, Estimator, Sensing
 
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
@@ -27,7 +30,7 @@ MAX_STEPS = 1_000_000_000  # of the integrator; hours
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
 
-@dataclass
+@dataclass(repr=False)
 class Scenario:
     """Everything that defines one run."""
 
@@ -147,6 +150,24 @@ class Scenario:
                     f"must be within divergence_speed ({self.divergence_speed:g}), not {number}",
                 )
         yield from name_problems(self.controller, "controller")
+
+    def __repr__(self) -> str:
+        title = f"'{self.description}', " if self.description else ""
+        return f"Scenario({title}{self.controller}, {self.duration:g} s, seed {self.random_seed})"
+
+    def replace(self, **changes: Any) -> "Scenario":
+        """A new scenario with some settings changed; this one stays as it is.
+
+        Args:
+          changes: by key, as in a file that extends this scenario: mappings merge
+            (``payload={"truth": {"mass": 80}}``), lists replace.
+
+        Raises:
+          ScenarioError: a key or a value cannot be used.
+        """
+        layers = [Layer(as_dict(self), ""), *override_layers([changes])]
+        changed: Scenario = assembled(Scenario, layers)
+        return changed
 
     @property
     def num_control_periods(self) -> int:

@@ -1,6 +1,7 @@
 """The sections ``sensing``, ``estimator`` and ``command_filter``: what the controller hears."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ffsm_drake.common.settings import setting
 from ffsm_drake.scenario.fields import ZERO, PerCoordinate, choice_of, in_samples, unitless
@@ -11,6 +12,8 @@ ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 @dataclass
 class Estimator:
     """How the controller estimates the lumped uncertainty N of equation (2)."""
+
+    KIND: ClassVar[str] = "kind"  # another one drops the inherited settings
 
     kind: str = choice_of(
         "one_sample",

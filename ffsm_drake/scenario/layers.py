@@ -1,0 +1,257 @@
+"""The layers of a scenario, later ones winning: the defaults, the files that ``extends`` names, the
+file itself, the overrides.
+"""
+
+import copy
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.settings import require_valid
+from ffsm_drake.scenario.resolving import (
+    apply_override,
+    as_dict,
+    build,
+    merged,
+    resolve,
+    shown,
+)
+from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+
+MANIFEST_FILE = "manifest.json"  # of a run's folder; holds its scenario
+MAX_FILE_SIZE = 1_000_000  # bytes
+EXTENDS = "extends"  # key of the scenario that a file extends
+
+Override = str | Mapping[str, Any]  # "key=value", or what a file that extends may hold
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What one file or one override gives."""
+
+    given: Any  # of a file and a mapping: plain data; of a text: key=value
+    source: str  # the file, or "override", for errors
+    folder: Path | None = None  # where relative paths start; None: they stay
+
+    def gives(self, key: str) -> bool:
+        """Whether a dotted key, one within it or one that holds it stands in the layer."""
+        if isinstance(self.given, str):
+            return is_overridden(key, [self.given.partition("=")[0].strip()])
+        return isinstance(self.given, Mapping) and is_overridden(key, flatten(self.given))
+
+    def onto(self, schema: Any, below: dict[str, Any]) -> dict[str, Any]:
+        """What this layer and those below it give, as plain data; checked but for conditions on
+        several settings.
+        """
+        try:
+            if isinstance(self.given, str):
+                data = resolve(schema, as_dict(schema()), below, "")
+                apply_override(schema, data, self.given)
+                return data
+            given = copy.deepcopy(self.given)
+            data = merged(schema, below, given)
+            resolve(schema, as_dict(schema()), data, "")
+        except ScenarioError as error:
+            raise error.located(self.source) from None
+        model = given.get("model") or {}
+        for one, other in (("servicer", "directives"), ("directives", "servicer")):
+            if model.get(one) is not None and model.get(other) is None:
+                data["model"][other] = None  # the model's other source
+        if self.folder is not None:
+            anchor_paths(data, self.folder)
+        return data
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """The scenarios that ship with the package: name -> file."""
+    return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
+
+
+def assembled(schema: Any, layers: Sequence[Layer]) -> Any:
+    """The scenario of some layers, checked.
+
+    Raises:
+      ScenarioError: named first is the layer that holds the wrong value.
+    """
+    data: dict[str, Any] = {}
+    for layer in layers:
+        data = layer.onto(schema, data)
+    scenario = build(schema, resolve(schema, as_dict(schema()), data, ""))
+    try:
+        require_valid(scenario, scenario=scenario)
+    except ScenarioError as error:
+        raise error.located(_at_fault(schema, layers, error)) from None
+    return scenario
+
+
+def override_layers(overrides: Iterable[Override]) -> list[Layer]:
+    """A layer for each override; the dotted keys of a mapping are nested."""
+    layers = []
+    for override in overrides:
+        if isinstance(override, str):
+            layers.append(Layer(override, "override"))
+            continue
+        for key, value in override.items():
+            given, parts = value, str(key).split(".")
+            for part in reversed(parts):
+                given = {part: given}
+            layers.append(Layer(given, "override"))
+    return layers
+
+
+def file_layers(data: Any, source: str) -> list[Layer]:
+    """The layers of a file's plain data: those of the files that it extends, then its own."""
+    layers: list[Layer] = []
+    seen = [Path(source).resolve()] if source else []
+    while True:
+        base = data.get(EXTENDS) if isinstance(data, Mapping) else None
+        if base is not None:
+            data = {key: value for key, value in data.items() if key != EXTENDS}
+        folder = Path(source).parent if source else None
+        layers.insert(0, Layer(data, source, folder))
+        if base is None:
+            return layers
+        if not isinstance(base, str):
+            problem = f"must be a shipped scenario's name or a file, not {shown(base)}"
+            raise ScenarioError(EXTENDS, problem, source=source)
+        try:
+            path = find_scenario(base, folder or Path())
+        except ScenarioError as error:
+            raise ScenarioError(EXTENDS, f"{base}: {error.problem}", source=source) from None
+        seen.append(path.resolve())
+        if seen[-1] in seen[:-1]:
+            names = " -> ".join(each.name for each in seen)
+            raise ScenarioError(EXTENDS, f"goes in a circle: {names}", source=source)
+        source = str(path)
+        data = parsed(read_text(path), source)
+
+
+def read_text(path: Path) -> str:
+    """The text of a scenario's file. Raises ScenarioError where it cannot be read."""
+    try:
+        if path.stat().st_size > MAX_FILE_SIZE:
+            problem = f"larger than {MAX_FILE_SIZE} bytes: not a scenario; give a YAML file"
+            raise ScenarioError("", problem, source=str(path))
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        problem = f"is not UTF-8 text ({one_line(error)})"
+        raise ScenarioError("", problem, source=str(path)) from error
+    except OSError as error:
+        raise ScenarioError("", f"cannot be read: {one_line(error)}", source=str(path)) from error
+
+
+def parsed(text: str, source: str) -> Any:
+    """The plain data of a file's text. Raises ScenarioError where it is not YAML."""
+    try:
+        data = read_yaml(text)
+    except StrictYamlError as error:
+        raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
+    if isinstance(data, dict) and Path(source).name == MANIFEST_FILE:
+        data = data.get("scenario", {})
+    if isinstance(data, dict):  # at the top, names with an underscore hold what aliases refer to
+        data = {
+            key: value
+            for key, value in data.items()
+            if not (isinstance(key, str) and key.startswith("_"))
+        }
+    return {} if data is None else data
+
+
+def find_scenario(name: str, folder: Path = Path()) -> Path:
+    """The file of a shipped name, of a path from a folder, or of a run's folder.
+
+    Raises:
+      ScenarioError: there is none.
+    """
+    shipped = shipped_scenarios()
+    if name in shipped:
+        return shipped[name]
+    path = folder / name
+    try:
+        if path.is_file():
+            return path
+        if (path / MANIFEST_FILE).is_file():
+            return path / MANIFEST_FILE
+        kind = "a folder" if path.is_dir() else "not a regular file" if path.exists() else ""
+    except (OSError, ValueError) as error:  # too long, not allowed to look, ...
+        raise ScenarioError("", f"cannot be read: {one_line(error)}", source=name) from error
+    if kind and name:
+        raise ScenarioError("", f"is {kind}; give a YAML file", source=name)
+    if path.suffix in (".yaml", ".yml") or (name and Path(name).name != name):
+        raise ScenarioError(
+            "",
+            f"no such scenario file; give a YAML file or one of {', '.join(shipped)}",
+            source=name,
+        )
+    raise ScenarioError(
+        "",
+        f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML "
+        f"file{did_you_mean(name, shipped)}",
+        source=name or "''",
+    )
+
+
+def is_overridden(key: str, overridden: Iterable[str]) -> bool:
+    """Whether a key is one of the overridden ones, stands within one, or holds one."""
+
+    def within(inner: str, outer: str) -> bool:
+        return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))
+
+    return any(within(key, other) or within(other, key) for other in overridden)
+
+
+def flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one, with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def relate_paths(data: dict[str, Any], folder: Path) -> None:
+    """Make the paths of a scenario in plain data relative to a folder; package:// addresses
+    stay.
+    """
+    _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
+
+
+def anchor_paths(data: dict[str, Any], folder: Path) -> None:
+    """Make the paths of a scenario in plain data absolute, relative ones from a folder."""
+    _map_paths(data, lambda path: str((folder / path).resolve()))
+
+
+def _at_fault(schema: Any, layers: Sequence[Layer], error: ScenarioError) -> str:
+    """The source of the layer that gives a wrong value; if it became wrong by a later layer, of
+    that one.
+    """
+    gave = max((k for k, layer in enumerate(layers) if layer.gives(error.key)), default=0)
+    for count in range(gave + 1, len(layers)):
+        try:
+            assembled(schema, layers[:count])
+        except ScenarioError as earlier:
+            if earlier.key == error.key:
+                return layers[count - 1].source
+    return layers[-1].source
+
+
+def _map_paths(data: dict[str, Any], changed: Callable[[str], str]) -> None:
+    """Apply a function to every path of a scenario in plain data that is not a package://
+    address.
+    """
+
+    def path(value: str | None) -> str | None:
+        return value if value is None or "://" in value else changed(value)
+
+    model, reference = data.get("model") or {}, data.get("reference") or {}
+    for group, keys in ((model, ("directives", "servicer", "debris")), (reference, ("plan",))):
+        group.update({key: path(group[key]) for key in keys if key in group})
+    if "packages" in model:
+        model["packages"] = {name: path(folder) for name, folder in model["packages"].items()}
+    if "python_path" in data:
+        data["python_path"] = [path(folder) for folder in data["python_path"]]
