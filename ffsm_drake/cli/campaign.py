@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import EXIT_GOOD, EXIT_UNSTABLE, CommandGroup, count_progress, out_option
+from ffsm_drake.cli.common import (
+    EXIT_GOOD,
+    EXIT_UNSTABLE,
+    CommandGroup,
+    controller_option,
+    count_progress,
+    out_option,
+)
 from ffsm_drake.common.errors import CampaignError
 
 if TYPE_CHECKING:
@@ -142,7 +149,7 @@ def status(source: str, database: Path | None) -> None:
     required=True,
     help="Number of the case, from 0.",
 )
-@click.option("--controller", help="Default: every controller of the campaign.")
+@controller_option(help="Default: every controller of the campaign.")
 @out_option(help="Folder (default: beside the database).")
 @click.option("--no-recording", is_flag=True, help="Write no recording.html.")
 def rerun(

@@ -123,14 +123,6 @@ def complete_controller(ctx: click.Context, param: click.Parameter, incomplete: 
 scenario_argument = click.argument(
     "scenario", default="postcapture", metavar="[SCENARIO]", shell_complete=complete_scenario
 )
-overrides_option = click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Override a scenario value; repeatable.",
-)
-seed_option = click.option("--seed", type=int, help="Noise seed; short for --set random_seed=N.")
 rehearsal_option = click.option(
     "--rehearsal/--no-rehearsal",
     default=True,
@@ -161,29 +153,58 @@ def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..
     )
 
 
+_CONTROLLER_HELP = (
+    "A controller listed by 'ffsm doctor', or module:Class. Default: the scenario's own."
+)
+
+
+def override_options(
+    *,
+    multiple: bool = False,
+    help: str = _CONTROLLER_HELP,
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add --controller, --set and --seed, which mean the same in every command: the command gets
+    ``overrides``, the later ones winning, --controller and --seed last.
+
+    With ``multiple`` --controller may be repeated, and comes as ``controllers``.
+    """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @controller_option(multiple=multiple, help=help)
+        @click.option(
+            "--set",
+            "overrides",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Override a scenario value; repeatable.",
+        )
+        @click.option("--seed", type=int, help="Noise seed; short for --set random_seed=N.")
+        @functools.wraps(command)
+        def wrapped(
+            *, controller: Any, overrides: tuple[str, ...], seed: int | None, **rest: Any
+        ) -> Any:
+            if multiple:
+                rest["controllers"] = controller
+            elif controller:
+                overrides = (*overrides, f"controller={controller}")
+            if seed is not None:
+                overrides = (*overrides, f"random_seed={seed}")
+            return command(overrides=overrides, **rest)
+
+        return wrapped
+
+    return decorate
+
+
 def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add SCENARIO, --controller, --set and --seed; the command gets one loaded ``scenario``."""
 
     @scenario_argument
-    @controller_option(
-        help="A controller listed by 'ffsm doctor', or module:Class. Default: the scenario's own."
-    )
-    @overrides_option
-    @seed_option
+    @override_options()
     @functools.wraps(command)
-    def wrapped(
-        scenario: str,
-        controller: str | None,
-        overrides: tuple[str, ...],
-        seed: int | None,
-        **rest: Any,
-    ) -> Any:
+    def wrapped(scenario: str, overrides: tuple[str, ...], **rest: Any) -> Any:
         from ffsm_drake.scenario import load_scenario
 
-        chosen = [f"controller={controller}"] if controller else []
-        if seed is not None:
-            chosen.append(f"random_seed={seed}")
-        overrides = (*overrides, *chosen)
         with located_errors(scenario, overrides):
             return command(scenario=load_scenario(scenario, overrides), **rest)
 
@@ -193,23 +214,17 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @contextmanager
 def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
     """Give errors after loading the place of their scenario key: the file, or an override."""
-    from ffsm_drake.scenario import Scenario, is_overridden, schema_fields
-
-    def place_of(key: str) -> str:
-        return (
-            "override"
-            if is_overridden(key, [text.partition("=")[0].strip() for text in overrides])
-            else scenario
-        )
+    from ffsm_drake.scenario import Scenario, place_of, schema_fields
 
     try:
         yield
     except ScenarioError as error:
         if re.split(r"[.\[]", error.key)[0] not in (schema_fields(Scenario) or {}):
             raise
-        raise error.located(place_of(error.key)) from error
+        raise error.located(place_of(error.key, scenario, overrides)) from error
     except ModelError as error:
-        raise ModelError(f"{place_of(str(error).partition(':')[0])}: {error}") from error
+        place = place_of(str(error).partition(":")[0], scenario, overrides)
+        raise ModelError(f"{place}: {error}") from error
 
 
 def scenario_stem() -> str:

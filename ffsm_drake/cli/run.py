@@ -14,17 +14,15 @@ from ffsm_drake.cli.common import (
     EXIT_GOOD,
     EXIT_UNSTABLE,
     RunProgress,
-    controller_option,
     json_option,
     located_errors,
     out_option,
-    overrides_option,
+    override_options,
     print_json,
     repeated_run,
     scenario_argument,
     scenario_options,
     scenario_stem,
-    seed_option,
 )
 from ffsm_drake.common.interrupts import exit_code
 
@@ -120,18 +118,15 @@ def run(
 
 @click.command()
 @scenario_argument
-@controller_option(multiple=True, help="Repeatable; default: the paper's four.")
-@overrides_option
-@seed_option
+@override_options(multiple=True, help="Repeatable; default: the paper's four.")
 @_out
 @json_option
 @_report
 @_require
 def compare(
     scenario: str,
-    controller: tuple[str, ...],
+    controllers: tuple[str, ...],
     overrides: tuple[str, ...],
-    seed: int | None,
     out: Path | None,
     as_json: bool,
     report: bool,
@@ -152,12 +147,13 @@ def compare(
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
 
-    names = controller or PAPER_LAWS
+    if any(text.partition("=")[0].strip() == "controller" for text in overrides):
+        raise click.UsageError("--set controller: give each controller with --controller")
+    names = controllers or PAPER_LAWS
     folders = [controller_key(name) for name in names]
     repeated = sorted({folder for folder in folders if folders.count(folder) > 1})
     if repeated:
         raise click.UsageError(f"--controller: {', '.join(repeated)} is given more than once")
-    overrides = (*overrides, *(() if seed is None else (f"random_seed={seed}",)))
     base = load_scenario(scenario, overrides)
     directory = out or Path("out") / f"compare_{scenario_stem()}"
     check_writable(directory)
@@ -307,9 +303,13 @@ def _finish(
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
+    said: dict[str, list[str]] = {}  # remark -> controllers
     for record in records:
         for remark in run_remarks(record):
-            click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
+            said.setdefault(remark, []).append(record.scenario.controller)
+    for remark, names in said.items():
+        click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
+    for record in records:
         with suppress(ModelError):  # already among the remarks
             for closest in run_clearance(record):
                 click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)

@@ -17,7 +17,7 @@ from ffsm_drake.cli.common import (
     complete_scenario,
     json_option,
     located_errors,
-    overrides_option,
+    override_options,
     print_json,
     print_result,
     rehearsal_option,
@@ -147,25 +147,38 @@ def new(
 
 @click.command()
 @click.argument("name", required=False, shell_complete=complete_scenario)
+@click.option(
+    "--full", is_flag=True, help="Print every key: defaults, and what the scenario extends, too."
+)
 @json_option
-def scenarios(name: str | None, as_json: bool) -> None:
+def scenarios(name: str | None, full: bool, as_json: bool) -> None:
     """List the shipped scenarios, or print one as YAML to start from.
 
     \b
     Examples:
       ffsm scenarios
       ffsm scenarios postcapture > mine.yaml
+      ffsm scenarios flight_sensors --full
     """
-    from ffsm_drake.scenario import load_scenario, scenario_to_dict, shipped_scenarios
+    from ffsm_drake.scenario import (
+        find_scenario,
+        load_scenario,
+        scenario_to_dict,
+        scenario_to_yaml,
+        shipped_scenarios,
+    )
 
     if name is not None:
         scenario = load_scenario(name)
         if as_json:
             print_json(scenario_to_dict(scenario))
+        elif full:
+            click.echo(scenario_to_yaml(scenario), nl=False)
         else:
-            path = shipped_scenarios().get(name, Path(name))
-            click.echo(path.read_text(encoding="utf-8"), nl=False)
+            click.echo(find_scenario(name).read_text(encoding="utf-8"), nl=False)
         return
+    if full:
+        raise click.UsageError("--full: name the scenario")
     found = {name: load_scenario(name).description for name in shipped_scenarios()}
     width = max(map(len, found)) + 2
     lines = [f"{name:<{width}}{description}" for name, description in found.items()]
@@ -176,7 +189,7 @@ def scenarios(name: str | None, as_json: bool) -> None:
 @click.argument(
     "scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario
 )
-@overrides_option
+@override_options()
 @rehearsal_option
 @json_option
 def validate(
@@ -258,7 +271,9 @@ def _validated(name: str, overrides: tuple[str, ...], *, rehearsal: bool) -> dic
         "nearest": [dataclasses.asdict(each) for each in closest],
         **({} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}),
         "mission": mission.as_data(),
-        "warnings": [*(str(item.message) for item in caught), *remarks, *mission.warnings],
+        "warnings": list(
+            dict.fromkeys([*(str(item.message) for item in caught), *remarks, *mission.warnings])
+        ),
     }
 
 

@@ -103,10 +103,16 @@ def did_you_mean(name: object, valid: Iterable[str]) -> str:
 
 @contextmanager
 def warnings_as_lines() -> Iterator[None]:
-    """Print warnings as single lines on standard error, without their place in the source."""
+    """Print warnings as single lines on standard error, each once, without their place in the
+    source.
+    """
+    said = set[str]()
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+        line = f"warning: {' '.join(str(message).split())}"
+        if line not in said:
+            said.add(line)
+            print(line, file=sys.stderr)
 
     with warnings.catch_warnings():
         warnings.showwarning = show

@@ -10,6 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ffsm_drake.common.errors import one_line
 from ffsm_drake.common.files import published
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
@@ -28,6 +30,7 @@ from ffsm_drake.runs.reading import (
 from ffsm_drake.runs.table import Table
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.systems.part import Figure, PartRecord, nested
 
 if TYPE_CHECKING:
@@ -57,7 +60,7 @@ class _Dataset:
         vars(record)["_given"] = given
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RunRecord:
     """The results of a run.
 
@@ -80,6 +83,30 @@ class RunRecord:
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
     # reports carry
     identifier: str = dataclasses.field(default="", init=False)
+
+    def __repr__(self) -> str:
+        return f"RunRecord({self.scenario!r}: {self.ending.sentence})"
+
+    def positions(self, of: str = "position") -> "xr.Dataset":
+        """Generalized positions in their parts, each with its unit.
+
+        Args:
+          of: the variable of ``dataset``: position, measured_position or desired_position.
+
+        Returns:
+          Along ``time``: ``base_quaternion`` (w, x, y, z of R_WB), ``base_position`` (p_WB, m),
+          ``joint_position`` (by ``coordinate``, in its ``unit``: rad or m).
+        """
+        joints = self.dataset.isel(coordinate=slice(NUM_BASE_VELOCITIES, None))
+        quaternion, place, angles = np.split(self.dataset[of].values, [4, NUM_BASE_POSITIONS], 1)
+        found = joints[["time", "coordinate", "axis", "group", "unit"]].assign_coords(
+            quaternion=("quaternion", list("wxyz"))
+        )
+        return found.assign(
+            base_quaternion=(("time", "quaternion"), quaternion, {"units": "1"}),
+            base_position=(("time", "axis"), place, {"units": "m"}),
+            joint_position=(("time", "coordinate"), angles, {"units": "rad or m, see unit"}),
+        )
 
     @property
     def figures(self) -> tuple[Figure, ...]:

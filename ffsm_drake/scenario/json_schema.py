@@ -7,6 +7,7 @@ import typing
 from typing import Any
 
 from ffsm_drake.common.settings import Setting, settings_of
+from ffsm_drake.scenario.layers import EXTENDS
 from ffsm_drake.scenario.loading import scenario_to_dict
 from ffsm_drake.scenario.resolving import schema_fields, without_null
 from ffsm_drake.scenario.schema import Scenario
@@ -17,6 +18,10 @@ _LEAVES = {float: "number", int: "integer", bool: "boolean", str: "string"}
 def scenario_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a scenario file."""
     schema = _schema(Scenario, scenario_to_dict(Scenario()), Setting())
+    extends = "shipped scenario, or file relative to this one, whose settings this one changes"
+    schema["properties"] = {EXTENDS: {"type": "string", "description": extends}} | (
+        schema["properties"]
+    )
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "ffsm_drake scenario",
