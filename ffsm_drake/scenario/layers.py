@@ -2,7 +2,6 @@
 file itself, the overrides.
 """
 
-import copy
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,27 +41,32 @@ class Layer:
             return is_overridden(key, [self.given.partition("=")[0].strip()])
         return isinstance(self.given, Mapping) and is_overridden(key, flatten(self.given))
 
-    def onto(self, schema: Any, below: dict[str, Any]) -> dict[str, Any]:
-        """What this layer and those below it give, as plain data; checked but for conditions on
-        several settings.
-        """
+    def onto(self, schema: Any, below: "Stack") -> "Stack":
+        """The layers below, and this one on top; checked but for conditions on several settings."""
         try:
             if isinstance(self.given, str):
-                data = resolve(schema, as_dict(schema()), below, "")
-                apply_override(schema, data, self.given)
-                return data
-            given = copy.deepcopy(self.given)
-            data = merged(schema, below, given)
-            resolve(schema, as_dict(schema()), data, "")
+                apply_override(schema, below.whole, self.given)
+                return Stack(below.whole, below.whole)
+            given = merged(schema, below.given, self.given)
+            found = Stack(given, resolve(schema, as_dict(schema()), given, ""))
         except ScenarioError as error:
             raise error.located(self.source) from None
-        model = given.get("model") or {}
-        for one, other in (("servicer", "directives"), ("directives", "servicer")):
-            if model.get(one) is not None and model.get(other) is None:
-                data["model"][other] = None  # the model's other source
-        if self.folder is not None:
-            anchor_paths(data, self.folder)
-        return data
+        model = self.given.get("model") or {}
+        for data in (found.given, found.whole):
+            for one, other in (("servicer", "directives"), ("directives", "servicer")):
+                if model.get(one) is not None and model.get(other) is None:
+                    data["model"] = data["model"] | {other: None}  # the model's other source
+            if self.folder is not None:
+                anchor_paths(data, self.folder)
+        return found
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Plain data of some layers: what they give, and the whole, with defaults."""
+
+    given: dict[str, Any]
+    whole: dict[str, Any]
 
 
 def shipped_scenarios() -> dict[str, Path]:
@@ -76,10 +80,10 @@ def assembled(schema: Any, layers: Sequence[Layer]) -> Any:
     Raises:
       ScenarioError: named first is the layer that holds the wrong value.
     """
-    data: dict[str, Any] = {}
+    stack = Stack({}, {})
     for layer in layers:
-        data = layer.onto(schema, data)
-    scenario = build(schema, resolve(schema, as_dict(schema()), data, ""))
+        stack = layer.onto(schema, stack)
+    scenario = build(schema, stack.whole)
     try:
         require_valid(scenario, scenario=scenario)
     except ScenarioError as error:
@@ -248,10 +252,10 @@ def _map_paths(data: dict[str, Any], changed: Callable[[str], str]) -> None:
     def path(value: str | None) -> str | None:
         return value if value is None or "://" in value else changed(value)
 
-    model, reference = data.get("model") or {}, data.get("reference") or {}
-    for group, keys in ((model, ("directives", "servicer", "debris")), (reference, ("plan",))):
-        group.update({key: path(group[key]) for key in keys if key in group})
-    if "packages" in model:
-        model["packages"] = {name: path(folder) for name, folder in model["packages"].items()}
+    for group, keys in (("model", ("directives", "servicer", "debris")), ("reference", ("plan",))):
+        if given := data.get(group):
+            data[group] = given | {key: path(given[key]) for key in keys if key in given}
+    if packages := (data.get("model") or {}).get("packages"):
+        data["model"]["packages"] = {name: path(folder) for name, folder in packages.items()}
     if "python_path" in data:
         data["python_path"] = [path(folder) for folder in data["python_path"]]

@@ -210,6 +210,8 @@ def merged(schema: Any, below: Any, above: Any) -> Any:
     Mappings merge by key; null takes a name away from a mapping by name, unless null is one of its
     values. Anything else replaces: a list, a bare number, a group whose ``KIND`` is another.
     """
+    if not below:
+        return dict(above) if isinstance(above, Mapping) else above
     schema = without_null(schema)
     fields, args = schema_fields(schema), typing.get_args(schema)
     is_named = typing.get_origin(schema) is dict
