@@ -22,6 +22,25 @@ from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import base_rpy, make_plant
 
 
+@pytest.mark.parametrize("of", ["position", "measured_position", "desired_position"])
+def test_positions_come_apart_by_name_and_unit(run, tmp_path, of):
+    record = run("postcapture")
+    record.save(tmp_path)
+    whole = record.dataset[of]
+    for parts in (record.positions(of), RunRecord.load(tmp_path).positions(of)):
+        for name, values in parts["joint_position"].to_series().unstack().items():
+            assert np.array_equal(values, whole.sel(position_name=name))
+        assert set(parts["joint_position"]["unit"].values) == {"rad"}
+        for axis in "xyz":
+            along = parts["base_position"].sel(axis=axis)
+            assert np.array_equal(along, whole.sel(position_name=f"base_position_{axis}"))
+        for part in "wxyz":
+            turn = parts["base_quaternion"].sel(quaternion=part)
+            assert np.array_equal(turn, whole.sel(position_name=f"base_quaternion_{part}"))
+    assert "\n" not in repr(record)
+    assert repr(record.scenario) in repr(record)
+
+
 @pytest.mark.smoke
 def test_dataset_is_labelled_and_complete(run):
     data = run("postcapture").dataset
