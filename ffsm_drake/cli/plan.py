@@ -43,9 +43,11 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     from ffsm_drake.scenario import override_scenario
     from ffsm_drake.show.figures.plan import plot_plan
     from ffsm_drake.show.tables import plan_data, plan_table
+    from ffsm_drake.systems.controllers import declared_gains
 
     directory = out or Path("out") / f"{scenario_stem()}_plan"
     check_writable(directory)
+    declared_gains(scenario)  # an unknown controller is refused before the search
     found = plan_motion(scenario, progress=lambda line: click.echo(line, err=True))
     title = f"{scenario.description}\nMade by 'ffsm plan'; read by reference.plan."
     files = [directory / "plan.yaml"]
