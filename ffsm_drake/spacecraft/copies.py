@@ -25,6 +25,7 @@ from pydrake.systems.framework import Context
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, joints_of
+from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, copy_instance, make_plant
 
@@ -153,18 +154,24 @@ class CopiesModel(PlantModel):
         return bias
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReducedCopiesModel(ReducedModel, CopiesModel):
+    """As CopiesModel, of underactuated plants."""
+
+
 def copies_of(models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
     """The nominal models of several runs as one.
 
     Args:
-      models: of each run (``make_nominal_plant``), without flexible parts.
+      models: of each run (``make_nominal_plant``, ``driven_model``), without flexible parts.
       scenario: one of the runs; all have its model.
     """
     copies = Copies.of(scenario.model, len(models))
     context = copies.plant.CreateDefaultContext()
     for copy, model in enumerate(models):
         copies.set_parameters(context, copy, model.plant, model.context)
-    return CopiesModel(
+    kind = ReducedCopiesModel if isinstance(models[0], ReducedModel) else CopiesModel
+    return kind(
         plant=copies.plant,
         context=context,
         coordinates=models[0].coordinates,

@@ -20,7 +20,7 @@ import numpy as np
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, stacked
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _BASE = Coordinates((), ())
@@ -217,9 +217,8 @@ class ReducedModel(PlantModel):
     a decoupled unit mass without bias in the others. ``calc_jacobian`` is still the whole plant's.
     """
 
-    # The formulas of FreeFloating for one configuration, fast enough for every control sample.
+    # The formulas of FreeFloating, fast enough for every control sample.
 
-    @stacked
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """H* and ones (..., nv, nv) in configurations q (..., nq)."""
         return self._reduced(super().calc_mass_matrix(q))
@@ -228,27 +227,30 @@ class ReducedModel(PlantModel):
         """As PlantModel: H* of the apparent mass matrix."""
         return self._reduced(super().calc_apparent_mass_matrix(q))
 
-    @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """C* and zeros (..., nv), N m and N, for velocities v (..., nv)."""
         whole = super().calc_bias(q, v)
-        across, own, _ = self._blocks
-        H = PlantModel.calc_mass_matrix(self, q)
-        driven, undriven = self.coordinates.driven, own[1][0]
+        H = super().calc_mass_matrix(q)
+        driven, undriven = self._parts
+        following = np.linalg.solve(_block(H, undriven, undriven), whole[..., undriven, None])
         result = np.zeros_like(whole)
-        result[driven] = whole[driven] - H[across].T.dot(np.linalg.solve(H[own], whole[undriven]))
+        result[..., driven] = (
+            whole[..., driven] - (_block(H, undriven, driven).mT @ following)[..., 0]
+        )
         return result
 
     @functools.cached_property
-    def _blocks(self) -> tuple[tuple[np.ndarray, ...], ...]:
-        """Index arrays of H_ua, H_uu and H_aa."""
-        driven, undriven = self.coordinates.driven, np.flatnonzero(~self.coordinates.is_driven)
-        return np.ix_(undriven, driven), np.ix_(undriven, undriven), np.ix_(driven, driven)
+    def _parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of the driven and of the undriven coordinates."""
+        return self.coordinates.driven, np.flatnonzero(~self.coordinates.is_driven)
 
     def _reduced(self, whole: np.ndarray) -> np.ndarray:
-        across, own, kept = self._blocks
-        result, coupling = np.eye(len(whole)), whole[across]
-        result[kept] = whole[kept] - coupling.T.dot(np.linalg.solve(whole[own], coupling))
+        driven, undriven = self._parts
+        across = _block(whole, undriven, driven)
+        following = np.linalg.solve(_block(whole, undriven, undriven), across)
+        result = np.zeros(whole.shape)
+        result[..., undriven, undriven] = 1.0
+        result[..., driven[:, None], driven] = _block(whole, driven, driven) - across.mT @ following
         return result
 
 
@@ -367,6 +369,13 @@ def singularities_along(
                 Singularity(time=time, smallest=float(here.smallest[0]), lost=here.lost[0])
             )
     return found
+
+
+def _block(matrix: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Rows and columns of matrices (..., n, n), row after row in memory: products of each then have
+    the same bits alone as among others.
+    """
+    return np.ascontiguousarray(matrix[..., rows[:, None], columns])
 
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:

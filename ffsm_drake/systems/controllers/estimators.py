@@ -40,6 +40,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.scenario import Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -220,6 +221,7 @@ class LateKalmanEstimator(Estimator):
     then, [q_d(t_k) - q(t_(k-j)), ...].
     """
 
+    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
@@ -335,6 +337,7 @@ class CoupledEstimator(Estimator):
     others one by one.
     """
 
+    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
@@ -372,20 +375,12 @@ class CoupledEstimator(Estimator):
         """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
         base's rotation and the joints' positions, rad or m.
         """
-        # Squared distances less what all have in common; the cosine is that of half the angle.
-        joints = self._squares - 2.0 * (q_d[..., NUM_BASE_POSITIONS:] @ self._joints.T)
-        cosine = np.abs(q_d[..., :4] @ self.postures[:, :4].T)
-        nearest: np.ndarray = self.gain[(joints - 8.0 * cosine).argmin(axis=-1)]
+        each, own = q_d[..., None, :], self.postures
+        joints = (each - own)[..., NUM_BASE_POSITIONS:]
+        cosine = np.abs((each * own)[..., :4].sum(axis=-1))  # of half the angle
+        distance = (joints * joints).sum(axis=-1) - 8.0 * cosine
+        nearest: np.ndarray = self.gain[distance.argmin(axis=-1)]
         return nearest
-
-    @functools.cached_property
-    def _joints(self) -> np.ndarray:
-        return self.postures[:, NUM_BASE_POSITIONS:]
-
-    @functools.cached_property
-    def _squares(self) -> np.ndarray:
-        squares: np.ndarray = (self._joints**2).sum(axis=1)
-        return squares
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
@@ -399,7 +394,7 @@ class CoupledEstimator(Estimator):
             (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
         )
         of_e, of_rate, of_force = np.split(
-            np.einsum("...ij,...j->...i", self.gain_at(sample.q_d), innovation), 3, axis=-1
+            matrix_vector(self.gain_at(sample.q_d), innovation), 3, axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.

@@ -13,18 +13,18 @@ from its stationary solution at the end of the plan.
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
-from ffsm_drake.systems.controllers.time_delay import matrix_vector
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -41,6 +41,7 @@ class Tvlqr(ControlLaw):
     The cost is the sum of squares of e, e' and tau - tau_d, each divided by its size.
     """
 
+    wide: ClassVar[bool] = True
     model: PlantModel
     sample_time: float
     error_size: np.ndarray = gain(
