@@ -8,7 +8,7 @@ after copy, each in the order of the plant of one. Elsewhere states of copies ar
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BodyIndex,
     ForceElementIndex,
+    Frame,
     JointActuator,
     ModelInstanceIndex,
     RevoluteSpring,
@@ -152,6 +153,24 @@ class CopiesModel(PlantModel):
         self.plant.SetVelocities(self.context, v.reshape(-1))
         bias: np.ndarray = self.plant.CalcBiasTerm(self.context).reshape(v.shape)
         return bias
+
+    def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """The Jacobians (B, 6, nv) of a frame of the plant of one."""
+        return np.stack([own.calc_jacobian(*at, frame) for own, *at in self._at(q)])
+
+    def calc_bias_acceleration(
+        self, q: np.ndarray, v: np.ndarray, frame: Frame | str
+    ) -> np.ndarray:
+        """J' v (B, 6) of a frame of the plant of one."""
+        return np.stack([own.calc_bias_acceleration(*at, frame) for own, *at in self._at(q, v)])
+
+    def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """The poses (B, 7) of a frame of the plant of one."""
+        return np.stack([own.calc_frame_pose(*at, frame) for own, *at in self._at(q)])
+
+    def _at(self, *rows: np.ndarray) -> Iterator[tuple[Any, ...]]:
+        """Each copy's own model, with its rows."""
+        return zip(self.models, *rows, strict=True)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.products import applied, product
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 
@@ -99,7 +100,7 @@ class FreeFloating:
         from momentum.
         """
         self._check_conserved()
-        following = _times(self.following, driven_velocity)
+        following = applied(self.following, driven_velocity)
         if momentum is not None:
             about_base = np.array(
                 np.broadcast_to(momentum, (*self.base_position.shape[:-1], 6)), dtype=float
@@ -115,7 +116,7 @@ class FreeFloating:
 
     def momentum(self, v: np.ndarray) -> np.ndarray:
         """The momentum (..., 6) of velocities v (..., nv)."""
-        return _times(self.momentum_map, v)
+        return applied(self.momentum_map, v)
 
     def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
         """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a, and its ``drift``.
@@ -124,7 +125,7 @@ class FreeFloating:
         ``velocity``.
         """
         self._check_conserved()
-        return jacobian[..., self.driven] + jacobian[..., self.undriven] @ self.following
+        return jacobian[..., self.driven] + product(jacobian[..., self.undriven], self.following)
 
     def drift(self, jacobian: np.ndarray, momentum: np.ndarray) -> np.ndarray:
         """J_u H_uu^-1 p_u (..., m): a frame's twist while the driven coordinates stand still.
@@ -132,20 +133,20 @@ class FreeFloating:
 
         Args: the Jacobian J (..., m, nv); the momentum (..., 6).
         """
-        return _times(jacobian, self.velocity(np.zeros(self.driven.size), momentum))
+        return applied(jacobian, self.velocity(np.zeros(self.driven.size), momentum))
 
     @functools.cached_property
     def reduced_mass_matrix(self) -> np.ndarray:
         """H* = H_aa - H_au H_uu^-1 H_ua (..., na, na) of H* dv_a/dt + C* = tau_a."""
         rows = self.mass_matrix[..., self.driven, :]
-        return rows[..., self.driven] + rows[..., self.undriven] @ self.following
+        return rows[..., self.driven] + product(rows[..., self.undriven], self.following)
 
     def reduced_bias(self, bias: np.ndarray) -> np.ndarray:
         """C* = C_a - H_au H_uu^-1 C_u (..., na), N m and N, of the bias C (..., nv) of
         ``PlantModel.calc_bias``.
         """
         across = np.swapaxes(self.following, -1, -2)
-        return bias[..., self.driven] + _times(across, bias[..., self.undriven])
+        return bias[..., self.driven] + applied(across, bias[..., self.undriven])
 
     def bias_acceleration(
         self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray
@@ -157,7 +158,7 @@ class FreeFloating:
         """
         own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
         following = np.linalg.solve(own, bias[..., self.undriven, None])[..., 0]
-        result: np.ndarray = frame_bias - _times(jacobian[..., self.undriven], following)
+        result: np.ndarray = frame_bias - applied(jacobian[..., self.undriven], following)
         return result
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
@@ -232,11 +233,10 @@ class ReducedModel(PlantModel):
         whole = super().calc_bias(q, v)
         H = super().calc_mass_matrix(q)
         driven, undriven = self._parts
-        following = np.linalg.solve(_block(H, undriven, undriven), whole[..., undriven, None])
-        result = np.zeros_like(whole)
-        result[..., driven] = (
-            whole[..., driven] - (_block(H, undriven, driven).mT @ following)[..., 0]
-        )
+        rows = H[..., undriven, :]
+        following = np.linalg.solve(rows[..., undriven], whole[..., undriven, None])[..., 0]
+        result = np.zeros(whole.shape)
+        result[..., driven] = whole[..., driven] - applied(rows[..., driven].mT, following)
         return result
 
     @functools.cached_property
@@ -246,11 +246,12 @@ class ReducedModel(PlantModel):
 
     def _reduced(self, whole: np.ndarray) -> np.ndarray:
         driven, undriven = self._parts
-        across = _block(whole, undriven, driven)
-        following = np.linalg.solve(_block(whole, undriven, undriven), across)
+        rows, block = whole[..., undriven, :], (..., driven[:, None], driven)
+        across = rows[..., driven]
+        following = np.linalg.solve(rows[..., undriven], across)
         result = np.zeros(whole.shape)
         result[..., undriven, undriven] = 1.0
-        result[..., driven[:, None], driven] = _block(whole, driven, driven) - across.mT @ following
+        result[block] = whole[block] - product(across.mT, following)
         return result
 
 
@@ -369,15 +370,3 @@ def singularities_along(
                 Singularity(time=time, smallest=float(here.smallest[0]), lost=here.lost[0])
             )
     return found
-
-
-def _block(matrix: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Rows and columns of matrices (..., n, n), row after row in memory: products of each then have
-    the same bits alone as among others.
-    """
-    return np.ascontiguousarray(matrix[..., rows[:, None], columns])
-
-
-def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """matrix @ vector for arrays (..., m, n) and (..., n)."""
-    return (matrix @ vector[..., None])[..., 0]
