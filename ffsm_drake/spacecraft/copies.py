@@ -133,6 +133,12 @@ class CopiesModel(PlantModel):
     """
 
     models: Sequence[PlantModel]
+    copies: Copies
+
+    def take(self, copy: int) -> None:
+        """Give a copy the masses, rotors, springs and dampers of its own model."""
+        own = self.models[copy]
+        self.copies.set_parameters(self.context, copy, own.plant, own.context)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrices (B, nv, nv) in configurations q (B, nq)."""
@@ -182,17 +188,20 @@ def copies_of(models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
     """The nominal models of several runs as one.
 
     Args:
-      models: of each run (``make_nominal_plant``, ``driven_model``), without flexible parts.
+      models: of each run (``make_nominal_plant``, ``driven_model``, ``make_flexible_plant``).
       scenario: one of the runs; all have its model.
     """
-    copies = Copies.of(scenario.model, len(models))
-    context = copies.plant.CreateDefaultContext()
-    for copy, model in enumerate(models):
-        copies.set_parameters(context, copy, model.plant, model.context)
-    kind = ReducedCopiesModel if isinstance(models[0], ReducedModel) else CopiesModel
-    return kind(
+    first = models[0]
+    copies = Copies.of(scenario.model, len(models), flexible=bool(first.split.names))
+    kind = ReducedCopiesModel if isinstance(first, ReducedModel) else CopiesModel
+    model = kind(
         plant=copies.plant,
-        context=context,
-        coordinates=models[0].coordinates,
+        context=copies.plant.CreateDefaultContext(),
+        coordinates=first.coordinates,
+        split=first.split,
         models=tuple(models),
+        copies=copies,
     )
+    for copy in range(len(models)):
+        model.take(copy)
+    return model
