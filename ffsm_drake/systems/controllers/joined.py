@@ -51,10 +51,11 @@ def _joined(values: Sequence[Any], models: Sequence[PlantModel], scenario: Scena
             raise _CannotJoin
         return copies_of(values, scenario)
     if dataclasses.is_dataclass(first) and not isinstance(first, type):
-        fields = {
-            field.name: _joined([getattr(each, field.name) for each in values], models, scenario)
-            for field in dataclasses.fields(first)
-        }
+        fields = dict[str, Any]()
+        for field in dataclasses.fields(first):
+            own = [getattr(each, field.name) for each in values]
+            kept = field.metadata.get("of_each", False)
+            fields[field.name] = tuple(own) if kept else _joined(own, models, scenario)
         return dataclasses.replace(first, **fields)
     if isinstance(first, np.ndarray):
         if _is_vector(first) and all(each.shape == first.shape for each in values):
