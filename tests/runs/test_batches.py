@@ -48,6 +48,7 @@ WIDE = {
     "late": ("slow_navigation", "actuation.limit={}"),
     "coupled": ("postcapture", *COUPLED),
     "tvlqr": ("postcapture", "controller=tvlqr"),
+    "torque": ("postcapture", "controller=torque_against_momentum"),
     "orbit": ("postcapture", ORBIT),
     "tide": ("postcapture", "environment={altitude: 7.0e5, gravity_gradient: false, tidal: true}"),
     "panels in orbit": ("flexible_panels", ORBIT),

@@ -7,6 +7,7 @@ the base's pose is not controlled.
 """
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,7 @@ class TorqueAgainstMomentum(ControlLaw):
     The base force is zero.
     """
 
+    wide: ClassVar[bool] = True
     model: PlantModel
     torque: float = gain(10.0, "N m", "size of the base torque tau_max", scalar=True, positive=True)
     decay: float = gain(
