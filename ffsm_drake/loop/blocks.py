@@ -19,7 +19,6 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
-from ffsm_drake.loop.side_by_side import NotAlike, SideBySide
 from ffsm_drake.scenario import Block, Scenario, build_settings
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -42,6 +41,7 @@ from ffsm_drake.systems.registry import (
 )
 from ffsm_drake.systems.sensing import sensing_of, wide_sensing_of
 from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER = str(FRAME_SIZE), "1"
@@ -118,7 +118,7 @@ _SECTION_PARTS: dict[str, type[Part]] = {
 
 @dataclasses.dataclass(frozen=True)
 class _Section:
-    """The factory of the block of a scenario's section; see ``loop.side_by_side``."""
+    """The factory of the block of a scenario's section; see ``systems.side_by_side``."""
 
     build: Callable[[BlockSetup], System | None]  # None for an ideal actuator
     build_wide: Callable[[Sequence[BlockSetup]], System | None] = lambda setups: None

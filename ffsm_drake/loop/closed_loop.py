@@ -236,7 +236,7 @@ def add_closed_loop(
       builder: the diagram's builder.
       scenario: the scenario to build; several are run side by side, in one plant that holds a copy
         of the spacecraft for each (``spacecraft.copies``), with every port as many times as wide.
-        They have the same model, sample time and kinds of blocks (``loop.side_by_side``).
+        They have the same model, sample time and kinds of blocks (``systems.side_by_side``).
       blocks: block -> factory (BlockSetup -> Drake system) that replaces the scenario's choice,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);

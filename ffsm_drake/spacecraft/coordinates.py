@@ -13,7 +13,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
-from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
+from ffsm_drake.common.so3 import (
+    rotation_error,
+    rotation_error_rate,
+    rotation_error_rates,
+    rotation_errors,
+)
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
 BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
@@ -220,6 +225,27 @@ def error_rate(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
     rate = v_d - v
     rate[:3] = rotation_error_rate(tuple(error[:3].tolist()), v_d[:3], v[:3])
     return rate
+
+
+def tracking_errors(
+    desired: np.ndarray, actual: np.ndarray, num_positions: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """``position_error`` and ``error_rate`` (..., nv each) from states [q; v] (..., nq + nv), of
+    one or of rows (n, nq + nv), each with the bits it has alone.
+    """
+    split, difference = num_positions, desired - actual
+    e, e_dot = difference[..., 1:split], difference[..., split:]
+    if actual.ndim == 1:
+        e[:3] = rotation = rotation_error(desired[:4], actual[:4])
+        e_dot[:3] = rotation_error_rate(
+            rotation, desired[split : split + 3], actual[split : split + 3]
+        )
+    else:
+        rotations = rotation_errors(desired[:, :4].T, actual[:, :4].T)
+        e[:, :3] = rotations.T
+        rates = desired[:, split : split + 3].T, actual[:, split : split + 3].T
+        e_dot[:, :3] = rotation_error_rates(rotations, *rates).T
+    return e, e_dot
 
 
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ after copy, each in the order of the plant of one. Elsewhere states of copies ar
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BodyIndex,
     ForceElementIndex,
+    Frame,
     JointActuator,
     ModelInstanceIndex,
     RevoluteSpring,
@@ -25,6 +26,7 @@ from pydrake.systems.framework import Context
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, joints_of
+from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, copy_instance, make_plant
 
@@ -131,6 +133,12 @@ class CopiesModel(PlantModel):
     """
 
     models: Sequence[PlantModel]
+    copies: Copies
+
+    def take(self, copy: int) -> None:
+        """Give a copy the masses, rotors, springs and dampers of its own model."""
+        own = self.models[copy]
+        self.copies.set_parameters(self.context, copy, own.plant, own.context)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrices (B, nv, nv) in configurations q (B, nq)."""
@@ -152,21 +160,48 @@ class CopiesModel(PlantModel):
         bias: np.ndarray = self.plant.CalcBiasTerm(self.context).reshape(v.shape)
         return bias
 
+    def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """The Jacobians (B, 6, nv) of a frame of the plant of one."""
+        return np.stack([own.calc_jacobian(*at, frame) for own, *at in self._at(q)])
+
+    def calc_bias_acceleration(
+        self, q: np.ndarray, v: np.ndarray, frame: Frame | str
+    ) -> np.ndarray:
+        """J' v (B, 6) of a frame of the plant of one."""
+        return np.stack([own.calc_bias_acceleration(*at, frame) for own, *at in self._at(q, v)])
+
+    def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """The poses (B, 7) of a frame of the plant of one."""
+        return np.stack([own.calc_frame_pose(*at, frame) for own, *at in self._at(q)])
+
+    def _at(self, *rows: np.ndarray) -> Iterator[tuple[Any, ...]]:
+        """Each copy's own model, with its rows."""
+        return zip(self.models, *rows, strict=True)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReducedCopiesModel(ReducedModel, CopiesModel):
+    """As CopiesModel, of underactuated plants."""
+
 
 def copies_of(models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
     """The nominal models of several runs as one.
 
     Args:
-      models: of each run (``make_nominal_plant``), without flexible parts.
+      models: of each run (``make_nominal_plant``, ``driven_model``, ``make_flexible_plant``).
       scenario: one of the runs; all have its model.
     """
-    copies = Copies.of(scenario.model, len(models))
-    context = copies.plant.CreateDefaultContext()
-    for copy, model in enumerate(models):
-        copies.set_parameters(context, copy, model.plant, model.context)
-    return CopiesModel(
+    first = models[0]
+    copies = Copies.of(scenario.model, len(models), flexible=bool(first.split.names))
+    kind = ReducedCopiesModel if isinstance(first, ReducedModel) else CopiesModel
+    model = kind(
         plant=copies.plant,
-        context=context,
-        coordinates=models[0].coordinates,
+        context=copies.plant.CreateDefaultContext(),
+        coordinates=first.coordinates,
+        split=first.split,
         models=tuple(models),
+        copies=copies,
     )
+    for copy in range(len(models)):
+        model.take(copy)
+    return model

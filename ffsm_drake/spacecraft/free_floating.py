@@ -19,8 +19,9 @@ from typing import Literal
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.products import applied, product
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, stacked
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _BASE = Coordinates((), ())
@@ -99,7 +100,7 @@ class FreeFloating:
         from momentum.
         """
         self._check_conserved()
-        following = _times(self.following, driven_velocity)
+        following = applied(self.following, driven_velocity)
         if momentum is not None:
             about_base = np.array(
                 np.broadcast_to(momentum, (*self.base_position.shape[:-1], 6)), dtype=float
@@ -115,7 +116,7 @@ class FreeFloating:
 
     def momentum(self, v: np.ndarray) -> np.ndarray:
         """The momentum (..., 6) of velocities v (..., nv)."""
-        return _times(self.momentum_map, v)
+        return applied(self.momentum_map, v)
 
     def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
         """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a, and its ``drift``.
@@ -124,7 +125,7 @@ class FreeFloating:
         ``velocity``.
         """
         self._check_conserved()
-        return jacobian[..., self.driven] + jacobian[..., self.undriven] @ self.following
+        return jacobian[..., self.driven] + product(jacobian[..., self.undriven], self.following)
 
     def drift(self, jacobian: np.ndarray, momentum: np.ndarray) -> np.ndarray:
         """J_u H_uu^-1 p_u (..., m): a frame's twist while the driven coordinates stand still.
@@ -132,20 +133,20 @@ class FreeFloating:
 
         Args: the Jacobian J (..., m, nv); the momentum (..., 6).
         """
-        return _times(jacobian, self.velocity(np.zeros(self.driven.size), momentum))
+        return applied(jacobian, self.velocity(np.zeros(self.driven.size), momentum))
 
     @functools.cached_property
     def reduced_mass_matrix(self) -> np.ndarray:
         """H* = H_aa - H_au H_uu^-1 H_ua (..., na, na) of H* dv_a/dt + C* = tau_a."""
         rows = self.mass_matrix[..., self.driven, :]
-        return rows[..., self.driven] + rows[..., self.undriven] @ self.following
+        return rows[..., self.driven] + product(rows[..., self.undriven], self.following)
 
     def reduced_bias(self, bias: np.ndarray) -> np.ndarray:
         """C* = C_a - H_au H_uu^-1 C_u (..., na), N m and N, of the bias C (..., nv) of
         ``PlantModel.calc_bias``.
         """
         across = np.swapaxes(self.following, -1, -2)
-        return bias[..., self.driven] + _times(across, bias[..., self.undriven])
+        return bias[..., self.driven] + applied(across, bias[..., self.undriven])
 
     def bias_acceleration(
         self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray
@@ -157,7 +158,7 @@ class FreeFloating:
         """
         own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
         following = np.linalg.solve(own, bias[..., self.undriven, None])[..., 0]
-        result: np.ndarray = frame_bias - _times(jacobian[..., self.undriven], following)
+        result: np.ndarray = frame_bias - applied(jacobian[..., self.undriven], following)
         return result
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
@@ -217,9 +218,8 @@ class ReducedModel(PlantModel):
     a decoupled unit mass without bias in the others. ``calc_jacobian`` is still the whole plant's.
     """
 
-    # The formulas of FreeFloating for one configuration, fast enough for every control sample.
+    # The formulas of FreeFloating, fast enough for every control sample.
 
-    @stacked
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """H* and ones (..., nv, nv) in configurations q (..., nq)."""
         return self._reduced(super().calc_mass_matrix(q))
@@ -228,27 +228,30 @@ class ReducedModel(PlantModel):
         """As PlantModel: H* of the apparent mass matrix."""
         return self._reduced(super().calc_apparent_mass_matrix(q))
 
-    @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """C* and zeros (..., nv), N m and N, for velocities v (..., nv)."""
         whole = super().calc_bias(q, v)
-        across, own, _ = self._blocks
-        H = PlantModel.calc_mass_matrix(self, q)
-        driven, undriven = self.coordinates.driven, own[1][0]
-        result = np.zeros_like(whole)
-        result[driven] = whole[driven] - H[across].T.dot(np.linalg.solve(H[own], whole[undriven]))
+        H = super().calc_mass_matrix(q)
+        driven, undriven = self._parts
+        rows = H[..., undriven, :]
+        following = np.linalg.solve(rows[..., undriven], whole[..., undriven, None])[..., 0]
+        result = np.zeros(whole.shape)
+        result[..., driven] = whole[..., driven] - applied(rows[..., driven].mT, following)
         return result
 
     @functools.cached_property
-    def _blocks(self) -> tuple[tuple[np.ndarray, ...], ...]:
-        """Index arrays of H_ua, H_uu and H_aa."""
-        driven, undriven = self.coordinates.driven, np.flatnonzero(~self.coordinates.is_driven)
-        return np.ix_(undriven, driven), np.ix_(undriven, undriven), np.ix_(driven, driven)
+    def _parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of the driven and of the undriven coordinates."""
+        return self.coordinates.driven, np.flatnonzero(~self.coordinates.is_driven)
 
     def _reduced(self, whole: np.ndarray) -> np.ndarray:
-        across, own, kept = self._blocks
-        result, coupling = np.eye(len(whole)), whole[across]
-        result[kept] = whole[kept] - coupling.T.dot(np.linalg.solve(whole[own], coupling))
+        driven, undriven = self._parts
+        rows, block = whole[..., undriven, :], (..., driven[:, None], driven)
+        across = rows[..., driven]
+        following = np.linalg.solve(rows[..., undriven], across)
+        result = np.zeros(whole.shape)
+        result[..., undriven, undriven] = 1.0
+        result[block] = whole[block] - product(across.mT, following)
         return result
 
 
@@ -367,8 +370,3 @@ def singularities_along(
                 Singularity(time=time, smallest=float(here.smallest[0]), lost=here.lost[0])
             )
     return found
-
-
-def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """matrix @ vector for arrays (..., m, n) and (..., n)."""
-    return (matrix @ vector[..., None])[..., 0]

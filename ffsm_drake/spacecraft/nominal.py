@@ -13,6 +13,7 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.memo import each_once, memoized
+from ffsm_drake.common.products import applied
 from ffsm_drake.scenario import MassProperties, Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
 from ffsm_drake.spacecraft.flexible import (
@@ -141,7 +142,7 @@ class PlantModel:
         ``calc_jacobian``.
         """
         jacobian = self.calc_jacobian(q, frame)
-        twist, acceleration = ((jacobian @ of[..., None])[..., 0] for of in (v, a))
+        twist, acceleration = applied(jacobian, v), applied(jacobian, a)
         acceleration = acceleration + self.calc_bias_acceleration(q, v, frame)
         return np.concatenate([self.calc_frame_pose(q, frame), twist, acceleration], axis=-1)
 

@@ -28,7 +28,7 @@ class HarmonicDisturbance(Part):
         return self.build_wide([setup])
 
     def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram:
-        """The forces of several copies, see ``loop.side_by_side``."""
+        """The forces of several copies, see ``systems.side_by_side``."""
         settings = [setup.scenario.disturbance for setup in setups]
         return make_disturbance(settings, setups[0].coordinates)
 

@@ -13,7 +13,7 @@ three inverse dynamics (``PlantModel``).
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
@@ -22,8 +22,11 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
+from ffsm_drake.common.products import applied
 from ffsm_drake.scenario import Environment, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.copies import CopiesModel, copies_of
+from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexible_plant
 from ffsm_drake.systems.actuation import own_parts
 from ffsm_drake.systems.part import Part
@@ -31,6 +34,16 @@ from ffsm_drake.systems.setup import BlockSetup
 
 EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
 EARTH_RADIUS = 6378136.3  # m; at the equator (EGM2008)
+_POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
+_SHARES = np.array([2.0, -1.0, -1.0])  # of the rotations about r, t, h
+# a -> the matrix of a x (.), its rows one after another
+_CROSS = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ]
+)
 
 
 def mean_motion(settings: Environment) -> float:
@@ -41,15 +54,15 @@ def mean_motion(settings: Environment) -> float:
 
 
 class OrbitalForce:
-    """The generalized force of the environment on a plant, as a function of configuration and
-    time.
+    """The generalized force of the environment on a plant, or on several copies of it, as a
+    function of configuration and time.
     """
 
     def __init__(self, settings: Environment, model: PlantModel) -> None:
         """Args: the environment; the plant with its masses; every call sets its context."""
         self._settings, self._model = settings, model
         self._rate = mean_motion(settings)
-        self._velocity = np.zeros(model.plant.num_velocities())  # scratch pad: v of a rotation
+        self._velocity = np.zeros(model.plant.num_velocities())  # scratch pad: v of rotations
         # R_WH at the start
         self._hill = RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()
         solar = settings.solar_pressure
@@ -68,7 +81,7 @@ class OrbitalForce:
         return turned
 
     def calc(self, q: np.ndarray, time: float) -> np.ndarray:
-        """Generalized force (nv) in a configuration q (nq) at a time in s, N m and N.
+        """Generalized force (..., nv) in configurations q (..., nq) at a time in s, N m and N.
 
         Raises ValueError: q is not finite.
         """
@@ -76,44 +89,52 @@ class OrbitalForce:
         if settings.gravity_gradient:
             force = self._gravity_gradient(q, H, time)
         elif settings.tidal:
-            force = self._tide(H, time)
+            force = self._tide(q, H, time)
         else:
-            force = np.zeros(len(H))
+            force = np.zeros(H.shape[:-1])
         if settings.solar_pressure is not None:
-            R_WB = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4]))).matrix()
-            force[:3] += np.cross(R_WB @ self._arm, self._pressure)
-            force[3:6] += self._pressure
+            arm = np.array([self._turned_arm(each) for each in q.reshape(-1, q.shape[-1])])
+            force[..., :3] += np.cross(arm, self._pressure).reshape(force[..., :3].shape)
+            force[..., 3:6] += self._pressure
         return force
 
-    def _center_of_mass(self) -> np.ndarray:
-        """In the world frame (3), m."""
-        center: np.ndarray = self._model.plant.CalcCenterOfMassPositionInWorld(self._model.context)
-        return center
+    def _turned_arm(self, q: np.ndarray) -> np.ndarray:
+        """The centre of pressure (3) from the base's origin, world axes, m."""
+        R_WB = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4]))).matrix()
+        turned: np.ndarray = R_WB @ self._arm
+        return turned
 
     def _gravity_gradient(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
         """About the centre of mass; with the tide about the origin, which gives both."""
         plant, context, axes = self._model.plant, self._model.context, self.axes(time)
-        center = np.zeros(3) if self._settings.tidal else self._center_of_mass()
-        x, y, z = (q[4:NUM_BASE_POSITIONS] - center).tolist()
-        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # arm x
-        across = -axes @ arm.T  # axis x arm
-        force, acceleration = np.zeros(len(H)), np.zeros(3)
-        for axis, velocity, share in zip(axes, across, (2.0, -1.0, -1.0), strict=True):
-            self._velocity[:3], self._velocity[3:6] = axis, velocity
+        arm = q[..., _POSITION] if self._settings.tidal else -_center_of_mass(H)
+        across = applied((axes @ _CROSS).reshape(9, 3), arm)  # axis x arm, one after another
+        velocity, force = self._velocity.reshape(H.shape[:-1]), np.zeros(H.shape[:-1])
+        for i, share in enumerate(_SHARES):
+            velocity[..., :3], velocity[..., 3:6] = axes[i], across[..., 3 * i : 3 * i + 3]
             plant.SetVelocities(context, self._velocity)
-            force += share * plant.CalcBiasTerm(context)
-            acceleration += share * (axis * axis.dot((x, y, z)) - (x, y, z))
-        return self._rate * self._rate * (force + H[:, 3:6] @ acceleration)
+            force += share * plant.CalcBiasTerm(context).reshape(force.shape)
+        acceleration = applied((axes.T * _SHARES) @ axes, arm)
+        return self._rate * self._rate * (force + applied(H[..., 3:6], acceleration))
 
-    def _tide(self, H: np.ndarray, time: float) -> np.ndarray:
+    def _tide(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
         """On the centre of mass, as if the mass stood there."""
-        axes, center = self.axes(time), self._center_of_mass()
-        acceleration = 3.0 * axes[0] * axes[0].dot(center) - center
-        return self._rate * self._rate * (H[:, 3:6] @ acceleration)
+        radial, center = self.axes(time)[0], q[..., _POSITION] + _center_of_mass(H)
+        acceleration = applied(3.0 * np.outer(radial, radial) - np.eye(3), center)
+        return self._rate * self._rate * applied(H[..., 3:6], acceleration)
+
+
+def _center_of_mass(mass_matrix: np.ndarray) -> np.ndarray:
+    """From the base's origin (..., 3), world axes, m."""
+    spacecraft = FreeFloating(
+        mass_matrix=mass_matrix, base_position=np.empty(0), driven=np.empty(0, dtype=int)
+    )
+    return spacecraft.center_of_mass
 
 
 class EnvironmentForce(LeafSystem):
-    """The environment's force in the closed loop, held over each control sample.
+    """The environment's force in the closed loop, held over each control sample, on one spacecraft
+    or several copies of it.
 
     Inputs:
       state: known [q; v] (nq + nv) of the plant.
@@ -126,17 +147,18 @@ class EnvironmentForce(LeafSystem):
     start and the one before: it is off by 3/8 of its second difference. State (discrete, period
     ``sample_time``): the held force (nv, then the hidden ones), and the whole force at the last
     sample. Parameter: the payload's mass, centre of mass and inertia (10), as ``MassProperties``.
+    Each holds copy after copy.
     """
 
-    def __init__(self, scenario: Scenario, model: PlantModel) -> None:
-        """Args: a scenario with an environment; a plant for the system's own use, with the true
-        payload.
+    def __init__(self, scenarios: Sequence[Scenario], model: PlantModel) -> None:
+        """Args: a scenario of each copy, with the same environment; a plant for the system's own
+        use, with the true payloads, of several copies a CopiesModel.
         """
         super().__init__()
-        self._model, self._scenario = model, scenario
-        self._force = OrbitalForce(scenario.environment or Environment(), model)
-        self._held_payload = _packed(scenario.payload.truth)
-        whole, hidden = model.plant.num_velocities(), len(model.split.names)
+        self._model, self._scenarios, copies = model, tuple(scenarios), len(scenarios)
+        self._force = OrbitalForce(scenarios[0].environment or Environment(), model)
+        self._held_payloads = np.array([_packed(each.payload.truth) for each in scenarios])
+        whole, hidden = model.plant.num_velocities(), copies * len(model.split.names)
         self._state = self.DeclareVectorInputPort(
             "state", model.plant.num_multibody_states() - 2 * hidden
         )
@@ -146,7 +168,7 @@ class EnvironmentForce(LeafSystem):
         self._acting = self.DeclareDiscreteState(np.zeros(whole - hidden))
         self._acting_hidden = self.DeclareDiscreteState(np.zeros(hidden))
         self._last = self.DeclareDiscreteState(np.zeros(whole))
-        self._payload = self.DeclareNumericParameter(BasicVector(self._held_payload))
+        self._payload = self.DeclareNumericParameter(BasicVector(self._held_payloads.ravel()))
         depends = {self.all_input_ports_ticket(), self.time_ticket(), self.all_parameters_ticket()}
         self._instant = self.DeclareVectorOutputPort(
             "whole_force", whole, weak_callback(self._calc_whole), depends
@@ -159,49 +181,75 @@ class EnvironmentForce(LeafSystem):
         if hidden:
             self.DeclareStateOutputPort("hidden_force", self._acting_hidden)
             self.DeclareVectorOutputPort("next_hidden_force", hidden, partial(now, 1), depends)
-        period = scenario.sample_time
+        period = scenarios[0].sample_time
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
 
-    def set_payload(self, context: Context, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        context.get_mutable_numeric_parameter(self._payload).SetFromVector(_packed(properties))
+    def set_payload(
+        self, context: Context, properties: MassProperties | Sequence[MassProperties]
+    ) -> None:
+        """Give the payload, or that of each copy, other mass properties."""
+        each = [properties] if isinstance(properties, MassProperties) else properties
+        packed = np.concatenate(list(map(_packed, each)))
+        context.get_mutable_numeric_parameter(self._payload).SetFromVector(packed)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Begin at a known state [q; v] (nq + nv) of the plant."""
+        """Begin at a known state [q; v] (nq + nv) of the plant, or at that of each copy."""
         force = self._calc(context, self._model.split.whole(state))
         for group, part in self._groups(force, force):
             context.SetDiscreteState(group, part)
 
+    def park(self, context: Context, copy: int) -> None:
+        """No force was on a copy."""
+        for group in (self._acting, self._acting_hidden, self._last):
+            held = np.array(context.get_discrete_state(group).value())
+            self._rows(held)[copy] = 0.0
+            context.SetDiscreteState(group, held)
+
+    def _rows(self, values: np.ndarray) -> np.ndarray:
+        """A port's values, of several copies as rows."""
+        copies = len(self._scenarios)
+        return values if copies == 1 else values.reshape(copies, -1)
+
     def _groups(self, acting: np.ndarray, last: np.ndarray) -> Iterable[tuple[int, np.ndarray]]:
         """The values of each group of the state."""
         groups = (self._acting, self._acting_hidden, self._last)
-        return zip(groups, (*self._split(acting), last), strict=True)
+        return zip(groups, map(np.ravel, (*self._split(acting), last)), strict=True)
 
     def _split(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         hidden = self._model.split
-        return hidden.known_velocities(force), force[hidden.hidden]
+        return hidden.known_velocities(force), force[..., hidden.hidden]
 
     def _calc(self, context: Context, state: np.ndarray) -> np.ndarray:
-        payload = context.get_numeric_parameter(self._payload).value()
-        if not np.array_equal(payload, self._held_payload):
-            mass, center, inertia = float(payload[0]), payload[1:4].tolist(), payload[4:].tolist()
-            properties = MassProperties(mass=mass, center_of_mass=center, inertia=inertia)
-            change_payload(self._model.plant, self._model.context, self._scenario, properties)
-            self._held_payload = payload.copy()
-        return self._force.calc(state[: self._model.plant.num_positions()], context.get_time())
+        payloads = context.get_numeric_parameter(self._payload).value().reshape(-1, 10)
+        for copy in np.flatnonzero((payloads != self._held_payloads).any(axis=1)).tolist():
+            self._change_payload(copy, payloads[copy])
+        num_positions = self._model.plant.num_positions() // len(self._scenarios)
+        return self._force.calc(state[..., :num_positions], context.get_time())
+
+    def _change_payload(self, copy: int, packed: np.ndarray) -> None:
+        """Give the payload of a copy in the system's own plant other mass properties."""
+        mass, center, inertia = float(packed[0]), packed[1:4].tolist(), packed[4:].tolist()
+        properties = MassProperties(mass=mass, center_of_mass=center, inertia=inertia)
+        model, scenario = self._model, self._scenarios[copy]
+        own = model.models[copy] if isinstance(model, CopiesModel) else model
+        change_payload(own.plant, own.context, scenario, properties)
+        if isinstance(model, CopiesModel):
+            model.take(copy)
+        self._held_payloads[copy] = packed
 
     def _calc_whole(self, context: Context, output: BasicVector) -> None:
-        deflected = None if self._hidden_state is None else self._hidden_state.Eval(context)
-        output.SetFromVector(
-            self._calc(context, self._model.split.whole(self._state.Eval(context), deflected))
-        )
+        state, port = self._rows(self._state.Eval(context)), self._hidden_state
+        deflected = None if port is None else self._rows(port.Eval(context))
+        whole = self._model.split.whole(state, deflected)
+        output.SetFromVector(self._calc(context, whole).ravel())
 
     def _calc_now(self, part: int, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._split(self._instant.Eval(context))[part])
+        force = self._rows(self._instant.Eval(context))
+        output.SetFromVector(self._split(force)[part].ravel())
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
-        force = self._instant.Eval(context)
-        last = context.get_discrete_state(self._last).value()
+        force = self._rows(self._instant.Eval(context))
+        last = self._rows(context.get_discrete_state(self._last).value())
         for group, part in self._groups(force + 0.5 * (force - last), force):
             values.set_value(group, part)
 
@@ -218,10 +266,21 @@ class OrbitalEnvironment(Part):
 
     def build(self, setup: BlockSetup) -> EnvironmentForce:
         """The force on all that has mass."""
-        locked = setup.scenario
-        for part in own_parts(locked):
-            locked = part.locked(locked)
-        return EnvironmentForce(setup.scenario, make_flexible_plant(locked))
+        return EnvironmentForce([setup.scenario], make_flexible_plant(_locked(setup.scenario)))
+
+    def build_wide(self, setups: Sequence[BlockSetup]) -> EnvironmentForce:
+        """The force on several copies, see ``systems.side_by_side``."""
+        scenarios = [setup.scenario for setup in setups]
+        locked = [_locked(scenario) for scenario in scenarios]
+        model = copies_of([make_flexible_plant(each) for each in locked], locked[0])
+        return EnvironmentForce(scenarios, model)
+
+
+def _locked(scenario: Scenario) -> Scenario:
+    """With what its actuators let move held."""
+    for part in own_parts(scenario):
+        scenario = part.locked(scenario)
+    return scenario
 
 
 def _packed(properties: MassProperties) -> np.ndarray:

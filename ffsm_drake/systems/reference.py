@@ -322,7 +322,7 @@ def reference_of(setup: BlockSetup) -> Diagram:
 
 
 def wide_reference_of(setups: Sequence[BlockSetup]) -> Diagram | None:
-    """The references of several copies of the spacecraft, see ``loop.side_by_side``; None where
+    """The references of several copies of the spacecraft, see ``systems.side_by_side``; None where
     only some prescribe a frame.
     """
     if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:

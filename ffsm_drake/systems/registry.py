@@ -127,7 +127,7 @@ def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
 
 
 def call_wide_factory(factory: Any, setups: Sequence[BlockSetup], *, place: str) -> Any:
-    """The result of a factory's ``build_wide`` (``loop.side_by_side``) for several setups, None
+    """The result of a factory's ``build_wide`` (``systems.side_by_side``) for several setups, None
     where it has none; errors as ``call_factory``.
     """
     return _called(factory, "build_wide", setups, place) if hasattr(factory, "build_wide") else None

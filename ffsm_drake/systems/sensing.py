@@ -26,9 +26,12 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import (
     Adder,
-    AffineSystem,
+    ConstantVectorSource,
+    Demultiplexer,
     Gain,
     LinearSystem,
+    MatrixGain,
+    Multiplexer,
     RandomSource,
 )
 
@@ -38,6 +41,7 @@ from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
+from ffsm_drake.systems.side_by_side import SideBySide
 
 _DRAWN = 256  # samples of noise at once, for several copies of the spacecraft
 
@@ -198,7 +202,7 @@ class Sensing(CompositeBlock):
         """Draw the random state of each of several copies of the spacecraft."""
         for stage in self.GetSystems():
             if isinstance(stage, _NoiseStage):
-                stage.set_random(generators)
+                stage.set_random(self.GetMutableSubsystemContext(stage, context), generators)
 
 
 def sensing_of(setup: BlockSetup) -> Sensing:
@@ -207,14 +211,16 @@ def sensing_of(setup: BlockSetup) -> Sensing:
 
 
 def wide_sensing_of(setups: Sequence[BlockSetup]) -> Sensing | None:
-    """The sensors of several copies of the spacecraft, see ``loop.side_by_side``; None with biases
-    or drifts, or where only some sensors are slow.
+    """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None where
+    only some sensors are slow, or drift.
     """
     settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
     each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
-    together = not any(_make_bias([of]) or _make_drift([of]) for of in each)
-    times = [np.concatenate(measurement_times(of, coordinates)).tolist() for of in settings]
-    if not together or any(of != times[0] for of in times):
+    kinds = [
+        np.concatenate([*measurement_times(of.settings, coordinates), *(of.drift_gains() > 0.0)])
+        for of in each
+    ]
+    if any((kind != kinds[0]).any() for kind in kinds):
         return None
     return make_sensing(settings, coordinates, sample_time=setups[0].sample_time)
 
@@ -257,6 +263,15 @@ class _Errors:
     def pair(self, name: str, default: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Those of positions and of velocities (nv each)."""
         return self.of(f"position_{name}", default), self.of(f"velocity_{name}", default)
+
+    def drift_gains(self) -> np.ndarray:
+        """Along [q; v], the intensities of random walks and the standard deviations of correlated
+        noise (2, nq + nv).
+        """
+        walk = self.of("velocity_bias_walk")
+        return np.array(
+            [_of_state(np.zeros_like(walk), walk), _deviations(*self.pair("correlated_noise"))]
+        )
 
     def check_rotation(self) -> None:
         """Raise ScenarioError for what cannot be applied to the base's rotation, a quaternion."""
@@ -314,7 +329,7 @@ class _NoiseStage(Diagram):
 
     def __init__(self, name: str, shaped_by: System, *, copies: int, sample_time: float) -> None:
         super().__init__()
-        builder = DiagramBuilder()
+        builder, self._shaped_by = DiagramBuilder(), shaped_by
         builder.AddNamedSystem("shaped", shaped_by)
         size = shaped_by.get_input_port().size()
         self._samples = (
@@ -331,8 +346,11 @@ class _NoiseStage(Diagram):
         builder.BuildInto(self)
         self.set_name(name)
 
-    def set_random(self, generators: Sequence[RandomGenerator]) -> None:
+    def set_random(self, context: Context, generators: Sequence[RandomGenerator]) -> None:
         """See ``Sensing.set_random``."""
+        if isinstance(self._shaped_by, SideBySide):
+            own = self.GetMutableSubsystemContext(self._shaped_by, context)
+            self._shaped_by.set_random(own, generators)
         if isinstance(self._samples, _Samples):
             self._samples.set_random(generators)
 
@@ -392,15 +410,29 @@ class _Samples(LeafSystem):
 
 def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
     """Constant errors; that of the attitude turns it by a rotation vector in the world frame."""
-    position, velocity = errors[0].pair("bias")
-    if not (position.any() or velocity.any()):
+    pairs = [each.pair("bias") for each in errors]
+    bias = np.concatenate([_of_state(*pair) for pair in pairs])
+    rotations = [position[:3] for position, _ in pairs]
+    turned = np.any(rotations)
+    if not (turned or bias.any()):
         return None
-    bias = _of_state(position, velocity)
-    turned = np.eye(bias.size)
-    rotation = position[errors[0].coordinates.groups["base_rotation"]]
-    if rotation.any():
-        turned[:4, :4] = turning_matrix(rotation)
-    return _make_stage("bias", AffineSystem(D=turned, y0=bias))
+    builder = DiagramBuilder()
+    biases = builder.AddNamedSystem("bias", ConstantVectorSource(bias))
+    biased = builder.AddNamedSystem("biased", Adder(2, bias.size))
+    before = biased.get_input_port(0)
+    builder.Connect(biases.get_output_port(), biased.get_input_port(1))
+    if turned:
+        sizes = [4, bias.size // len(errors) - 4] * len(errors)
+        parts = builder.AddNamedSystem("parts", Demultiplexer(sizes))
+        whole = builder.AddNamedSystem("whole", Multiplexer(sizes))
+        for i, rotation in enumerate(rotations):
+            turn = builder.AddNamedSystem(f"turn_{i}", MatrixGain(turning_matrix(rotation)))
+            builder.Connect(parts.get_output_port(2 * i), turn.get_input_port())
+            builder.Connect(turn.get_output_port(), whole.get_input_port(2 * i))
+            builder.Connect(parts.get_output_port(2 * i + 1), whole.get_input_port(2 * i + 1))
+        builder.Connect(whole.get_output_port(), before)
+        before = parts.get_input_port()
+    return _build_stage("bias", builder, before, biased.get_output_port())
 
 
 def _make_white_noise(errors: Sequence[_Errors]) -> Diagram:
@@ -414,19 +446,26 @@ def _make_white_noise(errors: Sequence[_Errors]) -> Diagram:
     )
 
 
-def _make_drift(of_copies: Sequence[_Errors]) -> Diagram | None:
-    """Random walks of the velocities' bias, from zero, and correlated noise: first-order
-    Gauss-Markov processes, stationary from the start.
-    """
-    errors = of_copies[0]
-    of_velocity = errors.of("velocity_bias_walk")
-    walk = _of_state(np.zeros_like(of_velocity), of_velocity)
-    correlated = _deviations(*errors.pair("correlated_noise"))
+def _make_drift(errors: Sequence[_Errors]) -> Diagram | None:
+    """Random walks of the velocities' bias, from zero, and correlated noise."""
+    if not any(each.drift_gains().any() for each in errors):
+        return None
+    drifts = [_drift(each) for each in errors]
+    port = drifts[0].get_input_port().get_name()
+    return _NoiseStage(
+        "drift",
+        drifts[0] if len(drifts) == 1 else SideBySide(drifts, [port]),
+        copies=len(errors),
+        sample_time=errors[0].sample_time,
+    )
+
+
+def _drift(errors: _Errors) -> LinearSystem:
+    """First-order Gauss-Markov processes, stationary from the start, from independent samples."""
+    walk, correlated = errors.drift_gains()
     constant = errors.of("correlation_time", 1.0)
     time_constant = _of_state(constant, constant, quaternion=constant[0])
     walks, noises = np.flatnonzero(walk), np.flatnonzero(correlated)
-    if not walks.size + noises.size:
-        return None
     period = errors.sample_time
     kept = np.exp(-period / time_constant[noises])  # of the deviation after one sample
     sigma = np.concatenate([np.zeros(walks.size), correlated[noises]])
@@ -440,7 +479,7 @@ def _make_drift(of_copies: Sequence[_Errors]) -> Diagram | None:
         time_period=period,
     )
     drift.configure_random_state(np.diag(sigma**2))
-    return _NoiseStage("drift", drift, copies=1, sample_time=period)
+    return drift
 
 
 def _make_quantizer(errors: Sequence[_Errors]) -> Diagram | None:

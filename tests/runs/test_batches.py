@@ -27,8 +27,40 @@ from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import is_wide
 from ffsm_drake.systems.controllers.pd_plus import PdPlus
 from ffsm_drake.systems.controllers.sampled import SampledController
+from ffsm_drake.systems.side_by_side import SideBySide
 
 SHORT = "duration=0.3"
+ORBIT = (
+    "environment={altitude: 7.0e5, gravity_gradient: true, tidal: true, hill_rpy: [0.1, 0.2, 0.3],"
+    " solar_pressure: {area: 10.0, center_of_pressure: [0.1, 0.2, 0.3], sun: [1, 1, 0]}}"
+)
+DRIFT = (
+    "sensing.velocity_bias_walk={joints: 1e-6}",
+    "sensing.position_correlated_noise={all: 1e-6}",
+)
+NOISE = "sensing.position_noise={all: 1e-6}"
+ALL_DRIVEN = ("reference.frame=null", "actuation.driven=[all]")
+COUPLED = ("estimator.kind=coupled", "estimator.force_walk={all: 1.0}", NOISE)
+# Overrides of a scenario for which every block is one for all copies.
+WIDE = {
+    "bias": ("postcapture", "sensing.position_bias={base_rotation: 1e-4, joints: 1e-5}"),
+    "drift": ("postcapture", *DRIFT),
+    "late": ("slow_navigation", "actuation.limit={}"),
+    "coupled": ("postcapture", *COUPLED),
+    "tvlqr": ("postcapture", "controller=tvlqr"),
+    "torque": ("postcapture", "controller=torque_against_momentum"),
+    "orbit": ("postcapture", ORBIT),
+    "tide": ("postcapture", "environment={altitude: 7.0e5, gravity_gradient: false, tidal: true}"),
+    "panels in orbit": ("flexible_panels", ORBIT),
+    "reduced": ("free_floating", "controller=tde_aismc"),
+    "reduced torque": ("free_floating", "controller=computed_torque"),
+    "task": ("free_floating",),
+    "task torque": ("free_floating", "controller=task_computed_torque"),
+    "task, no path": ("free_floating", "controller=task_computed_torque", *ALL_DRIVEN),
+    "task rate": ("free_floating", "controller=resolved_rate"),
+    "task, kalman": ("free_floating", "estimator.kind=kalman", NOISE),
+    "reaction": ("reaction_null",),
+}
 SETTLING = ("tdc", "asmc", "aismc", "tde_aismc", "pd_plus", "computed_torque")
 
 
@@ -48,8 +80,9 @@ def alone(scenario):
 
 
 def varied(scenario, number):
-    """Another seed, payload, guess of it, initial velocity, gain and disturbance."""
+    """Another seed, payload, guess of it, initial velocity, gain, disturbance and noise."""
     payload, share = scenario.payload, 0.01 * (number % 7)
+    noise = {key: value * (1.0 + share) for key, value in scenario.sensing.velocity_noise.items()}
     gains = {**scenario.controllers.get(scenario.controller, {})}
     if "k_d" in gains:
         gains["k_d"] = {"all": gains["k_d"]} if not isinstance(gains["k_d"], dict) else gains["k_d"]
@@ -62,9 +95,10 @@ def varied(scenario, number):
             truth=dataclasses.replace(payload.truth, mass=payload.truth.mass * (1.0 + share)),
             nominal=dataclasses.replace(payload.nominal, mass=payload.nominal.mass * (1.0 - share)),
         ),
-        initial_velocity={"joint_1": 1e-3 * number},
+        initial_velocity={"joints": 1e-3 * number},
         controllers={**scenario.controllers, scenario.controller: gains},
         disturbance=dataclasses.replace(scenario.disturbance, amplitude_scale=1.0 + share),
+        sensing=dataclasses.replace(scenario.sensing, velocity_noise=noise),
     )
 
 
@@ -77,6 +111,53 @@ def check_side_by_side(scenario, count, *, batch):
     records = simulate_many(scenarios, batch=batch)
     for record, each in zip(records, scenarios, strict=True):
         assert_equal(record, alone(each))
+
+
+def check_wide(scenarios):
+    """No block stands once for each copy, and every run has the bits it has alone."""
+    rollout = Rollout(scenarios)
+    assert not [n for n, block in rollout.loop.blocks.items() if isinstance(block, SideBySide)]
+    for log, scenario in zip(rollout.run_all(), scenarios, strict=True):
+        own = Rollout(scenario).run()
+        assert set(log.series) == set(own.series)
+        for name, values in own.series.items():
+            np.testing.assert_array_equal(log.series[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", WIDE)
+def test_blocks_of_all_copies_have_their_bits(kind):
+    name, *overrides = WIDE[kind]
+    scenario = load_scenario(name, ["duration=0.2", *overrides])
+    check_wide([varied(scenario, number) for number in range(3)])
+
+
+small = st.floats(-1e-4, 1e-4)
+errors = st.fixed_dictionaries(
+    {
+        "position_bias": st.fixed_dictionaries({"base_rotation": small, "joint_1": small}),
+        "velocity_bias": st.fixed_dictionaries({"base_rotation": small, "base_position_x": small}),
+        "velocity_bias_walk": st.fixed_dictionaries({"base_rotation": st.floats(1e-9, 1e-5)}),
+        "velocity_correlated_noise": st.fixed_dictionaries({"joints": st.floats(1e-9, 1e-6)}),
+        "correlation_time": st.fixed_dictionaries({"all": st.floats(0.01, 10.0)}),
+        "position_noise": st.fixed_dictionaries({"all": st.floats(0.0, 1e-6)}),
+    }
+)
+
+
+@settings(max_examples=8, deadline=None)
+@given(each=st.lists(errors, min_size=2, max_size=4), delay=st.integers(0, 3))
+def test_sensors_of_all_copies_have_their_bits(each, delay):
+    scenario = load_scenario("postcapture", ["duration=0.1", "controller=pd_plus"])
+    check_wide(
+        [
+            dataclasses.replace(
+                scenario,
+                random_seed=seed,
+                sensing=dataclasses.replace(scenario.sensing, delay=delay, **given_errors),
+            )
+            for seed, given_errors in enumerate(each)
+        ]
+    )
 
 
 @pytest.mark.smoke
@@ -176,9 +257,12 @@ def test_mixed_lists_come_back_in_order_with_their_bits(kinds, batch):
         assert_equal(record, alone(each))
 
 
-def test_a_run_that_diverges_leaves_the_others_alone():
+@pytest.mark.parametrize("others", [(), (ORBIT,), DRIFT])
+def test_a_run_that_diverges_leaves_the_others_alone(others):
     wild = ("controllers.tde_aismc.k_s_initial=400", "controllers.tde_aismc.k_s_max=null")
-    tame, diverging = (load_scenario("postcapture", ["duration=1.5", *more]) for more in ((), wild))
+    tame, diverging = (
+        load_scenario("postcapture", ["duration=1.5", *others, *more]) for more in ((), wild)
+    )
     scenarios = [varied(tame, 0), varied(diverging, 1), varied(tame, 2), varied(diverging, 3)]
     rollout = Rollout(scenarios)
     logs = rollout.run_all()

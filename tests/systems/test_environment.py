@@ -77,7 +77,7 @@ def coast(
     model = PlantModel(
         plant=own, context=own.CreateDefaultContext(), coordinates=Coordinates((), ())
     )
-    system = EnvironmentForce(Scenario(environment=settings, sample_time=sample_time), model)
+    system = EnvironmentForce([Scenario(environment=settings, sample_time=sample_time)], model)
     builder.AddSystem(system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
     builder.Connect(

@@ -140,8 +140,9 @@ def of_axes(law: TimeDelayControl, axes: list[int]) -> TimeDelayControl:
     """The law of a subset of its coordinates."""
 
     def cut(part: Any) -> Any:
-        arrays = {name: value for name, value in vars(part).items() if np.ndim(value)}
-        return dataclasses.replace(part, **{name: each[axes] for name, each in arrays.items()})
+        values = {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
+        arrays = {name: each[axes] for name, each in values.items() if np.ndim(each)}
+        return dataclasses.replace(part, **arrays)
 
     return dataclasses.replace(law, dynamics=cut(law.dynamics), estimator=cut(law.estimator))
 

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
-from ffsm_drake.systems.controllers.time_delay import matrix_vector
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

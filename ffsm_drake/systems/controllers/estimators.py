@@ -40,6 +40,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.scenario import Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -51,7 +52,7 @@ from ffsm_drake.systems.controllers.filter_gains import (
     kalman_gain,
     late_gains,
 )
-from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.controllers.law import Sample, State, of_each
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sensing import measurement_times
 
@@ -164,7 +165,9 @@ class KalmanEstimator(Estimator):
     wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
-    gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
+    # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e'); those of each of
+    # several runs
+    gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
     @classmethod
     def make(
@@ -183,8 +186,12 @@ class KalmanEstimator(Estimator):
         ]
         return cls(sample_time=step, gain=np.array(gains))
 
+    @functools.cached_property
+    def _gain(self) -> np.ndarray:
+        return _stacked(self.gain)
+
     def initial_state(self) -> State:
-        zeros = np.zeros(self.gain.shape[0])
+        zeros = np.zeros(self._gain.shape[-3])
         names = (
             "estimated_error",
             "estimated_error_rate",
@@ -198,8 +205,8 @@ class KalmanEstimator(Estimator):
     ) -> tuple[Estimate, State]:
         """One sample; see Estimator."""
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
-        innovation = np.stack((sample.e - e, sample.e_dot - e_dot), axis=-1)
-        correction = np.einsum("ijk,...ik->...ij", self.gain, innovation)
+        position, rate = sample.e - e, sample.e_dot - e_dot
+        correction = self._gain[..., 0] * position[..., None] + self._gain[..., 1] * rate[..., None]
         e, e_dot, d = e + correction[..., 0], e_dot + correction[..., 1], d + correction[..., 2]
         estimate = Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d)
         return estimate, {
@@ -220,13 +227,14 @@ class LateKalmanEstimator(Estimator):
     then, [q_d(t_k) - q(t_(k-j)), ...].
     """
 
+    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
     # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
-    # position, both
-    gain: np.ndarray
+    # position, both; those of each of several runs
+    gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
     @classmethod
     def make(
@@ -246,6 +254,10 @@ class LateKalmanEstimator(Estimator):
             delay=delays.T.ravel(),
             gain=np.concatenate([*present, *of_e, *of_rate], axis=1),
         )
+
+    @functools.cached_property
+    def _gain(self) -> np.ndarray:
+        return _stacked(self.gain)
 
     @functools.cached_property
     def _owner(self) -> np.ndarray:
@@ -296,10 +308,12 @@ class LateKalmanEstimator(Estimator):
         x = np.concatenate((e, e_dot, past), axis=-1)
         expected = x[..., self._measured]
         position, rate = sample.e - expected[..., :nv], sample.e_dot - (expected[..., nv:] - bias)
-        axis, gain = self._axis, self.gain[3]
+        axis, gain = self._axis, self._gain[..., 3, :, :]
         if sample.is_new is not None:
             new = 2 * sample.is_new[..., :nv] + sample.is_new[..., nv:]
-            gain = self.gain[new[..., axis], np.arange(axis.size)]
+            chosen = new[..., axis], np.arange(axis.size)
+            run = (np.arange(len(new))[:, None],) if isinstance(self.gain, tuple) else ()
+            gain = self._gain[(*run, *chosen)]
         correction = gain[..., 0] * position[..., axis] + gain[..., 1] * rate[..., axis]
         x = np.concatenate((e, e_dot, d, bias, past), axis=-1) + correction
         e, e_dot, d, bias, past = np.split(x, [nv, 2 * nv, 3 * nv, 4 * nv], axis=-1)
@@ -335,12 +349,14 @@ class CoupledEstimator(Estimator):
     others one by one.
     """
 
+    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
-    postures: np.ndarray  # (m, nq) for which there are gains
-    # (m, 3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
-    gain: np.ndarray
+    # (m, nq) for which there are gains, and (m, 3 n, 2 n): correction of [e, e', f] per unit of
+    # innovation of [e, e']; those of each of several runs
+    postures: np.ndarray | tuple[np.ndarray, ...] = of_each()
+    gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
     @classmethod
     def make(
@@ -372,20 +388,11 @@ class CoupledEstimator(Estimator):
         """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
         base's rotation and the joints' positions, rad or m.
         """
-        # Squared distances less what all have in common; the cosine is that of half the angle.
-        joints = self._squares - 2.0 * (q_d[..., NUM_BASE_POSITIONS:] @ self._joints.T)
-        cosine = np.abs(q_d[..., :4] @ self.postures[:, :4].T)
-        nearest: np.ndarray = self.gain[(joints - 8.0 * cosine).argmin(axis=-1)]
+        if isinstance(self.gain, tuple):
+            each = zip(self.gain, self.postures, q_d, strict=True)
+            return np.stack([gain[_nearest(postures, own)] for gain, postures, own in each])
+        nearest: np.ndarray = self.gain[_nearest(np.asarray(self.postures), q_d)]
         return nearest
-
-    @functools.cached_property
-    def _joints(self) -> np.ndarray:
-        return self.postures[:, NUM_BASE_POSITIONS:]
-
-    @functools.cached_property
-    def _squares(self) -> np.ndarray:
-        squares: np.ndarray = (self._joints**2).sum(axis=1)
-        return squares
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
@@ -399,7 +406,7 @@ class CoupledEstimator(Estimator):
             (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
         )
         of_e, of_rate, of_force = np.split(
-            np.einsum("...ij,...j->...i", self.gain_at(sample.q_d), innovation), 3, axis=-1
+            matrix_vector(self.gain_at(sample.q_d), innovation), 3, axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
@@ -415,6 +422,20 @@ class CoupledEstimator(Estimator):
             **kept,
             "estimated_force": force,
         }
+
+
+def _stacked(gain: np.ndarray | tuple[np.ndarray, ...]) -> np.ndarray:
+    """A gain, or (B, ...) those of several runs."""
+    return np.stack(gain) if isinstance(gain, tuple) else gain
+
+
+def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Which of some postures (m, nq) is the nearest to q (..., nq), as ``gain_at`` says."""
+    each = q[..., None, :]
+    joints = (each - postures)[..., NUM_BASE_POSITIONS:]
+    cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # of half the angle
+    nearest: np.ndarray = ((joints * joints).sum(axis=-1) - 8.0 * cosine).argmin(axis=-1)
+    return nearest
 
 
 def _predict(

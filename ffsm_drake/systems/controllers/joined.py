@@ -41,21 +41,24 @@ def join_controllers(
 
 def _joined(values: Sequence[Any], models: Sequence[PlantModel], scenario: Scenario) -> Any:
     """A field of all laws as one: of vectors a row for each, of numbers that differ a column, of
-    dataclasses such a one; all else must be equal.
+    dataclasses such a one; all else, indices among it, must be equal.
     """
     first = values[0]
-    if all(each is model for each, model in zip(values, models, strict=True)):
-        return copies_of(models, scenario)
-    if isinstance(first, PlantModel) or len(set(map(type, values))) > 1:
+    if len(set(map(type, values))) > 1:
         raise _CannotJoin
+    if isinstance(first, PlantModel):
+        if any(each.context is not own.context for each, own in zip(values, models, strict=True)):
+            raise _CannotJoin
+        return copies_of(values, scenario)
     if dataclasses.is_dataclass(first) and not isinstance(first, type):
-        fields = {
-            field.name: _joined([getattr(each, field.name) for each in values], models, scenario)
-            for field in dataclasses.fields(first)
-        }
+        fields = dict[str, Any]()
+        for field in dataclasses.fields(first):
+            own = [getattr(each, field.name) for each in values]
+            kept = field.metadata.get("of_each", False)
+            fields[field.name] = tuple(own) if kept else _joined(own, models, scenario)
         return dataclasses.replace(first, **fields)
     if isinstance(first, np.ndarray):
-        if first.ndim == 1 and all(each.shape == first.shape for each in values):
+        if _is_vector(first) and all(each.shape == first.shape for each in values):
             return np.stack(values)
         equal = all(np.array_equal(each, first) for each in values)
     else:
@@ -65,3 +68,8 @@ def _joined(values: Sequence[Any], models: Sequence[PlantModel], scenario: Scena
     if not equal:
         raise _CannotJoin
     return first
+
+
+def _is_vector(values: np.ndarray) -> bool:
+    """Whether it has a number for each coordinate; indices say which coordinates."""
+    return values.ndim == 1 and bool(np.issubdtype(values.dtype, np.floating))

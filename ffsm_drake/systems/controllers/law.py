@@ -90,6 +90,14 @@ def gain(
     return dataclasses.field(metadata={"setting": declared})
 
 
+def of_each(**options: Any) -> Any:
+    """A field of a wide law that differs between runs in more than rows can hold, as gains that
+    follow from the model do: that of several runs is a tuple of theirs. Options as for
+    ``dataclasses.field``.
+    """
+    return dataclasses.field(metadata={"of_each": True}, **options)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReachingGain:
     """The gain K_s on a law's sliding variable s; dK_s/dt = rate |s| sgn(|s| - rest(K_s))."""
@@ -123,7 +131,8 @@ class ControlLaw(abc.ABC):
     tracks_frame: ClassVar[bool] = False
     # True if ``step`` gives every row of arrays (B, nv) the bits that it has alone, with a row for
     # each run in the fields that are vectors too, and a column (B, 1) in numbers that differ; other
-    # fields are equal, but for the model. Runs in one diagram then share one law (``is_wide``).
+    # fields are equal, but for the model and those of ``of_each``. Runs in one diagram then share
+    # one law (``is_wide``).
     wide: ClassVar[bool] = False
 
     def initial_state(self) -> State:

@@ -8,13 +8,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import (
-    rotation_error,
-    rotation_error_rate,
-    rotation_error_rates,
-    rotation_errors,
-)
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
 from ffsm_drake.systems.controllers.checked import (
     check_law,
     checked_memory,
@@ -247,19 +241,8 @@ class SampledController(LeafSystem):
         return force, memory
 
     def _errors(self, estimated: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """coordinates.position_error and error_rate, in one step."""
-        split, difference = self._num_positions, desired - estimated
-        e, e_dot = difference[..., 1:split], difference[..., split:]
-        if estimated.ndim == 1:
-            e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
-            e_dot[:3] = rotation_error_rate(
-                rotation, desired[split : split + 3], estimated[split : split + 3]
-            )
-        else:
-            rotations = rotation_errors(desired[:, :4].T, estimated[:, :4].T)
-            e[:, :3] = rotations.T
-            rates = desired[:, split : split + 3].T, estimated[:, split : split + 3].T
-            e_dot[:, :3] = rotation_error_rates(rotations, *rates).T
+        """``tracking_errors`` that the law sees: of driven coordinates."""
+        e, e_dot = tracking_errors(desired, estimated, self._num_positions)
         if self._undriven is not None:
             e[..., self._undriven] = e_dot[..., self._undriven] = 0.0
         return e, e_dot

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimators import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
@@ -193,13 +194,3 @@ def time_delay_force(
     and N.
     """
     return delayed_force + matrix_vector(nominal_mass_matrix, u - delayed_acceleration)
-
-
-def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Products of matrices (..., n, n) and vectors (..., n), each bit for bit as if alone."""
-    if vector.ndim == 1:
-        return matrix.dot(vector)  # faster than @ on few numbers
-    across, down, right = matrix.strides[-3:]
-    if across == (down + right) * matrix.shape[-1]:  # blocks on the diagonal (``CopiesModel``)
-        return np.matmul(matrix, vector[..., None])[..., 0]  # BLAS as it is, as ``dot`` of one
-    return np.stack([matrix_vector(one, of) for one, of in zip(matrix, vector, strict=True)])

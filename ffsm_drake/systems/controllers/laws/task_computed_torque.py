@@ -5,9 +5,11 @@ doi:10.1109/70.105384.
 """
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
+from ffsm_drake.common.products import applied
 from ffsm_drake.systems.controllers.law import State, gain
 from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint
 
@@ -16,6 +18,7 @@ from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint
 class TaskComputedTorque(AccelerationLaw):
     """tau_a = H* (z + [0; J+ (A_d + K_d e' + K_p e - A_0 - J* z)]) + C*, z being the plan's."""
 
+    wide: ClassVar[bool] = True
     k_p_rotation: float = gain(25.0, "1/s^2", "gain K_p on the frame's attitude error", scalar=True)
     k_p_position: float = gain(25.0, "1/s^2", "gain K_p on the frame's position error", scalar=True)
     k_d_rotation: float = gain(10.0, "1/s", "gain K_d on its rate", scalar=True)
@@ -24,6 +27,5 @@ class TaskComputedTorque(AccelerationLaw):
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         feedback = self.feedback(self.k_d * point.e_dot + self.k_p * self.limited(point.e))
         wanted = point.desired_acceleration + feedback - point.bias_acceleration
-        return point.mass_matrix.dot(
-            point.served(self.planned(point.sample), wanted)
-        ) + point.bias, {}
+        acceleration = point.served(self.planned(point.sample), wanted)
+        return applied(point.mass_matrix, acceleration) + point.bias, {}

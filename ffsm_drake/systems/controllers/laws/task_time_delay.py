@@ -13,9 +13,10 @@ from typing import Self
 
 import numpy as np
 
+from ffsm_drake.common.products import applied, product
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.estimators import Estimator, make_estimator
-from ffsm_drake.systems.controllers.law import State, field_values, gain
+from ffsm_drake.systems.controllers.law import State, field_values, gain, is_wide
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint, TaskSpace
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
@@ -47,6 +48,11 @@ class TaskTimeDelay(AccelerationLaw):
         """Injected dynamics of vectors (m): TDC's; a subclass may choose others."""
         return Tdc(k_d=self.k_d, k_p=self.k_p)
 
+    @property
+    def wide(self) -> bool:  # type: ignore[override]
+        """As its estimator."""
+        return is_wide(self.estimator)
+
     def initial_state(self) -> State:
         memory = _named({**self.estimator.initial_state(), **self.dynamics.initial_state()})
         return {**super().initial_state(), **memory}
@@ -60,27 +66,26 @@ class TaskTimeDelay(AccelerationLaw):
             for name, value in state.items()
             if name.startswith(_PREFIX)
         }
-        applied = point.sample.applied_force[self.task_space.driven]
-        given = point.jacobian.dot(
-            np.linalg.solve(point.mass_matrix, np.stack([applied, point.bias], axis=1))
-        )
+        force = point.sample.applied_force[..., self.task_space.driven]
+        both = np.stack([force, point.bias], axis=-1)
+        given = product(point.jacobian, np.linalg.solve(point.mass_matrix, both))
         sample = point.sample._replace(
             v=point.twist,
             v_d=point.desired_twist,
             a_d=point.desired_acceleration,
             e=point.e,
             e_dot=point.e_dot,
-            applied_force=given[:, 0],
+            applied_force=given[..., 0],
             is_new=None,
         )
-        estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
+        estimate, estimator_memory = self.estimator.step(sample, np.eye(given.shape[-2]), own)
         u, dynamics_memory = self.dynamics.step(
             self.limited(estimate.e), estimate.e_dot, sample.a_d, own
         )
         u = sample.a_d + self.feedback(u - sample.a_d)
         wanted = estimate.base_force + u - estimate.base_acceleration
-        acceleration = point.served(self.planned(point.sample), wanted - given[:, 1])
-        force = point.mass_matrix.dot(acceleration) + point.bias
+        acceleration = point.served(self.planned(point.sample), wanted - given[..., 1])
+        force = applied(point.mass_matrix, acceleration) + point.bias
         return force, _named({**estimator_memory, **dynamics_memory})
 
     @classmethod

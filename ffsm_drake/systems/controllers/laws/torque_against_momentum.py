@@ -7,13 +7,14 @@ the base's pose is not controlled.
 """
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
-from ffsm_drake.systems.controllers.time_delay import matrix_vector
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,6 +24,7 @@ class TorqueAgainstMomentum(ControlLaw):
     The base force is zero.
     """
 
+    wide: ClassVar[bool] = True
     model: PlantModel
     torque: float = gain(10.0, "N m", "size of the base torque tau_max", scalar=True, positive=True)
     decay: float = gain(

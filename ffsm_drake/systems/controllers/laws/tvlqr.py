@@ -13,18 +13,25 @@ from its stationary solution at the end of the plan.
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
-from ffsm_drake.systems.controllers.time_delay import matrix_vector
+from ffsm_drake.systems.controllers.law import (
+    ControlLaw,
+    Sample,
+    State,
+    field_values,
+    gain,
+    of_each,
+)
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -41,6 +48,7 @@ class Tvlqr(ControlLaw):
     The cost is the sum of squares of e, e' and tau - tau_d, each divided by its size.
     """
 
+    wide: ClassVar[bool] = True
     model: PlantModel
     sample_time: float
     error_size: np.ndarray = gain(
@@ -53,21 +61,26 @@ class Tvlqr(ControlLaw):
         "force that weighs 1",
         positive=True,
     )
-    gains: np.ndarray = dataclasses.field(
-        default_factory=lambda: _UNKNOWN
-    )  # K_k (samples, nv, 2 nv); the last one stays
+    # K_k (samples, nv, 2 nv), the last one stays; those of each of several runs
+    gains: np.ndarray | tuple[np.ndarray, ...] = of_each(default_factory=lambda: _UNKNOWN)
 
     def initial_state(self) -> State:
         return {"samples": np.zeros(1)}  # number of samples so far
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        k = np.minimum(state["samples"][..., 0].astype(int), len(self.gains) - 1)
         planned = matrix_vector(self.model.calc_mass_matrix(sample.q_d), sample.a_d)
         planned = planned + self.model.calc_bias(sample.q_d, sample.v_d)
-        force = planned + matrix_vector(
-            self.gains[k], np.concatenate([sample.e, sample.e_dot], axis=-1)
-        )
+        gain, error = self._gain_at(state["samples"][..., 0]), (sample.e, sample.e_dot)
+        force = planned + matrix_vector(gain, np.concatenate(error, axis=-1))
         return force, {"samples": state["samples"] + 1.0}
+
+    def _gain_at(self, samples: np.ndarray) -> np.ndarray:
+        """K_k (..., nv, 2 nv) after some samples (...)."""
+        if isinstance(self.gains, tuple):
+            each = zip(self.gains, samples.astype(int).tolist(), strict=True)
+            return np.stack([own[min(k, len(own) - 1)] for own, k in each])
+        gain: np.ndarray = self.gains[np.minimum(samples.astype(int), len(self.gains) - 1)]
+        return gain
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "Tvlqr":
