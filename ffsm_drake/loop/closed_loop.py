@@ -29,6 +29,7 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
+from ffsm_drake.loop.side_by_side import SideBySide
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -85,6 +86,11 @@ class ClosedLoop:
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
     @property
+    def single(self) -> MultibodyPlant:
+        """A plant of one spacecraft: the plant itself, unless it holds several copies."""
+        return self.plant if self.copies is None else self.copies.single
+
+    @property
     def tracks_frame(self) -> bool:
         """True if the controller tracks a frame's pose, and coordinates only in its null space."""
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
@@ -111,8 +117,8 @@ class ClosedLoop:
         set_true_masses(self.plant, context, scenario)
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
-        self._tell_blocks(root_context, scenario.payload.truth)
-        self.set_whole_state(root_context, self._start(scenario, self.model(context)))
+        self._tell_blocks(root_context, [scenario.payload.truth])
+        self.set_whole_states(root_context, self._start(scenario, self.model(context))[None])
 
     def _start(self, scenario: Scenario, model: PlantModel) -> np.ndarray:
         """[q; v] of a spacecraft at the start, with the hidden state."""
@@ -136,18 +142,19 @@ class ClosedLoop:
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         rows = []
         for copy, scenario in enumerate(self.scenarios):
-            own = copies.single.CreateDefaultContext()
-            set_true_masses(copies.single, own, scenario)
-            copies.set_parameters(context, copy, copies.single, own)
-            model = PlantModel(
-                plant=copies.single, context=own, coordinates=self.coordinates, split=self.split
-            )
+            model = self.true_model(scenario)
+            copies.set_parameters(context, copy, copies.single, model.context)
             for placed in self.parts_of_copies[copy].values():
                 placed.part.check_plant(scenario, model)
             rows.append(self._start(scenario, model))
         self._tell_blocks(root_context, [scenario.payload.truth for scenario in self.scenarios])
-        self.plant.SetPositionsAndVelocities(context, copies.whole(np.array(rows)))
-        self.set_blocks(root_context, self.split.known_part(np.array(rows)))
+        self.set_whole_states(root_context, np.array(rows))
+
+    def true_model(self, scenario: Scenario) -> PlantModel:
+        """The plant of one spacecraft in a new context with a scenario's true masses."""
+        context = self.single.CreateDefaultContext()
+        set_true_masses(self.single, context, scenario)
+        return dataclasses.replace(self.model(context), plant=self.single)
 
     def model(self, plant_context: Context) -> PlantModel:
         """The plant in one of its contexts, for computations."""
@@ -160,27 +167,46 @@ class ClosedLoop:
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
         """Set the payload's true mass properties in the plant and in the blocks that use them."""
+        self.set_payloads(root_context, [properties])
+
+    def set_payloads(self, root_context: Context, properties: Sequence[MassProperties]) -> None:
+        """As ``set_payload``, the properties of each copy's payload."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        change_payload(self.plant, context, self.scenario, properties)
+        if self.copies is None:
+            change_payload(self.plant, context, self.scenario, properties[0])
+        else:
+            for copy, (scenario, own) in enumerate(zip(self.scenarios, properties, strict=True)):
+                model = self.true_model(scenario)
+                change_payload(model.plant, model.context, scenario, own)
+                self.copies.set_parameters(context, copy, model.plant, model.context)
         self._tell_blocks(root_context, properties)
 
-    def _tell_blocks(
-        self, root_context: Context, properties: MassProperties | Sequence[MassProperties]
-    ) -> None:
+    def _tell_blocks(self, root_context: Context, properties: Sequence[MassProperties]) -> None:
         for block in self.blocks.values():
             if hasattr(block, "set_payload"):
-                block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
+                own = properties[0] if self.copies is None else properties
+                block.set_payload(block.GetMyMutableContextFromRoot(root_context), own)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
         """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
-        self.set_whole_state(root_context, self.split.whole(state))
+        self.set_whole_states(root_context, self.split.whole(state)[None])
 
-    def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
-        """As ``set_state``, for the plant's own [q; v], which includes the hidden state."""
+    def set_whole_states(self, root_context: Context, rows: np.ndarray) -> None:
+        """As ``set_state``, for the plant's own [q; v], with the hidden state, of each copy: a row
+        (B, nq + nv) for each.
+        """
+        state = rows[0] if self.copies is None else self.copies.whole(rows)
         self.plant.SetPositionsAndVelocities(
             self.plant.GetMyMutableContextFromRoot(root_context), state
         )
-        self.set_blocks(root_context, self.split.known_part(state))
+        known = self.split.known_part(rows)
+        self.set_blocks(root_context, known[0] if self.copies is None else known)
+
+    def whole_states(self, root_context: Context) -> np.ndarray:
+        """The plant's own [q; v] of each copy (B, nq + nv)."""
+        context = self.plant.GetMyContextFromRoot(root_context)
+        state: np.ndarray = self.plant.GetPositionsAndVelocities(context)
+        return state[None] if self.copies is None else self.copies.rows(state)
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
         """Reset the blocks, without history, to a known state [q; v], or to one of each copy."""
@@ -193,7 +219,7 @@ class ClosedLoop:
         root_context: Context,
         before: "ClosedLoop",
         context_before: Context,
-        reference: np.ndarray,
+        references: np.ndarray,
     ) -> None:
         """Continue the blocks from another loop's state; its scenario differs in the payload only.
 
@@ -201,7 +227,7 @@ class ClosedLoop:
           root_context: this loop's root context.
           before: the other loop.
           context_before: the other loop's root context.
-          reference: [q_d; v_d] where this loop's motion begins.
+          references: [q_d; v_d] where this loop's motion begins, of each copy: (B, nq + nv).
         """
         for name, block in self.blocks.items():
             other = before.blocks[name]
@@ -209,8 +235,8 @@ class ClosedLoop:
                 block.GetMyMutableContextFromRoot(root_context),
                 other.GetMyContextFromRoot(context_before),
             )
-            if isinstance(block, SampledController):
-                block.resume(context, other, source, reference)
+            if isinstance(block, SampledController | SideBySide):
+                block.resume(context, other, source, references)
             else:
                 context.SetStateAndParametersFrom(source)
 

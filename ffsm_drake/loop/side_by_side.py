@@ -11,7 +11,8 @@ for its setup alone. Of the methods that a block may have, ``set_initial_state(c
 then gets a row for each copy, ``set_payload(context, properties)`` a sequence; where it draws
 numbers, ``set_random(context, generators)`` gets each copy's generator, of which it draws as the
 system alone would; and ``park(context, copy)``, where it can run away, puts a copy's memory to its
-start. The system around control laws is as wide as the laws (``ControlLaw.wide``).
+start. All that a run changes stands in its context, from which the leg after a grasp takes it. The
+system around control laws is as wide as the laws (``ControlLaw.wide``).
 
 Any other block, a user's Drake system among them, stands there once for each copy, between
 demultiplexers and multiplexers: ``SideBySide``.
@@ -27,6 +28,7 @@ from pydrake.systems.primitives import Demultiplexer, Multiplexer
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.scenario import MassProperties
+from ffsm_drake.systems.controllers.sampled import SampledController
 
 
 class NotAlike(BlockError):
@@ -87,6 +89,21 @@ class SideBySide(Diagram):
         system = self.systems[copy]
         own = self._of(system, context)
         own.SetStateAndParametersFrom(system.CreateDefaultContext())
+
+    def resume(
+        self,
+        context: Context,
+        before: "SideBySide",
+        context_before: Context,
+        references: np.ndarray,
+    ) -> None:
+        """Take over from the systems of another loop, see ``ClosedLoop.resume``."""
+        for system, other, reference in zip(self.systems, before.systems, references, strict=True):
+            own, source = self._of(system, context), before._of(other, context_before)
+            if isinstance(system, SampledController):
+                system.resume(own, other, source, reference[None])
+            else:
+                own.SetStateAndParametersFrom(source)
 
     def _of(self, system: System, context: Context) -> Context:
         return self.GetMutableSubsystemContext(system, context)

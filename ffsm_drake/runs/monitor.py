@@ -1,7 +1,7 @@
 """Detection of divergence during a run or several, and a run's progress."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus
@@ -94,11 +94,12 @@ class CopiesMonitor:
 
     message = ""
 
-    def __init__(self, loop: ClosedLoop) -> None:
+    def __init__(self, loop: ClosedLoop, parked: Collection[int] = ()) -> None:
+        """Args: a loop of several copies; those that are parked from the start."""
         if loop.copies is None:
             raise ValueError("the loop has one copy of the spacecraft")
         self.loop, self.copies = loop, loop.copies
-        self.parked = set[int]()
+        self.parked = set(parked)
         self._bounds = np.array([scenario.divergence_speed for scenario in loop.scenarios])
         self._least = float(self._bounds.min())
         self._nothing = EventStatus.DidNothing()

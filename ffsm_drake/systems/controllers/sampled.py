@@ -55,56 +55,25 @@ class SampledController(LeafSystem):
         name: str,
         coordinates: Coordinates,
         sample_time: float,
-        memory: State | None = None,
-        copies: int = 1,
+        copies: Sequence[ControlLaw] = (),
     ) -> None:
-        """Args: a law for ``coordinates``; the system's name; the control period L, s; the memory
-        at the start, by default the law's; of how many copies of the spacecraft, each with a row in
-        all arrays of law and memory.
+        """Args: a law for ``coordinates``; the system's name; the control period L, s; of several
+        copies of the spacecraft the law of each, which ``law`` joins: it has a row for each copy in
+        all arrays, and so has the memory.
         """
         super().__init__()
         self.set_name(name)
-        self.law = law
+        self.law, self._laws = law, tuple(copies) or (law,)
         self._made_with: dict[str, Any] = {
             "name": name,
             "coordinates": coordinates,
             "sample_time": sample_time,
         }
-        self._copies = copies
-        num_velocities = copies * len(coordinates.names)
+        self._copies = len(self._laws)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
-        num_states = copies * self._num_positions + num_velocities
-        self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
-        self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
-        self._desired_acceleration = self.DeclareVectorInputPort(
-            "desired_acceleration", num_velocities
-        )
-        self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
-        self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
-        self._desired_frame = (
-            self.DeclareVectorInputPort("desired_frame", copies * FRAME_SIZE)
-            if getattr(law, "tracks_frame", False)
-            else None
-        )
-        if memory is None:
-            memory = law.initial_state()
-        if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
-            raise BlockError(
-                f"controller '{name}': initial_state must return a mapping of names to arrays, "
-                "without "
-                "'generalized_force' and 'has_previous'"
-            )
-        self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
-        self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        self._memory = {
-            key: self.DeclareDiscreteState(np.asarray(value, dtype=float).ravel())
-            for key, value in memory.items()
-        }
-        one = (len(coordinates.names),)
-        self._shapes = {"generalized_force": one if copies == 1 else (copies, *one)} | {
-            key: np.shape(memory[key]) for key in memory
-        }
+        self._declare_inputs(len(coordinates.names))
+        self._declare_state(len(coordinates.names), self._first_memory())
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (*OPTIONAL_OUTPUTS, SMALLEST):
             if key in self._memory:
@@ -112,15 +81,54 @@ class SampledController(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
-    def widened(self, law: ControlLaw, memories: Sequence[State]) -> "SampledController":
+    def _declare_inputs(self, num_velocities: int) -> None:
+        velocities = self._copies * num_velocities
+        states = self._copies * self._num_positions + velocities
+        self._estimated_state = self.DeclareVectorInputPort("estimated_state", states)
+        self._desired_state = self.DeclareVectorInputPort("desired_state", states)
+        self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", velocities)
+        self._applied_force = self.DeclareVectorInputPort("applied_force", velocities)
+        self._is_new = self.DeclareVectorInputPort("measurement_is_new", states)
+        self._desired_frame = (
+            self.DeclareVectorInputPort("desired_frame", self._copies * FRAME_SIZE)
+            if getattr(self.law, "tracks_frame", False)
+            else None
+        )
+
+    def _first_memory(self) -> State:
+        """The law's memory at the start, of several copies with a row for each."""
+        memories = [law.initial_state() for law in self._laws]
+        for memory in memories:
+            reserved = {"generalized_force", "has_previous"}
+            if not isinstance(memory, Mapping) or reserved & set(memory):
+                raise BlockError(
+                    f"controller '{self.get_name()}': initial_state must return a mapping of names "
+                    "to arrays, without 'generalized_force' and 'has_previous'"
+                )
+        if self._copies == 1:
+            return memories[0]
+        return {name: np.stack([each[name] for each in memories]) for name in memories[0]}
+
+    def _declare_state(self, num_velocities: int, memory: State) -> None:
+        force = np.zeros((num_velocities,) if self._copies == 1 else (self._copies, num_velocities))
+        self._force = self.DeclareDiscreteState(force.ravel())
+        self._has_previous = self.DeclareDiscreteState(np.zeros(1))
+        self._memory = {
+            key: self.DeclareDiscreteState(np.asarray(value, dtype=float).ravel())
+            for key, value in memory.items()
+        }
+        self._shapes = {"generalized_force": force.shape} | {
+            key: np.shape(value) for key, value in memory.items()
+        }
+
+    def widened(self, law: ControlLaw, copies: Sequence[ControlLaw]) -> "SampledController":
         """The controller of several copies of the spacecraft, from that of one.
 
         Args:
           law: of all copies, with a row for each in all arrays.
-          memories: of each, at the start.
+          copies: of each.
         """
-        memory = {name: np.stack([each[name] for each in memories]) for name in memories[0]}
-        return SampledController(law, memory=memory, copies=len(memories), **self._made_with)
+        return SampledController(law, copies=copies, **self._made_with)
 
     def park(self, context: Context, copy: int) -> None:
         """Put a copy's force and memory to their values at the start."""
@@ -151,7 +159,7 @@ class SampledController(LeafSystem):
         context: Context,
         before: "SampledController",
         context_before: Context,
-        reference: np.ndarray,
+        references: np.ndarray,
     ) -> None:
         """Take over from another controller; the next sample is a first one, as velocities jump.
 
@@ -159,13 +167,21 @@ class SampledController(LeafSystem):
           context: this controller's context.
           before: the other controller, with the same law for another payload.
           context_before: the other controller's context.
-          reference: [q_d; v_d] (nq + nv) at that instant.
+          references: [q_d; v_d] at that instant, of each copy: (B, nq + nv).
         """
-        memory = {name: before.state(context_before, name) for name in self._memory}
-        memory = dict(self.law.resume(memory, before.law, reference))
+        memory = {
+            name: before.state(context_before, name).reshape(self._copies, -1)
+            for name in self._memory
+        }
+        resumed = [
+            law.resume({name: rows[copy] for name, rows in memory.items()}, other, reference)
+            for copy, (law, other, reference) in enumerate(
+                zip(self._laws, before._laws, references, strict=True)
+            )
+        ]
         context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
-            context.SetDiscreteState(index, np.asarray(memory[name], dtype=float))
+            context.SetDiscreteState(index, np.concatenate([np.ravel(of[name]) for of in resumed]))
 
     def memory_groups(self) -> Mapping[str, int]:
         """The discrete group of each piece of the law's memory, by name."""
