@@ -18,6 +18,7 @@ Any other block, a user's Drake system among them, stands there once for each co
 demultiplexers and multiplexers: ``SideBySide``.
 """
 
+import functools
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -88,7 +89,11 @@ class SideBySide(Diagram):
         """Put a copy's memory to its defaults."""
         system = self.systems[copy]
         own = self._of(system, context)
-        own.SetStateAndParametersFrom(system.CreateDefaultContext())
+        own.SetStateAndParametersFrom(self._at_start[copy])
+
+    @functools.cached_property
+    def _at_start(self) -> list[Context]:
+        return [system.CreateDefaultContext() for system in self.systems]
 
     def resume(
         self,

@@ -131,6 +131,8 @@ class CaptureRollout:
             None if scenarios is None else [without_target(each) for each in scenarios],
             leg=Leg(last=sample, begin=handovers.start, end=handovers.keep),
         )
+        if all(log is None for log in approaches):
+            return approaches
         handovers.meet(self._stop.loop, without=[log is None for log in approaches])
         logs = self._stop.run_all(
             scenarios,
@@ -304,8 +306,6 @@ class _Handovers:
     def meet(self, loop: ClosedLoop, without: Sequence[bool] = (False,)) -> None:
         """Find how each gripper meets its target; ``without``: those whose approach failed."""
         self.ended = set(np.flatnonzero(without).tolist())
-        if len(self.ended) == len(self.each):
-            return
         for copy, state in enumerate(self._before.whole_states(self._context_before)):
             if copy not in self.ended:
                 self.each[copy].meet(loop, state)

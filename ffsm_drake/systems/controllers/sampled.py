@@ -1,5 +1,6 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -132,12 +133,15 @@ class SampledController(LeafSystem):
 
     def park(self, context: Context, copy: int) -> None:
         """Put a copy's force and memory to their values at the start."""
-        start = self.CreateDefaultContext()
         for index in (self._force, *self._memory.values()):
             values = np.array(context.get_discrete_state(index).value())
-            first = start.get_discrete_state(index).value()
+            first = self._at_start.get_discrete_state(index).value()
             values.reshape(self._copies, -1)[copy] = first.reshape(self._copies, -1)[copy]
             context.SetDiscreteState(index, values)
+
+    @functools.cached_property
+    def _at_start(self) -> Context:
+        return self.CreateDefaultContext()
 
     def state(self, context: Context, name: str) -> np.ndarray:
         """A copy of one piece of the discrete state, by its name in the class docstring."""
