@@ -267,30 +267,17 @@ def add_closed_loop(
         the blocks of several scenarios cannot stand side by side.
     """
     scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
-    first, copies = scenarios[0], None
-    if len(scenarios) > 1:
-        copies = Copies.of(first.model, len(scenarios), flexible=True)
-        plant = builder.AddNamedSystem("plant", copies.plant)
-    elif plant is None:
-        plant = builder.AddNamedSystem("plant", make_plant(first.model, flexible=True))
+    first = scenarios[0]
+    plant, copies = _add_plant(builder, scenarios, plant)
     single = plant if copies is None else copies.single
     coordinates, split = coordinates_of(single, undriven=first.undriven), split_of(single)
-    for each in scenarios:
-        for name, posture in each.postures.items():
-            configuration(single, posture, key=name)
-        for name in ("initial_velocity", "tolerance"):
-            coordinates.check_names(getattr(each, name), key=name)
+    _check_coordinates(scenarios, single, coordinates)
     nominals = [make_nominal_plant(each) for each in scenarios]
     blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
     wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
-    wiring.measure()
-    wiring.follow()
-    wiring.actuate()
-    wiring.act()
-    wiring.record_controller()
-    wiring.record_parts(parts[0])
+    wiring.connect(parts[0])
     return ClosedLoop(
         parts=parts[0],
         scenario=first,
@@ -303,6 +290,30 @@ def add_closed_loop(
         scenarios=scenarios if copies else (),
         parts_of_copies=parts if copies else (),
     )
+
+
+def _add_plant(
+    builder: DiagramBuilder, scenarios: Sequence[Scenario], plant: MultibodyPlant | None
+) -> tuple[MultibodyPlant, Copies | None]:
+    """The plant of all scenarios, unless there is one, and of several the copies in it."""
+    model = scenarios[0].model
+    if len(scenarios) > 1:
+        copies = Copies.of(model, len(scenarios), flexible=True)
+        return builder.AddNamedSystem("plant", copies.plant), copies
+    if plant is None:
+        plant = builder.AddNamedSystem("plant", make_plant(model, flexible=True))
+    return plant, None
+
+
+def _check_coordinates(
+    scenarios: Sequence[Scenario], plant: MultibodyPlant, coordinates: Coordinates
+) -> None:
+    """Raise ScenarioError for a value of an unknown coordinate."""
+    for scenario in scenarios:
+        for name, posture in scenario.postures.items():
+            configuration(plant, posture, key=name)
+        for name in ("initial_velocity", "tolerance"):
+            coordinates.check_names(getattr(scenario, name), key=name)
 
 
 def make_closed_loop(
@@ -350,6 +361,15 @@ class _Wiring:
         rearranged = bool(split.names) or copies is not None
         self._states = self._add_states() if rearranged else {"state": (plant, "state")}
         self.sources: dict[str, Source] = dict(self._states)
+
+    def connect(self, parts: Parts) -> None:
+        """All steps; ``parts`` are those whose signals are recorded."""
+        self.measure()
+        self.follow()
+        self.actuate()
+        self.act()
+        self.record_controller()
+        self.record_parts(parts)
 
     def measure(self) -> None:
         """The stages of sensing in a row, from the plant to the controller."""
