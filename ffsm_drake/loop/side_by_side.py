@@ -11,7 +11,7 @@ for its setup alone. Of the methods that a block may have, ``set_initial_state(c
 then gets a row for each copy, ``set_payload(context, properties)`` a sequence; where it draws
 numbers, ``set_random(context, generators)`` gets each copy's generator, of which it draws as the
 system alone would; and ``park(context, copy)``, where it can run away, puts a copy's memory to its
-start. All that a run changes stands in its context, from which the leg after a grasp takes it. The
+start. What a run changes stands in its context, from which the leg after a grasp takes it. The
 system around control laws is as wide as the laws (``ControlLaw.wide``).
 
 Any other block, a user's Drake system among them, stands there once for each copy, between

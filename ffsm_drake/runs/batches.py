@@ -1,8 +1,9 @@
 """Many runs: side by side in one diagram where they can be, else alone, with the same bits.
 
 Side by side go runs with the same model, blocks, controller, integrator and number of control
-samples; they may differ in ``_MAY_DIFFER`` and in the payload's mass properties. Alone go runs with
-a capture, with error control, an implicit scheme or a paced clock, and with flexible joints.
+samples; they may differ in ``_MAY_DIFFER`` and in the payload's mass properties. Those with a
+capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise.
+Alone go runs with error control, an implicit scheme or a paced clock, and with flexible joints.
 """
 
 import dataclasses

@@ -226,7 +226,7 @@ class Rollout:
             loop = dataclasses.replace(loop, scenario=scenarios[0], scenarios=tuple(scenarios))
         if loop.copies is None:
             return [self.run(loop.scenario, leg=leg)]
-        monitor = CopiesMonitor(loop, without)
+        monitor = CopiesMonitor(loop, without, every_step=not self._checked_in_log)
         interrupted, advance_time = self._advance(monitor, leg, watched=True)
         if interrupted:
             raise KeyboardInterrupt
@@ -235,6 +235,8 @@ class Rollout:
             if copy in monitor.parked:
                 continue
             times, series = self._read_log(unfinished=leg.last is not None, copy=copy)
+            if not monitor.within(copy, series["state"]):
+                continue
             end = float(times[-1])
             logs[copy] = RunLog(
                 scenario=scenario,

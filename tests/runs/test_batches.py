@@ -191,6 +191,37 @@ def test_a_run_that_diverges_leaves_the_others_alone():
         assert_equal(record, alone(each))
 
 
+def test_a_copy_that_is_too_fast_for_one_step_diverges():
+    calm = load_scenario("postcapture", ["duration=0.1"])
+    speeds = np.abs(Rollout(calm).run().series["state"][:, 12:]).max(axis=1)
+    others, fastest = np.sort(speeds)[-2:]
+    assert speeds[1] == fastest > 1.5 * others  # the disturbance's step, from rest
+    tight = dataclasses.replace(calm, divergence_speed=float(0.5 * (others + fastest)))
+    logs = Rollout([calm, tight, dataclasses.replace(calm, random_seed=1)]).run_all()
+    assert [log is None for log in logs] == [False, True, False]
+    assert alone(tight).outcome.status == "diverged"
+
+
+@settings(max_examples=5, deadline=None)
+@given(
+    kinds=st.lists(st.integers(0, 2), min_size=2, max_size=5),
+    name=st.sampled_from(["postcapture", "seven_joint"]),
+)
+def test_equal_disturbances_are_computed_once_with_their_bits(kinds, name):
+    base = load_scenario(name, ["duration=0.05"])
+    scenarios = [
+        dataclasses.replace(
+            base,
+            random_seed=seed,
+            disturbance=dataclasses.replace(base.disturbance, frequency_scale=1.0 + 0.3 * kind),
+        )
+        for seed, kind in enumerate(kinds)
+    ]
+    for log, each in zip(Rollout(scenarios).run_all(), scenarios, strict=True):
+        own = Rollout(each).run().series
+        np.testing.assert_array_equal(log.series["disturbance_force"], own["disturbance_force"])
+
+
 def test_runs_that_all_diverge_stop():
     scenario = load_scenario(
         "postcapture",

@@ -292,7 +292,7 @@ class SampledController(LeafSystem):
             ) from error
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        discrete_values.set_value(self._force, force.ravel())
+        discrete_values.set_value(self._force, force.reshape(-1))
         for name, index in self._memory.items():
             discrete_values.set_value(index, np.ravel(memory[name]))
 
