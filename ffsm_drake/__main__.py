@@ -5,7 +5,7 @@ import _signal  # type: ignore[import-not-found]
 import os
 
 # before the next import: Ctrl-C may fall into any of them
-for _number in (_signal.SIGINT, _signal.SIGTERM):
+for _number in (_signal.SIGINT, _signal.SIGTERM, _signal.SIGHUP):
     if _signal.getsignal(_number) != _signal.SIG_IGN:
         _signal.signal(_number, lambda number, frame: os._exit(128 + number))
 

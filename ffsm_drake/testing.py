@@ -23,6 +23,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.loop.blocks import check_ports
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import (
@@ -96,10 +97,11 @@ def check_controller(
         else:
             name = getattr(factory, "__name__", type(factory).__name__)
         candidate = _Candidate(name=name, factory=factory, gains=gains or {})
-        passed = [check(candidate, base) for check in checks]
+        with guarded:
+            passed = [check(candidate, base) for check in checks]
+            cost = _update_time(candidate, base)
     except FfsmError as error:
         raise ConformanceError(str(error)) from error
-    cost = _update_time(candidate, base)
     if cost > base.sample_time:
         raise ConformanceError(
             f"{name}: an update takes {1e3 * cost:.1f} ms, more than the period of "
@@ -214,9 +216,9 @@ class _Bench:
                 self._set(later)
             force = np.array(self._controller.GetOutputPort("generalized_force").Eval(context))
             self._simulator.AdvanceTo(self._sample * self._sample_time)
-        except FfsmError:
-            raise
-        except Exception as error:
+        except BaseException as error:
+            if passes(error):
+                raise
             raise ConformanceError(
                 f"{self._controller.get_name()}: the update raises {type(error).__name__}: "
                 f"{one_line(error)}"

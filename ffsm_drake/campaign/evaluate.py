@@ -20,6 +20,7 @@ from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.prediction import predict
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
@@ -182,7 +183,7 @@ class Evaluator:
         start = time.perf_counter()
         row: Row = dict.fromkeys((*self._metrics, *self._predictions))
         try:
-            with time_limit(self._spec.time_limit):
+            with guarded, time_limit(self._spec.time_limit):
                 if log is None:
                     log = self._run(timed(scenario_of(self._spec, case, controller)))
                 row |= evaluate_run(self._spec, log)

@@ -25,9 +25,8 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     evaluator = Evaluator(spec)
     for controller in spec.controllers:  # the first run pays for imports
         evaluator.evaluate(first[0], controller)
-    seconds = [
-        evaluator.evaluate(first[-1], controller)["wall_time"] for controller in spec.controllers
-    ]
+    rows = {name: evaluator.evaluate(first[-1], name) for name in spec.controllers}
+    seconds = [row["wall_time"] for row in rows.values()]
     width = max(map(len, spec.names)) + 2
     tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
     lines = [
@@ -49,6 +48,11 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     lines += [
         "",
         f"one run: {per_run}; all of them with {workers} workers: about {duration_text(total)}",
+    ]
+    lines += [
+        f"case {first[-1].index} with {name}: error: {row['message']}"
+        for name, row in rows.items()
+        if row["outcome"] == "error"
     ]
     return "\n".join(lines)
 

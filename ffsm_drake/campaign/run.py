@@ -22,7 +22,13 @@ from ffsm_drake.campaign.evaluate import (
 )
 from ffsm_drake.campaign.spec import Spec, load_spec
 from ffsm_drake.campaign.store import Store, check_columns, create_store, open_store
-from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
+from ffsm_drake.common.errors import (
+    CampaignError,
+    FfsmError,
+    InterruptedCampaign,
+    WorkersError,
+)
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.preflight.simulate import make_record
@@ -99,7 +105,7 @@ def check_cases(spec: Spec) -> None:
         problem: Exception | None = None
         for case in itertools.islice(make_cases(spec), _TRIED):
             try:
-                with time_limit(spec.time_limit):
+                with guarded, time_limit(spec.time_limit):
                     make_rollout(scenario_of(spec, case, controller)).release()
                 break
             except TimeLimit as error:
@@ -209,17 +215,34 @@ def _drive(
         should_renew=lambda rows: any(row["rss_mib"] > MEMORY_LIMIT for row in rows),
         split=lambda some: some.parts,
     )
-    with contextlib.closing(results):
-        for some, result in results:
-            rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
-            store.add(some, rows)
-            outcomes = [row["outcome"] for row in rows]
-            counted["session"] += len(outcomes)
-            counted["failed"] += outcomes.count("error")
-            counted["unsettled"] += sum(map(outcomes.count, UNSETTLED))
-            report()
+    try:
+        with contextlib.closing(results):
+            for some, result in results:
+                rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
+                store.add(some, rows)
+                outcomes = [row["outcome"] for row in rows]
+                counted["session"] += len(outcomes)
+                counted["failed"] += outcomes.count("error")
+                counted["unsettled"] += sum(map(outcomes.count, UNSETTLED))
+                report()
+    except (CampaignError, WorkersError) as error:
+        if done := before + counted["session"]:
+            raise type(error)(f"{error}; {_stored(done, store)}") from error
+        raise
     if before + counted["session"] < total:
         raise InterruptedCampaign(before + counted["session"], total)
+    if (done := store.num_results()) < total:
+        raise CampaignError(
+            f"{store.path}: another program removed results while it ran; {_stored(done, store)}"
+        )
+
+
+def _stored(done: int, store: Store) -> str:
+    """What is left of a campaign that cannot go on."""
+    return (
+        f"{done} of {store.spec.runs} runs are stored, 'ffsm campaign resume {store.path}' runs "
+        "the others"
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,13 +264,14 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     stored = store.result(case.index, controller)
     start, log, rollout = time.perf_counter(), None, None
     try:
-        with time_limit(store.spec.time_limit):
+        with guarded, time_limit(store.spec.time_limit):
             rollout = make_rollout(scenario_of(store.spec, case, controller))
             log = rollout.run()
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
     except (Exception, TimeLimit) as error:
+        log = getattr(error, "log", None)  # up to where user-supplied code failed
         repeated = error_row(described(error))
     record = None if log is None else make_record(log, start=start)
     if rollout is not None:

@@ -30,7 +30,7 @@ from ffsm_drake.campaign.evaluate import (
 )
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
-from ffsm_drake.common.files import written_whole
+from ffsm_drake.common.files import made_folder, written_whole
 
 FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
@@ -248,7 +248,8 @@ def check_columns(spec: Spec) -> None:
 
 @contextlib.contextmanager
 def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Store]:
-    """Make a new database with all cases, and hold it for writing.
+    """Make a new database with all cases, and hold it for writing; where that or the block fails
+    before any result is stored, it is removed.
 
     Raises:
       CampaignError: the file exists, or cannot be used.
@@ -273,8 +274,26 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
         contextlib.closing(sqlite3.connect(temporary)) as connection,
     ):
         _fill(connection, spec, cases, folder=path.parent)
-    with open_store(path, writing=True) as store:
-        yield store
+    files = [path.with_name(f"{path.name}{suffix}") for suffix in ("", "-wal", "-shm", "-journal")]
+    opened = False
+    try:
+        with open_store(path, writing=True) as store:
+            opened = True
+            try:
+                yield store
+            except (FfsmError, OSError):
+                if store.num_results() == 0:
+                    _remove(files)
+                raise
+    except (FfsmError, OSError):
+        if not opened:  # the disk is full
+            _remove(files)
+        raise
+
+
+def _remove(files: Iterable[Path]) -> None:
+    for file in files:
+        file.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -372,28 +391,29 @@ def _held(path: Path) -> Iterator[None]:
     block.
     """
     lock = path.with_name(f".{path.name}.lock")
-    while True:
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(made_folder(path.absolute().parent))
+                file = os.open(lock, flags, 0o644)
+            except OSError as error:
+                raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(file)
+                problem = "is in use; another campaign is writing to it"
+                raise CampaignError(f"{path}: {problem}") from None
+            with contextlib.suppress(OSError):
+                if os.path.samestat(os.stat(lock), os.fstat(file)):
+                    break
+            os.close(file)  # the one before has just removed it
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(
-                lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644
-            )
-        except OSError as error:
-            raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
             os.close(file)
-            raise CampaignError(f"{path}: is in use; another campaign is writing to it") from None
-        with contextlib.suppress(OSError):
-            if os.path.samestat(os.stat(lock), os.fstat(file)):
-                break
-        os.close(file)  # the one before has just removed it
-    try:
-        yield
-    finally:
-        lock.unlink(missing_ok=True)
-        os.close(file)
 
 
 @contextlib.contextmanager

@@ -32,7 +32,8 @@ def main() -> None:
       ffsm compare paper                   the paper's four controllers, overlaid and ranked
       ffsm run mine.yaml --controller my_module:MyController --set payload.truth.mass=120
 
-    Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted, 143 ended by SIGTERM.
+    Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted, 143 ended by SIGTERM,
+    129 by SIGHUP.
     """
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads

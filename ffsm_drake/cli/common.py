@@ -21,6 +21,7 @@ from ffsm_drake.common.errors import (
     one_line,
     warnings_as_lines,
 )
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ class CommandGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         with warnings_as_lines():
             try:
-                return super().invoke(ctx)
+                with guarded:
+                    return super().invoke(ctx)
             except BrokenPipeError:  # the pipe was closed, as by ``| head``
                 sys.stderr.close()
                 sys.exit(EXIT_GOOD)

@@ -123,7 +123,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
       ffsm analyze out/mine
     """
     from ffsm_drake.analysis import analyze as analyze_record
-    from ffsm_drake.common.files import check_writable, write_text
+    from ffsm_drake.common.files import check_writable, published, write_text
     from ffsm_drake.runs.record import RunRecord, to_json
     from ffsm_drake.show.figures.analysis import plot_analysis
 
@@ -132,8 +132,9 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     analysis = analyze_record(RunRecord.load(run))
     findings = {finding.key: dataclasses.asdict(finding) for finding in analysis.findings}
     print_result(as_json, findings, str(analysis))
-    write_text(directory / "analysis.json", to_json(findings))
-    save_figure(plot_analysis(analysis), directory / "analysis.png")
+    with published(directory) as folder:
+        write_text(folder / "analysis.json", to_json(findings))
+        save_figure(plot_analysis(analysis), folder / "analysis.png")
     click.echo(f"Written to {directory}: analysis.json, analysis.png", err=as_json)
 
 
@@ -189,7 +190,7 @@ def design(
       ffsm design flight_sensors --controller tde_aismc --budget 410 --out out/mine
       ffsm run out/mine/design.yaml
     """
-    from ffsm_drake.common.files import check_writable, write_text
+    from ffsm_drake.common.files import check_writable, published, write_text
     from ffsm_drake.control_design.gains import INTERRUPT
     from ffsm_drake.control_design.gains import design as design_gains
     from ffsm_drake.preflight.verdict import verdict
@@ -221,8 +222,9 @@ def design(
         design_data(found) | {"mission": mission and mission.as_data()},
         f"{design_table(found)}\n\n{_told(mission)}",
     )
-    write_text(out / "design.yaml", scenario_to_yaml(chosen))
-    save_figure(plot_design(found), out / "design.png")
+    with published(out) as folder:
+        write_text(folder / "design.yaml", scenario_to_yaml(chosen))
+        save_figure(plot_design(found), folder / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
     if found.ended_by == INTERRUPT:
         sys.exit(exit_code())

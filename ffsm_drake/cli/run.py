@@ -3,8 +3,8 @@
 import itertools
 import math
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,9 +85,11 @@ def run(
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
+    first = RunRecord.load(repeated) if repeated else None
     directory = out or Path("out") / (
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
@@ -105,13 +107,12 @@ def run(
 
         record = watch(scenario, open_browser=True)
     else:
-        record = _simulate(scenario)
+        with _kept(directory):
+            record = _simulate(scenario)
     record.save(directory)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
-    if repeated is not None:
-        from ffsm_drake.runs.record import RunRecord
-
-        same = RunRecord.load(repeated).dataset.identical(record.dataset)
+    if first is not None:
+        same = first.dataset.identical(record.dataset)
         remark = "same record, bit for bit" if same else "different record"
         click.echo(f"{remark}: {repeated}", err=as_json)
     sys.exit(code)
@@ -169,7 +170,7 @@ def compare(
     )
     records: list[RunRecord] = []
     for chosen, folder in zip(scenarios, folders, strict=True):
-        with located_errors(scenario, overrides):
+        with located_errors(scenario, overrides), _kept(directory / folder):
             record = _simulate(chosen)
         record.save(directory / folder)
         records.append(record)
@@ -252,6 +253,23 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
     )
 
 
+@contextmanager
+def _kept(directory: Path) -> Iterator[None]:
+    """Save the record of a run in which a user-supplied block fails, up to then."""
+    from ffsm_drake.common.errors import BlockError
+    from ffsm_drake.runs.reading import REPORT_FILE
+
+    try:
+        yield
+    except BlockError as error:
+        if error.record is not None:
+            error.record.save(directory)
+            (directory / REPORT_FILE).unlink(missing_ok=True)  # of an earlier run
+            end = error.record.outcome.time
+            click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)
+        raise
+
+
 def _simulate(scenario: "Scenario") -> "RunRecord":
     from ffsm_drake.preflight.simulate import simulate
 
@@ -263,7 +281,7 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 def _places(records: Sequence["RunRecord"]) -> list[int]:
     """Ranks of the records by accuracy (ITAE), best first; runs that ended early come last."""
-    order = ("completed", "interrupted", "missed", "diverged")
+    order = ("completed", "interrupted", "missed", "diverged", "failed")
 
     def key(k: int) -> tuple[int, float]:
         outcome = records[k].outcome
@@ -285,7 +303,7 @@ def _finish(
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
     from ffsm_drake.runs.limits import run_clearance, run_remarks
-    from ffsm_drake.runs.record import REPORT_FILE
+    from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 

@@ -53,7 +53,14 @@ class ModelError(FfsmError):
 
 
 class BlockError(FfsmError):
-    """A user-supplied controller or other block that cannot be loaded, built, wired or run."""
+    """A user-supplied controller or other block that cannot be loaded, built, wired or run.
+
+    Where it fails in a run, ``log`` (of ``Rollout.run``) and ``record`` (of ``simulate``) hold the
+    samples before; otherwise they are None.
+    """
+
+    log: Any = None
+    record: Any = None
 
 
 class RecordError(FfsmError):

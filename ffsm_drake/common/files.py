@@ -10,23 +10,32 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ffsm_drake.common.errors import RecordError, one_line
-from ffsm_drake.common.interrupts import undisturbed, unfinished
+from ffsm_drake.common.interrupts import undisturbed, unfinished, unused
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make a folder with its parents; remove those it made if they are empty after the block."""
+    missing = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    with unused(missing):
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
 
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; rename it into place when the block succeeds.
 
-    Creates missing folders. Raises RecordError when the place cannot be written.
+    Creates missing folders, and removes them where it fails. Raises RecordError when the place
+    cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
-        with unfinished(temporary):
-            path.parent.mkdir(parents=True, exist_ok=True)
+        with made_folder(path.absolute().parent), unfinished(temporary):
             yield temporary
             temporary.replace(path)
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
+        raise _unwritten(path, error, temporary) from error
 
 
 @contextmanager
@@ -41,15 +50,12 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
       RecordError: the place cannot be written.
     """
     place = directory.absolute()
+    exists = os.path.isdir(place)
+    partial = f"{os.getpid()}.partial"
+    new = place / f".{partial}" if exists else place.with_name(f".{place.name}.{partial}")
     try:
-        exists = place.is_dir()
-        new = (
-            place / f".{os.getpid()}.partial"
-            if exists
-            else place.with_name(f".{place.name}.{os.getpid()}.partial")
-        )
-        with unfinished(new):
-            new.mkdir(parents=True, exist_ok=True)
+        with made_folder(new.parent), unfinished(new):
+            new.mkdir(exist_ok=True)
             yield new
             with undisturbed():
                 if exists:
@@ -57,7 +63,15 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
                 else:
                     new.rename(place)
     except OSError as error:
-        raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
+        raise _unwritten(directory, error, new) from error
+    except RecordError as error:  # of a file in the new folder, which has gone
+        raise RecordError(str(error).replace(str(new), str(directory))) from error
+
+
+def _unwritten(place: Path, error: OSError, temporary: Path) -> RecordError:
+    """The error of a file or folder; its text does not name the temporary one, which has gone."""
+    text = one_line(error).replace(str(temporary), str(place))
+    return RecordError(f"{place}: cannot be written: {text}")
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:

@@ -1,4 +1,5 @@
-"""Ctrl-C and SIGTERM on the command line end the process with 130 or 143 and no partial file.
+"""Ctrl-C, SIGTERM and SIGHUP on the command line end the process with 128 and their number, and no
+partial file.
 
 An exception raised at any moment would not work: within an import it becomes an ImportError,
 within a library's callback it is printed and forgotten. So the handler itself removes unfinished
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from types import FrameType
 
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
 class Interrupts:
     """A process's signal handler and its state."""
 
@@ -26,6 +30,7 @@ class Interrupts:
         self.raises = self.waits = False
         self.waiting = 0  # the pending signal
         self.unfinished: set[Path] = set()  # files and folders to remove
+        self.unused: list[Path] = []  # folders to remove where they are empty, innermost first
 
     def __call__(self, number: int, frame: "FrameType | None") -> None:
         first, self.number = not self.number, self.number or number
@@ -36,40 +41,60 @@ class Interrupts:
         else:
             for path in list(self.unfinished):
                 _remove(path)
+            _remove_empty(self.unused)
             os._exit(128 + number)
 
 
 def handle_signals() -> None:
-    """End this process on Ctrl-C and SIGTERM as described above; ignored signals stay ignored."""
+    """End this process on these signals as described above; ignored ones stay ignored."""
     interrupts = Interrupts()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, interrupts)
 
 
 def ignore_signals() -> None:
-    """Ignore Ctrl-C and SIGTERM while the process ends."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    """Ignore them while the process ends."""
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def current() -> Interrupts | None:
     """The handler of this process, or None."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         if isinstance(handler := signal.getsignal(number), Interrupts):
             return handler
     return None
 
 
 def exit_code() -> int:
-    """Exit code of an interrupted process: 143 after SIGTERM, else 130."""
+    """Exit code of an interrupted process: 143 after SIGTERM, 129 after SIGHUP, else 130."""
     interrupts = current()
     return 128 + (signal.SIGINT if interrupts is None else interrupts.number or signal.SIGINT)
 
 
+def from_keyboard(error: BaseException) -> bool:
+    """True for a KeyboardInterrupt that a signal raised, false for one that code raised itself."""
+    if not isinstance(error, KeyboardInterrupt):
+        return False
+    if (interrupts := current()) is not None:
+        return interrupts.number != 0
+    from opcode import opmap
+
+    # Python's own handler raises between two instructions, another one in a frame of its own.
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    if place is None:
+        return True
+    code = place.tb_frame.f_code
+    handler = getattr(signal.getsignal(signal.SIGINT), "__code__", None)
+    return code is handler or code.co_code[place.tb_lasti] != opmap["RAISE_VARARGS"]
+
+
 @contextlib.contextmanager
 def interruptible() -> "Iterator[Interrupts]":
-    """Raise KeyboardInterrupt on the first Ctrl-C or SIGTERM in the block.
+    """Raise KeyboardInterrupt on the first of these signals in the block.
 
     Yields the handler, which keeps the signal's number if the exception is lost.
     """
@@ -83,7 +108,7 @@ def interruptible() -> "Iterator[Interrupts]":
 
 @contextlib.contextmanager
 def undisturbed() -> "Iterator[None]":
-    """Defer Ctrl-C and SIGTERM to the end of the block."""
+    """Defer these signals to the end of the block."""
     interrupts = current() or Interrupts()
     before, interrupts.waits = interrupts.waits, True
     try:
@@ -104,6 +129,24 @@ def unfinished(path: "Path") -> "Iterator[None]":
     finally:
         _remove(path)
         interrupts.unfinished.discard(path)
+
+
+@contextlib.contextmanager
+def unused(folders: "list[Path]") -> "Iterator[None]":
+    """Remove those of the folders, innermost first, that are there and empty after the block."""
+    interrupts = current() or Interrupts()
+    before, interrupts.unused = interrupts.unused, [*folders, *interrupts.unused]
+    try:
+        yield
+    finally:
+        _remove_empty(folders)
+        interrupts.unused = before
+
+
+def _remove_empty(folders: "list[Path]") -> None:
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def _remove(path: "Path") -> None:

@@ -13,6 +13,7 @@ WorkerLost.
 import contextlib
 import dataclasses
 import importlib
+import logging
 import os
 import re
 import signal
@@ -32,7 +33,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
-from ffsm_drake.common.interrupts import Interrupts, current
+from ffsm_drake.common.interrupts import SIGNALS, Interrupts, current
 
 ATTEMPTS = 3
 # Library threads per process: the workers fill the machine, and a manipulator's matrices are too
@@ -107,13 +108,15 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
         raise WorkersError(
             "a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
         ) from None
-    try:
-        client = distributed.Client(address, timeout=patience, set_as_default=False)
-    except Exception as error:
-        raise WorkersError(
-            f"{address}: no Dask scheduler answers there: {one_line(error)}"
-        ) from error
-    with client:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_quiet_dask())
+        try:
+            client = distributed.Client(address, timeout=patience, set_as_default=False)
+        except Exception as error:
+            raise WorkersError(
+                f"{address}: no Dask scheduler answers there: {one_line(error)}"
+            ) from error
+        stack.enter_context(client)
         try:
             client.wait_for_workers(1, timeout=patience)
         except TimeoutError:
@@ -126,6 +129,22 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
             in_flight=lambda: 2 * max(len(client.nthreads()), 1),
             renewable=False,
         )
+
+
+@contextlib.contextmanager
+def _quiet_dask() -> Iterator[None]:
+    """Keep Dask's tracebacks off standard error: what they mean is raised as one line."""
+    loggers = [
+        logging.getLogger(f"distributed{part}") for part in ("", ".client", ".core", ".comm")
+    ]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def _check_address(address: str) -> None:
@@ -178,7 +197,7 @@ class Stop(threading.Event):
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Make Ctrl-C and SIGTERM request a stop; a second one interrupts at once.
+    """Make Ctrl-C, SIGTERM and SIGHUP request a stop; a second one interrupts at once.
 
     Outside the main thread this changes nothing.
     """
@@ -193,7 +212,8 @@ def stop_on_signals() -> Iterator[Stop]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handle) for number in heard}
     try:
         yield stop
     finally:
@@ -332,7 +352,8 @@ class _Runner(Generic[Task, Result]):
 
     def _submit(self, task: Task, strikes: int) -> None:
         try:
-            # A process started here ignores Ctrl-C: only the main process decides when to stop.
+            # A process started here ignores Ctrl-C and the terminal's end: only the main process
+            # decides when to stop.
             with _interrupts_blocked():
                 future = self.executor.submit(self.function, *self.arguments(task))
         except BrokenExecutor:  # a worker died while idle
@@ -404,7 +425,7 @@ class _Runner(Generic[Task, Result]):
 
 @contextlib.contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
-from ffsm_drake.common.files import check_writable, write_text
-from ffsm_drake.common.interrupts import undisturbed, unfinished
+from ffsm_drake.common.files import check_writable, published, write_text
+from ffsm_drake.common.interrupts import unfinished
 from ffsm_drake.control_design.first_motion import (
     OMEGA,
     Motion,
@@ -27,7 +26,7 @@ from ffsm_drake.control_design.first_motion import (
 )
 from ffsm_drake.control_design.rounding import rounded
 from ffsm_drake.control_design.stability import Margins, stability
-from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
+from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios, write_yaml
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures
@@ -219,8 +218,8 @@ def new_scenario(
             folder = Path(temporary) / directory.name
             folder.mkdir()
             made = _make(servicer, folder, target=held, mass=mass, packages=folders)
-            with undisturbed():
-                shutil.copytree(folder, directory, dirs_exist_ok=True)
+            with published(directory) as new:
+                shutil.copytree(folder, new, dirs_exist_ok=True)
     except OSError as error:
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
@@ -242,7 +241,7 @@ def _check_arguments(
         if not folder.is_dir():
             raise ScenarioError(f"--package {name}", f"no such folder: {folder}")
     if payload_mass is not None and not (np.isfinite(payload_mass) and payload_mass > 0.0):
-        raise ScenarioError("--payload-mass", f"must be > 0 kg, not {payload_mass:g}")
+        raise ScenarioError("--target", f"must be > 0 kg, not {payload_mass:g}")
 
 
 def _make(
@@ -425,9 +424,7 @@ def _commented_yaml(data: Mapping[str, Any], joints: tuple[Joint, ...]) -> str:
             isinstance(each, (Mapping, list)) for each in value.values()
         )
         style = None if is_nested else False
-        text = yaml.safe_dump(
-            {key: value}, sort_keys=False, allow_unicode=True, width=100, default_flow_style=style
-        )
+        text = write_yaml({key: value}, allow_unicode=True, width=100, default_flow_style=style)
         comment = "".join(f"# {line}\n" for line in textwrap.wrap(comments.get(key, ""), 116))
         parts.append(("\n" if comment or isinstance(value, Mapping) else "") + comment + text)
     return "".join(parts).lstrip()

@@ -16,7 +16,8 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.loop.side_by_side import NotAlike, SideBySide
 from ffsm_drake.scenario import Block, Scenario, build_settings
@@ -384,9 +385,9 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
             settings = {} if choice is None else choice.settings
             given = build_settings(kind, settings, f"{key}.settings")
         require_valid(given, f"{key}.settings", scenario)
-    except FfsmError:
-        raise
-    except Exception as error:  # a user's class may raise anything
+    except BaseException as error:  # a user's class may raise anything
+        if passes(error):
+            raise
         raise BlockError(
             f"{key} '{kind.__name__}' cannot be built: {type(error).__name__}: {one_line(error)}"
         ) from error

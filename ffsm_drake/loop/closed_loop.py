@@ -28,6 +28,7 @@ from pydrake.systems.primitives import (
 )
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.guard import calling, guarded, is_user_supplied
 from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.loop.side_by_side import SideBySide
 from ffsm_drake.scenario import MassProperties, Scenario
@@ -117,7 +118,7 @@ class ClosedLoop:
         set_true_masses(self.plant, context, scenario)
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
-        self._tell_blocks(root_context, [scenario.payload.truth])
+        self._tell("set_payload", root_context, scenario.payload.truth)
         self.set_whole_states(root_context, self._start(scenario, self.model(context))[None])
 
     def _start(self, scenario: Scenario, model: PlantModel) -> np.ndarray:
@@ -147,7 +148,9 @@ class ClosedLoop:
             for placed in self.parts_of_copies[copy].values():
                 placed.part.check_plant(scenario, model)
             rows.append(self._start(scenario, model))
-        self._tell_blocks(root_context, [scenario.payload.truth for scenario in self.scenarios])
+        self._tell(
+            "set_payload", root_context, [scenario.payload.truth for scenario in self.scenarios]
+        )
         self.set_whole_states(root_context, np.array(rows))
 
     def true_model(self, scenario: Scenario) -> PlantModel:
@@ -179,13 +182,8 @@ class ClosedLoop:
                 model = self.true_model(scenario)
                 change_payload(model.plant, model.context, scenario, own)
                 self.copies.set_parameters(context, copy, model.plant, model.context)
-        self._tell_blocks(root_context, properties)
-
-    def _tell_blocks(self, root_context: Context, properties: Sequence[MassProperties]) -> None:
-        for block in self.blocks.values():
-            if hasattr(block, "set_payload"):
-                own = properties[0] if self.copies is None else properties
-                block.set_payload(block.GetMyMutableContextFromRoot(root_context), own)
+        what = properties[0] if self.copies is None else properties
+        self._tell("set_payload", root_context, what)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
         """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
@@ -210,9 +208,20 @@ class ClosedLoop:
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
         """Reset the blocks, without history, to a known state [q; v], or to one of each copy."""
-        for block in self.blocks.values():
-            if hasattr(block, "set_initial_state"):
-                block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
+        self._tell("set_initial_state", root_context, state)
+
+    def _tell(self, method: str, root_context: Context, what: Any) -> None:
+        """Call a method of the blocks that have it."""
+        for name, block in self.blocks.items():
+            function = getattr(block, method, None)
+            if function is None:
+                continue
+            context = block.GetMyMutableContextFromRoot(root_context)
+            if is_user_supplied(type(block)):
+                place = f"blocks.{name} '{type(block).__name__}'"
+                calling(f"{place}: {method}", function, context, what)
+            else:
+                function(context, what)
 
     def resume(
         self,
@@ -241,6 +250,7 @@ class ClosedLoop:
                 context.SetStateAndParametersFrom(source)
 
 
+@guarded
 def add_closed_loop(
     builder: DiagramBuilder,
     scenario: Scenario | Sequence[Scenario],

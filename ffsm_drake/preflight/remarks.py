@@ -34,7 +34,7 @@ from ffsm_drake.spacecraft.nominal import (
 )
 from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
 from ffsm_drake.systems.actuation.drives import DriveSet
-from ffsm_drake.systems.limits import actuation_limit, joint_limits
+from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_remarks
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 
@@ -69,6 +69,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         *_overridden_mass(scenario, model.plant),
         *_coarse_steps(scenario),
         *_fast_disturbances(scenario),
+        *(uneven_remarks(scenario) if scenario.blocks.actuation is None else ()),
     ]
     for name, posture in scenario.postures.items():
         held = {POSITION: configuration(model.plant, posture, key=name)[None, 1:]}

@@ -1,5 +1,6 @@
 """simulate, simulate_many and compare: runs of scenarios, and their records."""
 
+import contextlib
 import dataclasses
 import time
 import warnings
@@ -8,7 +9,9 @@ from typing import Any
 
 from pydrake.geometry import Meshcat
 
+from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.files import same_folder
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.loop.blocks import block_choices, block_sources
@@ -53,12 +56,19 @@ def simulate(
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
-      BlockError: a user-supplied block cannot be loaded, built, wired or run.
+      BlockError: a user-supplied block cannot be loaded, built, wired or run; the original
+        exception is its cause, and its ``record`` holds the samples before it, if there are any.
     """
     start = time.perf_counter()
     rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
     try:
-        return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+        with guarded:
+            return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+    except BlockError as error:
+        if error.log is not None:
+            with contextlib.suppress(FfsmError), guarded:
+                error.record = make_record(error.log, blocks=blocks, start=start)
+        raise
     finally:
         rollout.release()
 
@@ -78,7 +88,7 @@ def prepare(
     run; and (LimitWarning) when a posture or the plan leaves the joints' limits, or the scenario
     overrides the target's mass.
     """
-    with same_folder():
+    with guarded, same_folder():
         if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
             scenario = timed(scenario)
         if check_stability:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.load import predicted_load
@@ -182,6 +183,7 @@ class Verdict:
             yield f"rehearsed: {self.run.sentence}"
 
 
+@guarded
 def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False) -> Verdict:
     """The verdict on a mission.
 

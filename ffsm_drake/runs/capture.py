@@ -19,6 +19,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
@@ -100,11 +101,17 @@ class CaptureRollout:
             return _grasped_at_start(self._stop.run(scenario, progress=progress))
         handovers = _Handovers([chosen])
         sample, (handover,) = handovers.sample, handovers.each
-        approach = self._approach.run(
-            None if scenario is None else without_target(scenario),
-            progress=progress,
-            leg=Leg(last=sample, begin=handovers.start, end=handovers.keep),
-        )
+        try:
+            approach = self._approach.run(
+                None if scenario is None else without_target(scenario),
+                progress=progress,
+                leg=Leg(last=sample, begin=handovers.start, end=handovers.keep),
+            )
+        except BlockError as error:
+            if error.log is not None:
+                ungrasped = handover.ungrasped(error.log.time.size)
+                error.log = dataclasses.replace(error.log, scenario=chosen, grasp=ungrasped)
+            raise
         ungrasped = handover.ungrasped(approach.time.size)
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
@@ -114,10 +121,15 @@ class CaptureRollout:
             message = f"the target is missed at t = {chosen.grasp_time:g} s: {beyond}"
             missed = Outcome(status=MISSED, time=last, message=message)
             return dataclasses.replace(approach, scenario=chosen, outcome=missed, grasp=ungrasped)
-        log = self._stop.run(
-            scenario, progress=progress, leg=Leg(first=sample, begin=handovers.grasp)
-        )
-        return _in_a_row(approach, log, handover, total=time.perf_counter() - start)
+        try:
+            log = self._stop.run(
+                scenario, progress=progress, leg=Leg(first=sample, begin=handovers.grasp)
+            )
+        except BlockError as error:
+            if error.log is not None:
+                error.log = handover.joined(approach, error.log, start)
+            raise
+        return handover.joined(approach, log, start)
 
     def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
         """As ``Rollout.run_all``; None of one that misses its target, too."""
@@ -139,11 +151,8 @@ class CaptureRollout:
             leg=Leg(first=sample, begin=handovers.grasp),
             without=handovers.ended,
         )
-        total = time.perf_counter() - start
         return [
-            None
-            if before is None or after is None
-            else _in_a_row(before, after, handover, total=total)
+            None if before is None or after is None else handover.joined(before, after, start)
             for before, after, handover in zip(approaches, logs, handovers.each, strict=True)
         ]
 
@@ -166,21 +175,6 @@ def _grasped_at_start(log: RunLog) -> RunLog:
         stored=_stored(log),
     )
     return dataclasses.replace(log, grasp=grasp)
-
-
-def _in_a_row(approach: RunLog, log: RunLog, handover: "_Handover", *, total: float) -> RunLog:
-    """The log of a run from those of its legs; ``total`` is its wall time, s."""
-    wall_time = {name: approach.wall_time[name] + log.wall_time[name] for name in log.wall_time}
-    return dataclasses.replace(
-        log,
-        time=np.concatenate([approach.time, log.time]),
-        series={
-            name: np.concatenate([approach.series[name], values])
-            for name, values in log.series.items()
-        },
-        wall_time={**wall_time, "total": total},
-        grasp=dataclasses.replace(handover.log, stored=_stored(log)),
-    )
 
 
 def make_rollout(
@@ -226,6 +220,23 @@ class _Handover:
         """Log of a run that ended before the grasp, after a number of samples."""
         payload = self._scenario.payload.truth
         return GraspLog(sample=samples, contact=None, payload=payload, target=self._path[:samples])
+
+    def joined(self, approach: RunLog, log: RunLog, start: float) -> RunLog:
+        """The log of both legs of a run that began at a wall time."""
+        return dataclasses.replace(
+            log,
+            time=np.concatenate([approach.time, log.time]),
+            series={
+                name: np.concatenate([approach.series[name], values])
+                for name, values in log.series.items()
+            },
+            wall_time={
+                "build": approach.wall_time["build"] + log.wall_time["build"],
+                "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
+                "total": time.perf_counter() - start,
+            },
+            grasp=dataclasses.replace(self.log, stored=_stored(log)),
+        )
 
     def meet(self, loop: ClosedLoop, state: np.ndarray) -> None:
         """Find how the gripper, at the plant's own [q; v], meets the target, with the loop in which

@@ -1,5 +1,5 @@
 """How a run ended, in one word that says what it covers: settled, not settled, growing, missed,
-diverged, interrupted.
+diverged, interrupted, failed.
 """
 
 import dataclasses
@@ -13,10 +13,11 @@ from ffsm_drake.scenario import Scenario
 
 # Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
-OUTCOMES = (COMPLETED, MISSED, DIVERGED, INTERRUPTED)
+FAILED = "failed"  # user-supplied code raised an exception, or returned what cannot be used
+OUTCOMES = (COMPLETED, MISSED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
 # A completed run is one of the first three; best first.
-ENDINGS = (SETTLED, NOT_SETTLED, GROWING, MISSED, DIVERGED, INTERRUPTED)
+ENDINGS = (SETTLED, NOT_SETTLED, GROWING, MISSED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared with the tolerance
 _WINDOWS = 3  # of that length, at the end, whose peaks show whether errors grow
 _GROWTH = 1.5  # times, from each to the next
@@ -30,7 +31,7 @@ _NOTABLE = 0.3  # of the tolerance; below it a rising peak is no growth
 class Outcome:
     """What ended a run."""
 
-    status: str  # COMPLETED, MISSED, DIVERGED or INTERRUPTED
+    status: str  # one of OUTCOMES
     time: float  # s, end of the record
     message: str  # one line
     coordinate: str = ""  # the coordinate that diverged
@@ -56,8 +57,8 @@ class Ending:
 
     @property
     def is_failure(self) -> bool:
-        """Whether it diverged, was about to, or missed its target."""
-        return self.status in (GROWING, MISSED, DIVERGED)
+        """Whether it failed, diverged, was about to, or missed its target."""
+        return self.status in (GROWING, MISSED, DIVERGED, FAILED)
 
 
 def ending_of(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus
 
+from ffsm_drake.common.guard import callers_own
 from ffsm_drake.loop.closed_loop import ClosedLoop
 
 
@@ -38,12 +39,18 @@ class Monitor:
         """Report the progress, every whole second once."""
         if self.progress is not None and context.get_time() >= self.next_report - 1e-9:
             self.next_report += 1.0
-            self.progress(context.get_time(), self.loop.scenario.duration)
+            with callers_own():
+                self.progress(context.get_time(), self.loop.scenario.duration)
 
     def bounds(self, states: np.ndarray) -> bool:
         """True if every velocity in known states [q; v] is within the bound."""
+        return bool(self.bounded(states).all())
+
+    def bounded(self, states: np.ndarray) -> np.ndarray:
+        """Whether every velocity of each known state [q; v] is within the bound."""
         # false for NaN too
-        return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)
+        within: np.ndarray = np.abs(states[..., self._first_velocity :]).max(axis=-1) <= self._bound
+        return within
 
     def check(self, context: Context) -> bool:
         """True if every velocity is within the bound; otherwise ``message`` and ``coordinate`` are

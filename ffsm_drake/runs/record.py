@@ -2,24 +2,32 @@
 
 import dataclasses
 import functools
-import hashlib
 import json
 import math
 import os
 import platform
-import re
-import warnings
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ffsm_drake.common.errors import FfsmError, RecordError, one_line
-from ffsm_drake.common.files import check_regular, published
-from ffsm_drake.runs.ending import NOT_SETTLED, OUTCOMES, Ending, Outcome, ending_of
+from ffsm_drake.common.errors import one_line
+from ffsm_drake.common.files import published
+from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import compute_metrics
-from ffsm_drake.runs.table import OF_LAWS, VARIABLES, Table
+from ffsm_drake.runs.reading import (
+    DATASET_FILE,
+    FORMAT,
+    IDENTIFIER,
+    METRICS_FILE,
+    REPORT_FILE,
+    SEAL,
+    digest_of,
+    read_record,
+    seal_of,
+)
+from ffsm_drake.runs.table import Table
 from ffsm_drake.runs.tracking import tracked_of
-from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
+from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.systems.part import Figure, PartRecord, nested
 
 if TYPE_CHECKING:
@@ -27,26 +35,11 @@ if TYPE_CHECKING:
 
     from ffsm_drake.runs.table import Labelled
 
-DATASET_FILE = "record.nc"
-METRICS_FILE = "metrics.json"
-REPORT_FILE = "report.html"
-FORMAT = 4
-# of record.nc, in the files that go with it; in reports an attribute of their head
-IDENTIFIER = "record_sha256"
-_HEAD = 100_000  # bytes of a report within which that is
-_MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
-_MAX_RECORD = 100_000_000_000  # bytes
-_MAX_PER_SAMPLE = 100_000  # bytes, unpacked
 # Files made from a record, which are outdated with the next one.
 OUTPUTS = (
     REPORT_FILE, "recording.html", "analysis.json", "analysis.png",
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
 )  # fmt: skip
-_COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
-
-
-class StaleReportWarning(UserWarning):
-    """A report beside a record shows another run."""
 
 
 class _Dataset:
@@ -164,11 +157,13 @@ class RunRecord:
                 )
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
-            identifier = _digest(folder / DATASET_FILE)
-            for name, data in ((METRICS_FILE, metrics), (MANIFEST_FILE, manifest)):
-                (folder / name).write_text(
-                    to_json(data | {IDENTIFIER: identifier}), encoding="utf-8"
-                )
+            identifier = digest_of(folder / DATASET_FILE)
+            manifest[IDENTIFIER] = identifier
+            manifest[SEAL] = seal_of(json.loads(to_json(manifest)))
+            for name, data in (
+                (METRICS_FILE, metrics | {IDENTIFIER: identifier}), (MANIFEST_FILE, manifest),
+            ):  # fmt: skip
+                (folder / name).write_text(to_json(data), encoding="utf-8")
         object.__setattr__(self, "identifier", identifier)
         return directory
 
@@ -182,174 +177,10 @@ class RunRecord:
         Raises:
           RecordError: a file is missing or cannot be used.
         """
-        directory = Path(directory)
-        identifier, fields = _read_manifest(directory / MANIFEST_FILE)
-        path = directory / DATASET_FILE
-        dataset, digest = _read_dataset(path, fields["scenario"])
-        if identifier != digest:
-            raise RecordError(
-                f"{path}: is not the record that {MANIFEST_FILE} belongs to, or was "
-                "changed; run it again"
-            )
-        _check_metrics(directory / METRICS_FILE, digest)
-        _check_reports(directory, digest)
-        for source in fields["blocks"].values():
-            if "file" in source:
-                source["file"] = str((directory / source["file"]).resolve())
-        record = cls(dataset=dataset, **fields)
-        object.__setattr__(record, "identifier", digest)
+        identifier, fields = read_record(Path(directory))
+        record = cls(**fields)
+        object.__setattr__(record, "identifier", identifier)
         return record
-
-
-def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
-    """The identifier of the dataset beside a manifest, and the record's other fields. Raises
-    RecordError.
-    """
-    try:
-        manifest = _read_json(path)
-        if not isinstance(manifest, dict):
-            raise RecordError(
-                f"is not a run's manifest: must be an object, not {type(manifest).__name__}"
-            )
-        if manifest["format"] != FORMAT:
-            raise RecordError(
-                f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again"
-            )
-        grasp, times = manifest.get("grasp"), manifest["wall_time"]
-        if not isinstance(grasp, dict | None):
-            raise TypeError("grasp must be an object")
-        fields = {
-            "scenario": scenario_from_dict(manifest["scenario"], source=str(path)),
-            "outcome": _checked_outcome(manifest["outcome"]),
-            "wall_time": {name: float(times[name]) for name in ("build", "advance_to", "total")},
-            "software": _texts(manifest["software"]),
-            "blocks": {
-                str(name): _texts(source) for name, source in dict(manifest["blocks"]).items()
-            },
-            "parts": tuple(map(PartRecord.from_dict, manifest.get("parts", ()))),
-            "grasp": grasp,
-        }
-    except FfsmError as error:
-        raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
-    except OSError as error:
-        raise RecordError(
-            f"{path}: cannot be read: {one_line(error)}; give the folder of a run"
-        ) from error
-    except KeyError as error:
-        raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
-    except (ValueError, TypeError, RecursionError) as error:
-        raise RecordError(
-            f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}"
-        ) from error
-    return manifest.get(IDENTIFIER), fields
-
-
-def _texts(given: Any) -> dict[str, str]:
-    return {str(name): str(text) for name, text in dict(given).items()}
-
-
-def _read_dataset(path: Path, scenario: Scenario) -> tuple["xr.Dataset", str]:
-    """The dataset of a run and the SHA-256 of its file. Raises RecordError."""
-    import xarray as xr
-
-    try:
-        check_regular(path, limit=_MAX_RECORD)
-        with xr.open_dataset(path, engine="netcdf4") as stored:
-            if stored.nbytes > _MAX_PER_SAMPLE * (scenario.num_control_periods + 1):
-                raise OSError(f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario")
-            dataset = stored.load()
-        digest = _digest(path)
-    except FileNotFoundError as error:
-        raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
-    except Exception as error:  # xarray and HDF5 raise many types for a damaged file
-        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
-    _check_dataset(dataset, path)
-    return dataset, digest
-
-
-def _checked_outcome(data: Any) -> Outcome:
-    """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
-    outcome = Outcome(**data)
-    if outcome.status not in OUTCOMES:
-        raise ValueError(
-            f"outcome.status must be one of {', '.join(OUTCOMES)}, not {outcome.status!r:.40}"
-        )
-    if not isinstance(outcome.time, (int, float)) or isinstance(outcome.time, bool):
-        raise TypeError(f"outcome.time must be a number, not {outcome.time!r:.40}")
-    if not isinstance(outcome.message, str) or not isinstance(outcome.coordinate, str):
-        raise TypeError("outcome.message and outcome.coordinate must be text")
-    return outcome
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _read_json(path: Path) -> Any:
-    check_regular(path, limit=_MAX_TEXT)
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _check_metrics(path: Path, digest: str) -> None:
-    """Raise RecordError if the metrics belong to another record."""
-    try:
-        metrics = _read_json(path)
-    except FileNotFoundError:
-        return  # nothing here reads them
-    except (OSError, ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
-    if not isinstance(metrics, dict) or metrics.get(IDENTIFIER) != digest:
-        raise RecordError(f"{path}: does not belong to {DATASET_FILE} beside it; run it again")
-
-
-def _check_reports(directory: Path, digest: str) -> None:
-    """Warn of a report in a run's folder, or of a comparison in the folder above, that shows
-    another run of this name.
-    """
-    for page, folder in (
-        (directory / REPORT_FILE, ""),
-        (directory.absolute().parent / REPORT_FILE, directory.name),
-    ):
-        try:
-            check_regular(page, limit=_MAX_RECORD)
-            with page.open("rb") as file:
-                head = file.read(_HEAD).decode("utf-8", "replace")
-        except OSError:
-            continue
-        found = re.search(f'<meta name="{IDENTIFIER}" content="([^"]*)">', head)
-        shown = [word.rpartition("=") for word in found[1].split()] if found else []
-        digests = [
-            shown_digest for controller, _, shown_digest in shown if folder in ("", controller)
-        ]
-        if digests and digest not in digests:
-            warnings.warn(
-                f"{page} shows another run than the {DATASET_FILE} of {directory}; make it anew",
-                StaleReportWarning,
-                stacklevel=3,
-            )
-
-
-def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
-    """Raise RecordError unless a dataset holds what every record does."""
-    required = [name for name in VARIABLES if name not in OF_LAWS]
-    missing = [name for name in (*_COORDINATES, *required) if name not in dataset.variables]
-    if missing:
-        raise RecordError(
-            f"{path}: lacks {', '.join(missing)}; it comes from another version or "
-            "program, run it again"
-        )
-    if "sample_time" not in dataset.attrs:
-        raise RecordError(f"{path}: lacks the attribute sample_time; run it again")
-    for name in required:
-        along, *_ = VARIABLES[name]
-        dims = ("time", along) if along else ("time",)
-        if dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu":
-            raise RecordError(
-                f"{path}: {name} must hold numbers along {', '.join(dims)}; run it again"
-            )
-    if dataset.sizes["time"] == 0:
-        raise RecordError(f"{path}: holds no samples; run it again")
 
 
 def software_versions() -> dict[str, str]:

@@ -3,9 +3,8 @@
 import contextlib
 import dataclasses
 import time
-import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
@@ -20,13 +19,15 @@ from pydrake.systems.primitives import (
 )
 from pydrake.trajectories import PiecewisePolynomial
 
-from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
+from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError
 from ffsm_drake.common.files import same_folder
+from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.loop.blocks import block_choices, kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
-from ffsm_drake.runs.ending import COMPLETED, DIVERGED, INTERRUPTED, Outcome
+from ffsm_drake.runs.blame import bad_output, failure_of
+from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.scenario import Scenario, scenario_to_dict
@@ -73,6 +74,7 @@ class Rollout:
     Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
     """
 
+    @guarded
     def __init__(
         self,
         scenario: Scenario | Sequence[Scenario],
@@ -135,6 +137,7 @@ class Rollout:
         scenarios = (scenario,) if isinstance(scenario, Scenario) else scenario
         return [_built_from(each) for each in scenarios] == self._built_for
 
+    @guarded
     def run(
         self,
         scenario: Scenario | None = None,
@@ -154,6 +157,7 @@ class Rollout:
 
         Raises:
           ScenarioError: the scenario needs another build.
+          BlockError: a user-supplied block fails; its ``log`` holds the run up to then.
         """
         start = time.perf_counter()
         loop, leg = self.loop, leg or Leg()
@@ -172,16 +176,28 @@ class Rollout:
         watched = not self._checked_in_log
         advance_time = 0.0
         for with_monitor in (watched, True):
-            interrupted, more_time = self._advance(monitor, leg, watched=with_monitor)
+            interrupted, failure, more_time = self._advance(monitor, leg, watched=with_monitor)
             advance_time += more_time
-            times, series = self._read_log(unfinished=interrupted or leg.last is not None)
+            if failure is not None and self._num_logged() < 2:
+                raise failure
+            times, series = self._read_log(
+                unfinished=interrupted or failure is not None or leg.last is not None
+            )
+            if failure is not None:
+                break
             bounded = not monitor.message and monitor.bounds(series["state"])
             if with_monitor or interrupted or bounded:
                 break
             monitor.forget()
-        return RunLog(
+        if bad := bad_output(monitor.bounded(series["state"]), series, self._user_supplied):
+            failure = BlockError(f"{bad.problem}; at t = {times[bad.sample]:.2f} s")
+            if bad.sample == 0:
+                raise failure
+            times = times[: bad.sample]
+            series = {name: values[: bad.sample] for name, values in series.items()}
+        log = RunLog(
             scenario=scenario,
-            outcome=_outcome(monitor, float(times[-1]), interrupted=interrupted),
+            outcome=_outcome(monitor, float(times[-1]), failure, interrupted=interrupted),
             coordinates=loop.coordinates,
             split=loop.split,
             tracks_frame=loop.tracks_frame,
@@ -194,7 +210,12 @@ class Rollout:
                 "total": time.perf_counter() - start,
             },
         )
+        if failure is not None:
+            failure.log = log
+            raise failure
+        return log
 
+    @guarded
     def run_all(
         self,
         scenarios: Sequence[Scenario] | None = None,
@@ -211,7 +232,7 @@ class Rollout:
           without: copies of the spacecraft that are put aside, as those that diverge are.
 
         Returns: the log of each, as ``run`` gives it for the scenario alone; None of one that
-        diverges, which is to be run alone.
+        diverges or fails, which is to be run alone.
 
         Raises:
           ScenarioError: the scenarios need another build.
@@ -227,15 +248,19 @@ class Rollout:
         if loop.copies is None:
             return [self.run(loop.scenario, leg=leg)]
         monitor = CopiesMonitor(loop, without, every_step=not self._checked_in_log)
-        interrupted, advance_time = self._advance(monitor, leg, watched=True)
+        interrupted, failure, advance_time = self._advance(monitor, leg, watched=True)
         if interrupted:
             raise KeyboardInterrupt
+        if failure is not None:
+            raise failure
         logs: list[RunLog | None] = [None] * loop.copies.number
         for copy, scenario in enumerate(loop.scenarios):
             if copy in monitor.parked:
                 continue
             times, series = self._read_log(unfinished=leg.last is not None, copy=copy)
-            if not monitor.within(copy, series["state"]):
+            finite = np.isfinite(series["state"]).all(axis=1)
+            within = monitor.within(copy, series["state"])
+            if not within or bad_output(finite, series, self._user_supplied):
                 continue
             end = float(times[-1])
             logs[copy] = RunLog(
@@ -255,6 +280,7 @@ class Rollout:
             )
         return logs
 
+    @guarded
     def check(self) -> None:
         """Initialize a run and evaluate its derivatives, without a step; errors as ``run`` raises
         them at its start.
@@ -265,17 +291,18 @@ class Rollout:
         try:
             with same_folder():
                 loop.diagram.EvalTimeDerivatives(context)
-        except FfsmError:
-            raise
-        except (Exception, GeneratorExit, SystemExit) as error:
-            _raise_for(error, self._user_supplied, 0.0)
+        except BaseException as error:
+            if passes(error):
+                raise
+            raise self._failure(error, context) from error
 
     def _advance(
         self, monitor: Monitor | CopiesMonitor, leg: Leg, *, watched: bool
-    ) -> tuple[bool, float]:
+    ) -> tuple[bool, BlockError | None, float]:
         """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
-        Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
+        Returns: whether it was interrupted from the keyboard, how a user-supplied block failed, and
+        the wall time spent advancing, s.
         """
         simulator, loop = self._simulator, monitor.loop
         simulator.reset_context(loop.diagram.CreateDefaultContext())
@@ -294,7 +321,7 @@ class Rollout:
         # Stops at control samples do not change the steps.
         stop_periods = max(1, round(1.0 / sample_time))
         start = time.perf_counter()
-        interrupted = False
+        interrupted, failure = False, None
         # The run beyond the point of divergence is discarded.
         unremarked = (
             contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
@@ -315,19 +342,37 @@ class Rollout:
                     simulator.AdvancePendingEvents()  # the control update of the last sample
                 elif leg.end is not None and not monitor.message:
                     leg.end(loop, context)
-        except KeyboardInterrupt:
-            interrupted = True
-        except FfsmError:
-            raise
-        except (Exception, GeneratorExit, SystemExit) as error:
-            # a user-supplied block may raise anything
-            # Drake refuses numbers that are not finite; any other exception is raised.
-            # which an import, say, has turned into another exception
-            if interruption.number != signals:
+        except BaseException as error:
+            # User-supplied code may raise anything, and turn the exception of Ctrl-C into another.
+            through = passes(error) and not isinstance(error, BlockError)
+            if interruption.number != signals or (through and isinstance(error, KeyboardInterrupt)):
                 interrupted = True
-            elif monitor.check(context) and monitor.check_force(context):
-                _raise_for(error, self._user_supplied, context.get_time())
-        return interrupted, time.perf_counter() - start
+            elif through:
+                raise
+            elif _is_sound(monitor, context):  # Drake refuses numbers that are not finite
+                failure = self._failure(error, context)
+        return interrupted, failure, time.perf_counter() - start
+
+    def _failure(self, error: BaseException, context: Context) -> BlockError:
+        """The error of a user-supplied block. Without one, Drake's reason for stopping is raised,
+        or the error itself.
+        """
+        if isinstance(error, BlockError):
+            return error
+        if self._user_supplied:
+            failed = failure_of(error, self.loop, self._user_supplied, context)
+            failed.__cause__ = error
+            return failed
+        if type(error) is not RuntimeError:  # C++'s
+            raise error
+        raise ScenarioError(
+            "simulator_config",
+            f"the simulation cannot go on at t = {context.get_time():.2f} s: {cause_of(error)} "
+            "Take another integration_scheme or accuracy",
+        ) from error
+
+    def _num_logged(self) -> int:
+        return int(self._logger.FindLog(self._simulator.get_context()).num_samples())
 
     def _read_log(
         self, *, unfinished: bool, copy: int = 0
@@ -365,8 +410,12 @@ def _part_of(part: slice, copy: int, loop: ClosedLoop) -> slice:
     return slice(part.start + copy * size, part.start + (copy + 1) * size)
 
 
-def _outcome(monitor: Monitor, time: float, *, interrupted: bool) -> Outcome:
+def _outcome(
+    monitor: Monitor, time: float, failure: BlockError | None, *, interrupted: bool
+) -> Outcome:
     """The outcome of a run whose log ends at a time, s."""
+    if failure is not None:
+        return Outcome(status=FAILED, time=time, message=str(failure))
     if monitor.coordinate:
         return Outcome(
             status=DIVERGED, time=time, coordinate=monitor.coordinate, message=monitor.message
@@ -394,8 +443,10 @@ def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -
     builder.Connect(both.get_output_port(), poses.get_input_port())
 
 
-def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = None) -> list[str]:
-    """The user-supplied parts of a closed loop, in words."""
+def user_supplied(
+    scenario: Scenario, blocks: Mapping[str, Factory] | None = None
+) -> dict[str, str]:
+    """The user-supplied blocks of a closed loop, in words by name."""
     names = {name: choice.system for name, choice in block_choices(scenario).items()}
     names["controller"] = scenario.controller
     names = {name: own for name, own in names.items() if not is_shipped(kind_of(name), own)}
@@ -403,7 +454,10 @@ def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = Non
         name: getattr(factory, "__name__", type(factory).__name__)
         for name, factory in (blocks or {}).items()
     }
-    return [f"{name} '{system}'" for name, system in names.items()]
+    return {
+        name: f"{'' if name == 'controller' else 'blocks.'}{name} '{system}'"
+        for name, system in names.items()
+    }
 
 
 def _add_logger(
@@ -430,23 +484,14 @@ def _add_logger(
     return logger, {name: rows[source] for name, source in sources.items()}
 
 
-def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> NoReturn:
-    """Raise an error that names the user-supplied block, or Drake's reason for stopping."""
-    if not suspects:
-        if type(error) is not RuntimeError:  # C++'s
-            raise error
-        raise ScenarioError(
-            "simulator_config",
-            f"the simulation cannot go on at t = {time:.2f} s: {cause_of(error)} Take another "
-            "integration_scheme or "
-            "accuracy",
-        ) from error
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    raise BlockError(
-        f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: "
-        f"{one_line(error)} "
-        f"({place.filename}, line {place.lineno})"
-    ) from error
+def _is_sound(monitor: Monitor | CopiesMonitor, context: Context) -> bool:
+    """True unless the state, or the controller's force, shows that the run has diverged."""
+    try:
+        return monitor.check(context) and monitor.check_force(context)
+    except BaseException as error:
+        if passes(error) and not isinstance(error, FfsmError):
+            raise
+        return True  # the force itself cannot be computed
 
 
 def _built_from(scenario: Scenario) -> dict[str, Any]:

@@ -55,7 +55,7 @@ from ffsm_drake.scenario.schema import (
     planned_part,
 )
 from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
-from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml, write_yaml
 
 __all__ = [
     "as_dict",
@@ -117,4 +117,5 @@ __all__ = [
     "shipped_scenarios",
     "thruster_layouts",
     "thrusters_of",
+    "write_yaml",
 ]

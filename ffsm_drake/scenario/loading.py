@@ -95,9 +95,9 @@ def scenario_from_dict(
     try:
         require_valid(scenario, scenario=scenario)
     except ScenarioError as error:
-        raise error.located(
-            "override" if is_overridden(error.key, overridden) else source
-        ) from None
+        if overridden and not is_overridden(error.key, overridden):
+            scenario_from_dict(data, source=source)  # raises where the file itself is at fault
+        raise error.located("override" if overridden else source) from None
     return scenario
 
 

@@ -11,6 +11,7 @@ from ffsm_drake.common.memo import memoized
 
 MAX_DEPTH = 50
 MAX_NODES = 100_000  # with every alias written out
+_TAG = "tag:yaml.org,2002:"
 
 
 class StrictYamlError(ValueError):
@@ -20,8 +21,8 @@ class StrictYamlError(ValueError):
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Safe YAML without keys given twice, without tags of its own, and no deeper than settings can
-    be.
+    """Safe YAML of the 1.2 core schema with merge keys: without keys given twice, without further
+    tags, and no deeper than settings can be.
     """
 
     _depth = 0
@@ -38,11 +39,12 @@ class _StrictLoader(yaml.SafeLoader):
 
     def compose_mapping_node(self, anchor: Any) -> Any:
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
-        first: dict[tuple[str, str], Any] = {}
+        first: dict[Any, Any] = {}
         for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
+            if not isinstance(key, yaml.ScalarNode) or key.tag == _TAG + "merge":
                 continue
-            earlier = first.setdefault((key.tag, key.value), key)
+            # by value: 1 and 0x1 are one key, as are ~ and null
+            earlier = first.setdefault(self.construct_object(key), key)
             if earlier is not key:
                 raise StrictYamlError(
                     f"{_place(key.start_mark)}: '{key.value}' is given twice, first in line "
@@ -63,27 +65,31 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that this reader or a usual one would take for a number."""
+    """Quotes text that this reader or a usual one would take for something else."""
 
 
-# YAML 1.1, which PyYAML reads, takes 1:30 for 90, 017 for 15, and 1e-5 for text. YAML 1.2 and JSON
-# do not.
-_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
-_StrictLoader.yaml_implicit_resolvers = {
-    first: [(tag, form) for tag, form in forms if tag not in _NUMBERS]
-    for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-for _tag, _form in zip(
-    _NUMBERS,
-    (
-        r"[-+]?(0|[1-9][0-9_]*)$|0x[0-9a-fA-F]+$",
+# The words and numbers of YAML 1.2's core schema and JSON. YAML 1.1, which PyYAML reads, takes on
+# and yes for true, 1:30 for 90, 017 for 15, 2026-01-31 for a date, and 1e-5 for text.
+_CORE = {
+    "bool": (r"(true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    "null": (r"(null|Null|NULL|~|)$", ["n", "N", "~", ""]),
+    "int": (r"[-+]?(0|[1-9][0-9_]*)$|0x[0-9a-fA-F]+$", "-+0123456789"),
+    "float": (
         r"[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9]+|[0-9][0-9_]*(?=[eE]))([eE][-+]?[0-9]+)?$"
         r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$",
+        "-+.0123456789",
     ),
-    strict=True,
-):
+    "merge": (r"<<$", "<"),
+}
+_StrictLoader.yaml_implicit_resolvers = {}
+_StrictLoader.yaml_constructors = {
+    tag: make
+    for tag, make in yaml.SafeLoader.yaml_constructors.items()
+    if tag is None or tag.removeprefix(_TAG) in ("str", "seq", "map", *_CORE)
+}
+for _name, (_form, _first) in _CORE.items():
     for _side in (_StrictLoader, _Dumper):
-        _side.add_implicit_resolver(_tag, re.compile(_form), list("-+.0123456789"))
+        _side.add_implicit_resolver(_TAG + _name, re.compile(_form), list(_first))
 
 
 @memoized(maxsize=64)  # the shipped files are read again and again, and PyYAML is slow
@@ -114,9 +120,11 @@ def read_yaml(text: str) -> Any:
         raise StrictYamlError(f"character {error.position + 1}: {error.reason}") from error
 
 
-def write_yaml(data: Any) -> str:
-    """Plain data as YAML text that ``read_yaml`` reads back as it was."""
-    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
+def write_yaml(data: Any, **layout: Any) -> str:
+    """Plain data as YAML text that ``read_yaml`` reads back as it was; PyYAML's words for its
+    layout.
+    """
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, **layout)
     return text
 
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ffsm_drake.common.files import write_text
-from ffsm_drake.runs.record import REPORT_FILE, RunRecord
+from ffsm_drake.runs.reading import REPORT_FILE
+from ffsm_drake.runs.record import RunRecord
 
 RECORDING_FILE = "recording.html"
 

@@ -109,6 +109,12 @@ def set_payload(
         names = split_of(plant).whole_names(coordinates.names)
         weakest = names[int(np.argmax(np.abs(directions[:, 0])))]
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
+        if weakest in split_of(plant).names:
+            raise ModelError(
+                f"model.flexible: '{weakest}' moves no inertia to speak of: the mass matrix is "
+                f"singular (eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}); give the "
+                "part more mass or size, or leave it out"
+            )
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
             f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no inertia "

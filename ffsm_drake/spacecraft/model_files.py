@@ -1,4 +1,6 @@
-"""The files of a model, checked before Drake opens them: it would read a device or FIFO forever."""
+"""The files of a model, checked before Drake opens them: it would read a device or FIFO forever,
+and abort on some numbers of a URDF.
+"""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -8,6 +10,7 @@ from xml.etree import ElementTree
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.spacecraft.checked_urdf import parse
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
@@ -33,7 +36,7 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
       packages: package:// name -> folder.
 
     Raises:
-      ModelError: one of them is a device, a FIFO, a folder, or too large.
+      ModelError: one of them is a device, a FIFO, a folder, too large, or an unusable URDF.
     """
     first = next(_resolved(address, Path(), packages), None)
     try:
@@ -54,6 +57,8 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
     for path in pending:  # grows meanwhile
         try:
             check_regular(path, limit=_MAX_SIZE)
+            if path.suffix.lower() == ".urdf":
+                parse(path)
             if path.suffix.lower() in _TEXTS:
                 with path.open(encoding="utf-8", errors="replace") as file:
                     text = file.read(_MAX_READ)
@@ -63,9 +68,10 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
                     pending += [other for other in further if other not in pending]
         except FileNotFoundError:
             continue
-        except (OSError, ValueError) as error:
+        except (ModelError, OSError, ValueError) as error:
             named = "" if path == pending[0] else f"{path}: "
-            return f"{named}{one_line(error)}; give a file", ()
+            remedy = "" if isinstance(error, ModelError) else "; give a file"
+            return f"{named}{one_line(error)}{remedy}", ()
     return "", tuple(pending)
 
 

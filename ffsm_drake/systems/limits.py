@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -19,6 +19,8 @@ _DIRECTIONS = np.array(
     [each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)]
 )
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
+
+_UNEVEN = 30.0  # ratio of the largest to the least torque, or force; shipped sets: below 10
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,11 +40,32 @@ def base_limits(scenario: Scenario) -> BaseLimits:
     names = []
     for part in own_parts(scenario):
         most = part.most(scenario, _DIRECTIONS)
-        if most is not None:  # the torque of the last one counts
-            torque, force = most.get("torque", torque), most.get("force", force)
+        if most is not None:  # the torque of the last one counts, where it gives any itself
+            own = most.get("torque", torque)
+            torque, force = np.where(np.isfinite(own), own, torque), most.get("force", force)
             names.append(part.title.lower())
     named = f" or what {' and '.join(names)} give" if names else ""
     return BaseLimits(torque=torque, force=force, named=named)
+
+
+def uneven_remarks(scenario: Scenario) -> Iterator[str]:
+    """What base actuators that are nearly degenerate give along their weakest direction; errors as
+    for ``base_limits``.
+    """
+    for part in own_parts(scenario):
+        for what, most in (part.most(scenario, _DIRECTIONS) or {}).items():
+            finite = np.isfinite(most)
+            if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
+                continue
+            weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
+            axis = ", ".join(f"{number:.2g}" for number in _DIRECTIONS[weak] + 0.0)
+            unit = "N m" if what == "torque" else "N"
+            yield (
+                f"actuation: {part.title.lower()} nearly degenerate: along [{axis}] of the base's "
+                f"axes they give {most[weak]:.3g} {unit} of {what}, {strong / most[weak]:.3g} "
+                f"times less than the {strong:.3g} {unit} along their strongest direction; turn "
+                "their axes apart"
+            )
 
 
 def limits_of(

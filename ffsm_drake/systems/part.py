@@ -8,6 +8,7 @@ linearisation wires in its place.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol
@@ -15,7 +16,8 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import passes
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -222,7 +224,7 @@ class PartRecord:
     section: str  # of the report
     about: str  # that section's text; "": the sentences of its parts
     sentence: str
-    table: tuple[tuple[str | float, ...], ...]
+    table: tuple[tuple[str | float | None, ...], ...]  # None: not a finite number
     figures: tuple[Figure, ...]
     drawings: tuple[Drawing, ...]
 
@@ -370,8 +372,13 @@ class PlacedPart:
 
     @property
     def title(self) -> str:
-        """Heading of its rows and panels."""
-        return self.part.title or type(self.part).__name__
+        """Heading of its rows and panels. Raises BlockError where it is no text."""
+        title: object = self.part.title
+        kind = type(self.part).__name__
+        if not isinstance(title, str):
+            problem = f"title must be text, not {type(title).__name__}"
+            raise BlockError(f"blocks.{self.name} '{kind}': {problem}")
+        return title or kind
 
 
 Parts = Mapping[str, PlacedPart]  # by name
@@ -426,9 +433,9 @@ def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
         place = f"blocks.{placed.name} '{type(placed.part).__name__}': metric '{metric.key}'"
         try:
             value = _plain(metric.of(view))
-        except FfsmError:
-            raise
-        except Exception as error:  # a user's function may raise anything
+        except BaseException as error:  # a user's function may raise anything
+            if passes(error):
+                raise
             raise BlockError(
                 f"{place} failed: {type(error).__name__}: {one_line(error)}"
             ) from error
@@ -480,12 +487,19 @@ def values_of(signal: Signal, view: View) -> np.ndarray | None:
 def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
     """What the record of a run keeps of a part, with its figures."""
     part, sentence = placed.part, placed.part.sentence(figures)
+    table = tuple(map(tuple, part.table(figures)))
+    place = f"blocks.{placed.name} '{type(part).__name__}'"
+    if not isinstance(sentence, str | None):
+        raise BlockError(f"{place}: sentence must be text or None, not {type(sentence).__name__}")
+    for entry in itertools.chain(*table):
+        if not isinstance(entry, str | int | float):
+            raise BlockError(f"{place}: table must hold texts and numbers, not {entry!r:.40}")
     return PartRecord(
         title=placed.title,
         section=part.section,
         about=part.about,
         sentence=_listed(placed.title, figures) if sentence is None else sentence,
-        table=tuple(map(tuple, part.table(figures))),
+        table=table,
         figures=tuple(figures),
         drawings=tuple(
             _drawing(signal, placed.title) for signal in placed.signals if signal.heading != ""

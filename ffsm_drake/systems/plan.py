@@ -11,14 +11,13 @@ import functools
 from pathlib import Path
 
 import numpy as np
-import yaml
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.files import check_regular, write_text
 from ffsm_drake.common.so3 import attitude_motion, turned_by
-from ffsm_drake.scenario import StrictYamlError, read_yaml
+from ffsm_drake.scenario import StrictYamlError, read_yaml, write_yaml
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.plant import resolve_package
 
@@ -97,7 +96,7 @@ class Plan:
         }
         rows = "".join(f"- [{', '.join(map(repr, row))}]\n" for row in self.control_points.tolist())
         head = "".join(f"# {line}\n" for line in title.splitlines())
-        text = yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
+        text = write_yaml(data, width=120, default_flow_style=None)
         write_text(path, f"{head}{text}control_points:\n{rows}")
 
 

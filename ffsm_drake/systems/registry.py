@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.guard import passes, where
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
@@ -94,8 +95,9 @@ def find_factory(
             "name that folder in "
             "python_path or PYTHONPATH"
         ) from error
-    except (Exception, GeneratorExit, SystemExit) as error:
-        # a user's module may raise anything on import
+    except BaseException as error:  # a user's module may raise anything on import
+        if passes(error):
+            raise
         raise BlockError(
             f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}"
         ) from error
@@ -121,25 +123,24 @@ def address_of(factory: Factory) -> str:
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     """The result of a factory for a setup. Raises BlockError naming ``place`` if it fails."""
-    return _called(getattr(factory, "from_setup", factory), setup, place)
+    return _called(factory, "from_setup", setup, place)
 
 
 def call_wide_factory(factory: Any, setups: Sequence[BlockSetup], *, place: str) -> Any:
     """The result of a factory's ``build_wide`` (``loop.side_by_side``) for several setups, None
     where it has none; errors as ``call_factory``.
     """
-    make = getattr(factory, "build_wide", None)
-    return None if make is None else _called(make, setups, place)
+    return _called(factory, "build_wide", setups, place) if hasattr(factory, "build_wide") else None
 
 
-def _called(make: Callable[[Any], Any], given: Any, place: str) -> Any:
+def _called(factory: Any, method: str, given: Any, place: str) -> Any:
     try:
-        return make(given)
-    except FfsmError:
-        raise
-    except (Exception, GeneratorExit, SystemExit) as error:
+        return getattr(factory, method, factory)(given)
+    except BaseException as error:
+        if passes(error):
+            raise
         raise BlockError(
-            f"{place} cannot be built: {type(error).__name__}: {one_line(error)}"
+            f"{place} cannot be built: {type(error).__name__}: {one_line(error)}{where(error)}"
         ) from error
 
 

@@ -8,7 +8,10 @@ import fcntl
 import json
 import os
 import signal
+import socket
 import sqlite3
+import subprocess
+import sys
 import threading
 import time
 from multiprocessing import get_context
@@ -61,6 +64,64 @@ def one_line_error(result, said):
     assert result.exit_code == 2, result.output
     assert said in result.output
     assert result.output.count("\n") == 1
+
+
+def test_rows_that_another_program_removes_are_missed(spec, tmp_path):
+    """Rows removed at any moment of a campaign: it says so, with what to type; that restores
+    them.
+    """
+    for moment in (3, 17, 31):
+        path = tmp_path / f"{moment}.db"
+
+        removed = []
+
+        def remove(progress, path=path, moment=moment, removed=removed):
+            if progress.done >= moment and not removed:
+                with contextlib.closing(sqlite3.connect(path)) as other, other:
+                    rows = other.execute("DELETE FROM results WHERE case_index = 0")
+                    removed.append(rows.rowcount)
+
+        with pytest.raises(CampaignError, match="another program removed results") as error:
+            start_campaign(load_spec(spec), path, workers=HERE, progress=remove)
+        stored = f"{32 - removed[0]} of 32 runs are stored, 'ffsm campaign resume {path}'"
+        assert stored in str(error.value)
+        resume_campaign(path, workers=HERE)
+        with open_store(path) as store:
+            assert store.num_results() == 32
+
+
+@pytest.mark.slow
+def test_a_dask_scheduler_that_is_killed(tmp_path):
+    """One line with what to type, and no traceback of the library's."""
+    pytest.importorskip("distributed")
+    spec = write_spec(tmp_path / "long.yaml", cases=400, overrides={"duration": 3.0})
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard"]
+    scheduler = subprocess.Popen([*dask, "--port", str(port)], **quiet)
+    dask[2:] = ["distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1"]
+    worker = subprocess.Popen([*dask, f"tcp://127.0.0.1:{port}"], **quiet)
+    path = tmp_path / "x.db"
+    words = ("run", str(spec), "--database", str(path), "--scheduler", f"tcp://127.0.0.1:{port}")
+    driver = start_driver(*words)
+    try:
+        deadline = time.monotonic() + 90.0
+        while not (path.exists() and count(path) >= 2):
+            assert time.monotonic() < deadline
+            assert driver.poll() is None
+            time.sleep(0.2)
+        scheduler.kill()
+        said, _ = driver.communicate(timeout=90)
+    finally:
+        for process in (driver, scheduler, worker):
+            process.kill()
+            process.wait()
+    errors = [line for line in said.splitlines() if " of 800 runs (" not in line]
+    assert driver.returncode == 2
+    assert len(errors) == 1, said
+    assert f"are stored, 'ffsm campaign resume {path}' runs the others" in errors[0]
 
 
 @pytest.mark.slow

@@ -28,13 +28,14 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
+from record_tools import sealed
 
 from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
 from ffsm_drake.analysis import analyze
 from ffsm_drake.cli import main
 from ffsm_drake.common import files
 from ffsm_drake.preflight.verdict import Verdict
-from ffsm_drake.runs.record import StaleReportWarning
+from ffsm_drake.runs.reading import StaleReportWarning
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.show.figures import run as run_figures
 from ffsm_drake.show.figures.analysis import plot_analysis
@@ -123,8 +124,25 @@ def record(
     return Row(id, command, expected, prepare=lambda at: damage(at / "run"))
 
 
-def manifest(id: str, change: Callable[[dict], object] | str | bytes, *expected: str) -> Row:
-    """A run's manifest.json with other contents."""
+def put(name: str, place: object, value: object) -> Callable:
+    """Change some values of a variable."""
+
+    def change(data):
+        values = data[name].values.copy()
+        values[place] = value
+        return data.assign({name: (data[name].dims, values, data[name].attrs)})
+
+    return change
+
+
+def manifest(
+    id: str,
+    change: Callable[[dict], object] | str | bytes,
+    *expected: str,
+    command: str = "analyze run",
+    fits: bool = False,
+) -> Row:
+    """A run's manifest.json with other contents; ``fits``: with a checksum that fits it."""
 
     def damage(run: Path) -> None:
         path = run / "manifest.json"
@@ -134,12 +152,16 @@ def manifest(id: str, change: Callable[[dict], object] | str | bytes, *expected:
             path.write_text(json.dumps(data))
         else:
             path.write_bytes(change if isinstance(change, bytes) else change.encode())
+        if fits:
+            sealed(run)
 
-    return record(id, damage, *expected)
+    return record(id, damage, *expected, command=command)
 
 
-def dataset(id: str, change: Callable, *expected: str, command: str = "analyze run") -> Row:
-    """A run's record.nc with other contents."""
+def dataset(
+    id: str, change: Callable, *expected: str, command: str = "analyze run", fits: bool = True
+) -> Row:
+    """A run's record.nc with other contents, and checksums that fit it."""
 
     def damage(run: Path) -> None:
         import xarray as xr
@@ -148,6 +170,8 @@ def dataset(id: str, change: Callable, *expected: str, command: str = "analyze r
         changed = change(xr.load_dataset(path))
         path.unlink()
         changed.to_netcdf(path, unlimited_dims=["time"])
+        if fits:
+            sealed(run)
 
     return record(id, damage, *expected, command=command)
 
@@ -359,17 +383,17 @@ TABLE = [
     record(
         "truncated",
         lambda run: truncate(run / "record.nc"),
-        "run/record.nc: cannot be read",
+        "run/record.nc: is not the record that manifest.json belongs to, or was changed",
         "run it again",
     ),
     record(
         "empty-record",
-        lambda run: (run / "record.nc").write_bytes(b""),
+        lambda run: ((run / "record.nc").write_bytes(b""), sealed(run)),
         "run/record.nc: cannot be read",
     ),
     record(
         "text-as-record",
-        lambda run: (run / "record.nc").write_text("hello"),
+        lambda run: ((run / "record.nc").write_text("hello"), sealed(run)),
         "run/record.nc: cannot be read",
     ),
     record(
@@ -401,6 +425,51 @@ TABLE = [
         "other-record",
         lambda data: data.assign(error=2.0 * data["error"]),
         "run/record.nc: is not the record that manifest.json belongs to, or was changed",
+        fits=False,
+    ),
+    *(
+        dataset(f"{id}-{command}", change, *expected, command=f"{command} run")
+        for command in ("analyze", "plot", "replay")
+        for id, change, *expected in (
+            ("nan", put("position", (1, 7), np.nan), "position must be finite", "at sample 1"),
+            ("zero-quaternion", put("position", (2, slice(4)), 0), "unit quaternions", "sample 2"),
+            (
+                "reversed",
+                lambda data: data.assign_coords(time=data.time.values[::-1]),
+                "time must hold the control samples from 0, 0.01 s apart",
+            ),
+            ("constant-time", lambda data: data.assign_coords(time=0 * data.time), "time must"),
+            (
+                "text-time",
+                lambda data: data.assign_coords(time=data.time.astype(str)),
+                "time must",
+            ),
+            (
+                "endless",
+                lambda data: data.assign_coords(time=[*data.time.values[:-1], 1e9]),
+                "time must hold the control samples from 0, 0.01 s apart",
+            ),
+            (
+                "sample-time-zero",
+                lambda data: data.assign_attrs(sample_time=0.0),
+                "sample_time must be 0.01",
+            ),
+            (
+                "sample-time-text",
+                lambda data: data.assign_attrs(sample_time="x"),
+                "sample_time must be a number, not ",
+            ),
+            (
+                "fewer-coordinates",
+                lambda data: data.isel(coordinate=slice(8)),
+                "coordinate must be base_rotation_x, ",
+            ),
+            (
+                "units-that-decode",
+                lambda data: data.assign(error=data.error.assign_attrs(units=1.0)),
+                "error: its attribute units must be text",
+            ),
+        )
     ),
     dataset(
         "zero-samples",
@@ -472,6 +541,7 @@ TABLE = [
         "manifest-gain-missing",
         lambda data: data["scenario"]["controllers"]["tde_aismc"].update(alpha=None),
         "controllers.tde_aismc.alpha",
+        fits=True,
     ),
     manifest(
         "manifest-scenario-list",
@@ -492,6 +562,39 @@ TABLE = [
         "manifest-outcome-time",
         lambda data: data["outcome"].update(time="late"),
         "outcome.time must be a number",
+    ),
+    *(
+        manifest(
+            f"manifest-{id}-{command}",
+            change,
+            *expected,
+            command=f"{command} run",
+            fits=fits,
+        )
+        for command in ("analyze", "plot", "replay")
+        for id, change, fits, *expected in (
+            (
+                "another-model",
+                lambda data: data["scenario"]["model"].update(
+                    directives="package://ffsm_drake/seven_joint.dmd.yaml"
+                ),
+                True,
+                "record.nc: coordinate must be",
+                "as in the scenario's model",
+            ),
+            (
+                "another-mass",
+                lambda data: data["scenario"]["payload"]["truth"].update(mass=90.0),
+                False,
+                "run/manifest.json: was changed after the run",
+            ),
+            (
+                "another-end",
+                lambda data: data["outcome"].update(time=0.02),
+                True,
+                "time ends at 0.05 s, but at 0.02 s in manifest.json",
+            ),
+        )
     ),
     manifest("manifest-wall-time", lambda data: data.update(wall_time={}), "lacks 'build'"),
 ]
@@ -907,17 +1010,18 @@ def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, run, monke
 
 
 def test_the_browser_view_passes_over_a_port_in_use():
-    from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
+    from ffsm_drake.show.meshcat.door import live_server
 
-    with socket.socket() as taken, quiet_drake():
+    with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the door does
         try:
             taken.bind(("127.0.0.1", 7000))
             taken.listen()
         except OSError:
             pass  # in use already, which serves as well
-        meshcat = start_meshcat()
-        assert 7000 < meshcat.port() < 8000
-        assert "127.0.0.1" in meshcat.web_url() or "localhost" in meshcat.web_url()
+        with live_server(None) as (_, url):
+            assert re.fullmatch(r"http://127\.0\.0\.1:7\d{3}", url)
+            assert not url.endswith(":7000")
 
 
 @pytest.mark.parametrize("where", ["logging", "update"])
@@ -938,7 +1042,7 @@ def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkey
         nonlocal calls
         calls += 1
         if calls == 4:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         return original(*args, **kwargs)
 
     whole = run("postcapture", "duration=0.2").dataset

@@ -5,6 +5,7 @@ operator's hands.
 import dataclasses
 import re
 import shutil
+import signal
 import subprocess
 import time
 from urllib.parse import urlsplit
@@ -320,7 +321,7 @@ def test_quit_at_the_very_start_leaves_a_record(meshcat, scenario, tmp_path):
 
 def test_ctrl_c_ends_the_session(meshcat, scenario):
     def interrupt(_):
-        raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
 
     assert operate(meshcat, scenario, interrupt) == []
     (record,) = operate(meshcat, scenario, start(), let_pass(50), interrupt)
@@ -337,7 +338,7 @@ def test_ctrl_c_between_two_controls_keeps_the_records(meshcat, scenario, monkey
 
     def interrupted(controls, label, **options):
         if label.startswith("[ running"):
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         add_button(controls, label, **options)
 
     monkeypatch.setattr(Controls, "add_button", interrupted)
@@ -419,7 +420,7 @@ def test_a_foreign_page_cannot_start_a_run(meshcat, scenario):
 
 
 def interrupt(_):
-    raise KeyboardInterrupt
+    signal.raise_signal(signal.SIGINT)
 
 
 def test_a_foreign_page_cannot_push_or_stop_a_run(meshcat, scenario, plain):
@@ -545,8 +546,8 @@ def test_the_command_line_only_watches(run, tmp_path, monkeypatch):
     assert RunRecord.load(tmp_path / "run").dataset.identical(plain.dataset)
 
 
-def test_controls_are_served_where_no_other_page_can_know():
-    first, second = (urlsplit(start_meshcat(private=True).web_url()) for _ in range(2))
+def test_drakes_servers_are_where_no_page_can_know():
+    first, second = (urlsplit(start_meshcat().web_url()) for _ in range(2))
     for address in (first, second):
         assert address.hostname.startswith("127.")
     assert first.hostname != second.hostname

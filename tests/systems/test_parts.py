@@ -123,16 +123,16 @@ def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     """Named alone, it is checked, linearised and warned of as the package's own."""
     shipped = {"magnetorquers": "own_actuator:Magnetorquers"}
     monkeypatch.setitem(SHIPPED, "actuation", shipped)
-    assert user_supplied(load_scenario(*SCENARIO)) == []
+    assert not user_supplied(load_scenario(*SCENARIO))
     common = "flight_sensors --set duration=0.3 --set blocks.actuation="
     assert "Magnetorquers: largest dipole" in ffsm(f"run {common}magnetorquers -c tdc --out out")
-    assert user_supplied(RunRecord.load(Path("out")).scenario) == []
+    assert not user_supplied(RunRecord.load(Path("out")).scenario)
     assert "stable" in ffsm(f"stability {common}magnetorquers -c tdc")
     unknown = ffsm(f"run {common}magnetorquer -c tdc", code=2)
     assert "choose one of magnetorquers, or give module:attribute" in unknown
     monkeypatch.delitem(SHIPPED, "actuation")
     own = load_scenario("flight_sensors", ["blocks.actuation=own_actuator:Magnetorquers"])
-    assert user_supplied(own) == ["actuation 'own_actuator:Magnetorquers'"]
+    assert user_supplied(own) == {"actuation": "blocks.actuation 'own_actuator:Magnetorquers'"}
 
 
 @pytest.mark.parametrize(

@@ -242,7 +242,7 @@ class OddField(DividesByZero):
         (WithoutAStep, r"must define step\(sample, state\)"),
         (OddField, r"field 'speed' must be a gain\(...\), model, sample_time or have a default"),
         (WrongSize, r"of shape \(12,\); it must be \(11,\)"),
-        (DividesByZero, "the update raises ZeroDivisionError"),
+        (DividesByZero, r"failed at t = 0.00 s: ZeroDivisionError: .*\(in DividesByZero.step: "),
         (lambda setup: 3, "must be a control law or a Drake system, not int"),
         (lambda: 3, "cannot be built: TypeError"),
         (

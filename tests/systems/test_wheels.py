@@ -5,7 +5,7 @@ unloading.
 import flight_settings
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.multibody.parsing import Parser
@@ -24,6 +24,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.wheels import WheelSet
+from ffsm_drake.systems.limits import uneven_remarks
 
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
 INERTIA, PERIOD = 0.08, 0.01
@@ -279,7 +280,7 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
         (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
         (
             ("actuation.wheels.units={z: {}}",),
-            "units: give no torque about some axis; add wheels, or actuation.thrust",
+            "units: give no torque about the axis [-1, 0, 0] of the base; add wheels",
         ),
         (
             ("actuation.wheels.units={z: {axis: [0, 0, 0]}}",),
@@ -308,3 +309,32 @@ def test_errors_are_one_clear_line(overrides, expected):
         make_closed_loop(load_scenario("postcapture", overrides))
     assert expected in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@settings(derandomize=True, database=None, deadline=None, max_examples=40)
+@given(
+    st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=5, unique_by=lambda each: round(each, 1)),
+    st.integers(0, 2),
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+)
+def test_wheels_in_a_plane_leave_the_rest_to_thrusters(angles, normal, torque):
+    """Whatever the plane: with thrusters every torque is given by both, alone it is refused."""
+    axes = [np.roll([0.0, np.cos(each), np.sin(each)], normal).tolist() for each in angles]
+    wheels = Wheels(units={f"w{k}": Wheel(axis=axis) for k, axis in enumerate(axes)})
+    with pytest.raises(ScenarioError, match=r"wheels.units: give no torque about the axis \["):
+        WheelSet(wheels, sample_time=0.01, alone=True)
+    both = WheelSet(wheels, sample_time=0.01, alone=False)
+    wanted = 1e-3 * np.array(torque)
+    given_by_wheels = both.give(wanted, np.zeros(len(angles)), np.zeros(3)).on_base
+    np.testing.assert_allclose(given_by_wheels + both.assist_torque(wanted), wanted, atol=1e-12)
+    assert both.most(np.roll([1.0, 0.0, 0.0], normal)) == np.inf
+    assert both.capacity(np.roll([1.0, 0.0, 0.0], normal)) == both.least_capacity == 0.0
+
+
+def test_nearly_coplanar_wheels_are_remarked_on():
+    units = "{x: {axis: [1, 0, 0]}, y: {axis: [0, 1, 0]}, z: {axis: [1, 1, %s]}}"
+    flat = f"actuation.wheels.units={units}"
+    (remark,) = uneven_remarks(load_scenario("postcapture", [flat % 1e-4]))
+    assert "wheels nearly degenerate: along [0, 0, -1]" in remark
+    assert "they give 1.41e-05 N m of torque" in remark
+    assert not list(uneven_remarks(load_scenario("postcapture", [flat % 1])))

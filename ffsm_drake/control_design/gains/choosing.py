@@ -25,6 +25,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import current, interruptible
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.control_design.gains.axis_search import (
@@ -148,6 +149,7 @@ class Design:
         return remarks
 
 
+@guarded
 def design(
     scenario: Scenario,
     *,

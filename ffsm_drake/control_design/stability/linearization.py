@@ -27,13 +27,14 @@ from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.loop.blocks import is_rehearsed, parts_of
+from ffsm_drake.loop.blocks import block_choices, is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
@@ -50,6 +51,8 @@ POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STEP = 1e-7
 # Control samples on the plan before the map is taken, in which every memory fills.
 _WARM_UP = 5
+# Beyond these, a look at one instant takes more than seconds, or much memory.
+_MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, that is found of user-supplied systems which do not declare
 # it, and the change of their map, relative to its rows, that tells one sample from another.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
@@ -62,6 +65,7 @@ class NotLinear(BlockError):
 class Linearizer:
     """A closed loop that is built once and linearised at many instants, within a ``with`` block."""
 
+    @guarded
     def __init__(
         self,
         scenario: Scenario,
@@ -82,6 +86,7 @@ class Linearizer:
             factories = {"actuation": make_mean_actuation, **factories}
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
+        self._choices = block_choices(self.given)
         self.loop = make_closed_loop(self.scenario, blocks=factories)
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self.begin, self.end = self.motion.begin, self.motion.end  # s
@@ -150,12 +155,28 @@ class Linearizer:
         )
         # of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
+        self._check_cost()
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
         self._parts_of_memory = {
             name: slice(self._width + part.start, self._width + part.stop)
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
+
+    def _check_cost(self) -> None:
+        """Raise NotLinear for a loop that would take minutes, or fill the memory."""
+        states, period = self._width + self._memory.size, self._memory.common_period
+        short = range(min(period, _MOST_SAMPLES + 1))
+        updates = len({self._memory.kind(index) for index in short})
+        work = updates * (states + self._noise.size)
+        if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
+            raise NotLinear(
+                f"{self.scenario.controller}: the linear loop is too large to analyse: {states} "
+                f"states (at most {_MOST_STATES}; {8e-9 * states**2:.2g} GB for each matrix), a "
+                f"common period of {period} control samples (at most {_MOST_SAMPLES}), {work} "
+                f"evaluations for one instant (at most {_MOST_EVALUATIONS}); shorten delays, "
+                "frames and sample periods of actuation and sensing"
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -196,21 +217,23 @@ class Linearizer:
     ) -> LinearLoop:
         """The loop after a warm-up that begins on the plan at a control sample."""
         try:
-            with np.errstate(over="ignore", invalid="ignore"):
+            with guarded, np.errstate(over="ignore", invalid="ignore"):
                 updates = self._updates_from(first, held)
                 maps = {update: self._map(update, truth) for update in dict.fromkeys(updates)}
                 samples = tuple(maps[update] for update in updates)
-        except FfsmError:
-            raise
+        except FfsmError as error:
+            # a user-supplied block may fail because the loop has diverged
+            if not isinstance(error, BlockError) or np.isfinite(self._plant.read()).all():
+                raise
+            samples = self._unknown()
         except (Exception, SystemExit) as error:
             # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant.read()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
-                raise NotLinear(
-                    f"{self.scenario.controller}: the loop cannot be linearised: {reason}"
-                ) from error
-            unknown = np.full((self._width,) * 2, np.nan)  # diverged within the warm-up
-            samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
+                named = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
+                suspects = " or ".join([*named, self.scenario.controller])
+                raise NotLinear(f"{suspects}: the loop cannot be linearised: {reason}") from error
+            samples = self._unknown()
         return LinearLoop(
             coordinates=self.loop.coordinates,
             time=(first + _WARM_UP) * self.scenario.sample_time,
@@ -224,6 +247,11 @@ class Linearizer:
                 for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
             },
         )
+
+    def _unknown(self) -> tuple[SampleMap, ...]:
+        """The map of a loop that diverged within the warm-up."""
+        unknown = np.full((self._width,) * 2, np.nan)
+        return (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
 
     def along(
         self,
@@ -266,10 +294,7 @@ class Linearizer:
         controller_context = controller.GetMyMutableContextFromRoot(context)
         if isinstance(controller, SampledController):  # no sample counts as a first one here
             controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
-        with (
-            contextlib.suppress(Exception, SystemExit),
-            np.errstate(over="ignore", invalid="ignore"),
-        ):
+        with self._until_divergence(plant), guarded, np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
                 states[index] = plant.known()[: nv + 1]
                 self._hold(controller_context, held or {})
@@ -281,6 +306,19 @@ class Linearizer:
                     self._move(index)
                 force[index] = self._force.Eval(controller_context)
         return position_errors(desired, states), force
+
+    @contextlib.contextmanager
+    def _until_divergence(self, plant: PlantState) -> Iterator[None]:
+        """End the block when the loop has diverged. Raises BlockError: a user-supplied block fails
+        before that.
+        """
+        try:
+            yield
+        except BlockError:
+            if np.isfinite(plant.read()).all():
+                raise
+        except (Exception, SystemExit):
+            pass
 
     def _quiet(self, held: Mapping[str, np.ndarray]) -> None:
         """No noise at the next sample, and the controller's held memory at its values."""

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.control_design.stability.adaptation import (
     axis_law,
     forecast_reaching_gain,
@@ -206,6 +207,7 @@ class Margins:
         )
 
 
+@guarded
 def stability(
     scenario: Scenario, *, postures: int = 21, linearizer: Linearizer | None = None
 ) -> Margins:
@@ -290,6 +292,7 @@ def _axis_margins(
     )
 
 
+@guarded
 def adaptation_remark(linearizer: Linearizer) -> str:
     """One line where nothing stops K_s before the limit of the sampled loop at the start of a
     linearizer's motion; else empty.

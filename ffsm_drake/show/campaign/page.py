@@ -26,7 +26,7 @@ from ffsm_drake.campaign.statistics import (
 )
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
-from ffsm_drake.common.files import write_text
+from ffsm_drake.common.files import published, write_text
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.show.campaign.charts import GRID_METRICS, chart_views, limits_of
 from ffsm_drake.show.page import embedded, render
@@ -87,17 +87,18 @@ def write_report(
     if store.num_results() == 0:
         raise CampaignError(f"{store.path}: holds no result yet")
     findings = find(store, axes=axes, progress=progress)
-    tables = [directory / "runs.csv"]
+    tables = ["runs.csv"]
     if importlib.util.find_spec("pyarrow") is not None:
-        tables.append(directory / "runs.parquet")
-    page = directory / "report.html"
+        tables.append("runs.parquet")
     try:
-        write_text(page, _page(store, findings))
+        with published(directory) as folder:
+            write_text(folder / "report.html", _page(store, findings))
+            for name in tables:
+                store.export(folder / name)
     except RecordError as error:
         raise CampaignError(one_line(error)) from error
-    for path in tables:
-        store.export(path)
-    return Written(files=[page, *tables], summary=summary_text(findings))
+    files = [directory / name for name in ("report.html", *tables)]
+    return Written(files=files, summary=summary_text(findings))
 
 
 def summary_text(findings: Findings) -> str:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ffsm_drake.common.files import written_whole
+from ffsm_drake.common.files import published
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.chart import Chart, merged
 from ffsm_drake.show.figures.axes import draw, plain
@@ -30,7 +30,8 @@ _EFFORTS = {"N m": "torque", "N": "force"}
 
 
 def save_figures(records: Sequence[RunRecord], directory: Path) -> list[Path]:
-    """Draw every figure of one or several runs as PNG into a directory; returns the paths.
+    """Draw every figure of one or several runs as PNG into a directory, all or none; returns the
+    paths.
 
     Raises:
       RecordError: a file cannot be written.
@@ -41,14 +42,11 @@ def save_figures(records: Sequence[RunRecord], directory: Path) -> list[Path]:
         "efforts": plot_efforts(records),
         "gains": plot_gains(records),
     }
-    paths = []
-    for name, figure in figures.items():
-        if figure is not None:
-            path = directory / f"{name}.png"
-            with written_whole(path) as temporary:
-                figure.savefig(temporary, dpi=130)
-            paths.append(path)
-    return paths
+    drawn = {f"{name}.png": figure for name, figure in figures.items() if figure is not None}
+    with published(directory) as folder:
+        for name, figure in drawn.items():
+            figure.savefig(folder / name, dpi=130)
+    return [directory / name for name in drawn]
 
 
 def plot_trajectories(record: RunRecord) -> Figure:

@@ -13,7 +13,8 @@ import dataclasses
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -25,10 +26,10 @@ from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow
 from ffsm_drake.show.meshcat.controls import CodeLock, Controls, label_text
-from ffsm_drake.show.meshcat.stage import SpacecraftView
+from ffsm_drake.show.meshcat.door import keep_for_ever, live_server
+from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
 from ffsm_drake.systems.setup import BlockSetup
@@ -70,19 +71,19 @@ def watch(
     Arguments and errors as ``run_interactive``; with ``open_browser`` it waits up to 10 s for the
     page to open. Returns: the record of ``simulate``.
     """
-    meshcat = start_meshcat() if meshcat is None else meshcat
-    operator = _Operator(scenario, meshcat, tell=None, wait=wait)
-    if open_browser and webbrowser.open(meshcat.web_url()):
-        end = time.monotonic() + _PATIENCE
-        with interruptible():
-            while not meshcat.GetNumActiveConnections() and time.monotonic() < end:
-                wait(_LONGEST_WAIT)
-    try:
-        chosen = operator.next_scenario()
-        assert chosen is not None  # nobody can quit
-        return operator.run(chosen)
-    finally:
-        operator.close()
+    with live_server(meshcat) as (server, url):
+        operator = _Operator(scenario, server, tell=None, wait=wait)
+        if open_browser and webbrowser.open(url):
+            end = time.monotonic() + _PATIENCE
+            with interruptible(), operator.beside():
+                while not server.GetNumActiveConnections() and time.monotonic() < end:
+                    wait(_LONGEST_WAIT)
+        try:
+            chosen = operator.next_scenario()
+            assert chosen is not None  # nobody can quit
+            return operator.run(chosen)
+        finally:
+            operator.close()
 
 
 def _print(line: str) -> None:
@@ -111,8 +112,8 @@ def run_interactive(
 
     Args:
       scenario: the scenario; the page's slider replaces its ``target_realtime_rate``.
-      meshcat: server to show it on; by default a new one, at an address that Drake prints and other
-        pages cannot guess.
+      meshcat: server to show it on; by default a new one behind a door (``door.live_server``),
+        whose address is printed.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
       keep: called with each record as soon as its run has ended, to save it.
@@ -125,10 +126,17 @@ def run_interactive(
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
     """
-    meshcat = start_meshcat(private=True) if meshcat is None else meshcat
-    operator = _Operator(scenario, meshcat, tell=tell, wait=wait)
-    if open_browser:
-        webbrowser.open(operator.meshcat.web_url())
+    with live_server(meshcat) as (server, url):
+        operator = _Operator(scenario, server, tell=tell, wait=wait)
+        if open_browser:
+            webbrowser.open(url)
+        return _session(operator, check_stability=check_stability, keep=keep)
+
+
+def _session(
+    operator: "_Operator", *, check_stability: bool, keep: Callable[[RunRecord], object] | None
+) -> list[RunRecord]:
+    """The runs that the operator starts."""
     records: list[RunRecord] = []
     try:
         while (run_scenario := operator.next_scenario()) is not None:
@@ -168,6 +176,7 @@ class _Operator:
     ) -> None:
         self.meshcat = meshcat
         self.stopped_run = False  # the last run ended by Quit or by a start button
+        self._lost = False  # Drake's server has failed: nothing can be shown or asked any more
         self._scenario = scenario
         self._run_scenario = scenario
         self._wait = wait
@@ -225,28 +234,43 @@ class _Operator:
 
     def close(self) -> None:
         """Remove the panel; the scene stays."""
-        if self._lock is not None:
-            self._lock.remove()
-        self._panel.remove()
-        if self._controls is not None:
-            self._controls.remove()
+        with self.beside():
+            if self._lock is not None:
+                self._lock.remove()
+            self._panel.remove()
+            if self._controls is not None:
+                self._controls.remove()
+
+    @contextmanager
+    def beside(self) -> Iterator[None]:
+        """Of a failure of Drake's server in the block comes one warning, and the end of the view:
+        the run goes on without it.
+        """
+        try:
+            yield
+        except RuntimeError as error:
+            if not self._lost:
+                _print(f"warning: the view is lost, the run goes on: {one_line(error)}")
+                keep_for_ever(self.meshcat)
+            self._lost = True
 
     def show_status(self, text: str) -> None:
         """Meshcat has no labels: the panel's last button, which does nothing, shows the status."""
         label = f"[ {label_text(text)} ]"
         if label == self._status:
             return
-        self._panel.remove_button(self._status)
-        self._status = label
-        self._panel.add_button(label)
+        with self.beside():
+            self._panel.remove_button(self._status)
+            self._status = label
+            self._panel.add_button(label)
 
     def next_scenario(self) -> Scenario | None:
         """Wait for a start button and return its scenario; None once Quit was clicked."""
-        with interruptible():
-            while not (self._quit or self._requested):
+        with interruptible(), self.beside():
+            while not (self._quit or self._requested or self._lost):
                 self._wait(_LONGEST_WAIT)
                 self._read_page()
-        if self._quit:
+        if self._quit or not self._requested:  # without a page nobody can ask for a run
             return None
         scenario, controller, mass = self._scenario, self._requested, self._values[MASS]
         self._requested, self.stopped_run, self._paused = "", False, False
@@ -302,14 +326,9 @@ class _Operator:
         Raises:
           KeyboardInterrupt: the run must end.
         """
-        self._pace()
-        self._draw(now, q)
-        while self._paused:
-            self._draw(now, q)
-            self._wait(_LONGEST_WAIT)
-            self._read_page()
-            self._stop_if_asked()
-            self._due = time.perf_counter()
+        if not self._lost:
+            with self.beside():
+                self._attend(now, q)
         period = self._scenario.sample_time
         force = np.zeros(3)
         # else it would act after the run
@@ -321,6 +340,17 @@ class _Operator:
                 push.samples -= 1
             self._pushes = [push for push in self._pushes if push.samples > 0]
         return np.array([self._scale, *force])
+
+    def _attend(self, now: float, q: np.ndarray) -> None:
+        """Show the sample that is due, and wait while the operator pauses."""
+        self._pace()
+        self._draw(now, q)
+        while self._paused:
+            self._draw(now, q)
+            self._wait(_LONGEST_WAIT)
+            self._read_page()
+            self._stop_if_asked()
+            self._due = time.perf_counter()
 
     def _pace(self) -> None:
         """Wait until the present sample is due, polling the page meanwhile."""

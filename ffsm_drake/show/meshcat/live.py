@@ -5,10 +5,12 @@ import webbrowser
 
 from pydrake.geometry import Meshcat
 
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.controls import Controls
+from ffsm_drake.show.meshcat.door import keep_for_ever, live_server
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
 from ffsm_drake.show.meshcat.stage import start_meshcat
 
@@ -36,7 +38,7 @@ class LiveReplay:
     ) -> None:
         """Set the scene and add the controls. Arguments and errors as ``recording_html``."""
         check_speed(speed)
-        self.meshcat = start_meshcat(private=True) if meshcat is None else meshcat
+        self.meshcat = start_meshcat() if meshcat is None else meshcat
         self._view = ReplayView(self.meshcat, record, ghost=ghost, path=path, forces=forces)
         self._controls = Controls(self.meshcat)
         self._controls.add_button(PLAY, keycode="Space")
@@ -99,23 +101,34 @@ def replay_live(
     Args:
       record: the run.
       speed, ghost, path, forces: as in ``recording_html``; a slider changes the speed.
-      meshcat: server to show it on; by default a new one, whose address Drake prints.
+      meshcat: server to show it on; by default a new one behind a door (``door.live_server``),
+        whose address is printed.
       open_browser: open the page in the default browser.
 
     Raises:
-      FfsmError: the speed is not positive.
+      FfsmError: the speed is not positive, or Drake's server fails.
       ModelError: the scenario's model no longer loads.
     """
-    replay = LiveReplay(record, speed=speed, ghost=ghost, path=path, forces=forces, meshcat=meshcat)
-    if open_browser:
-        webbrowser.open(replay.meshcat.web_url())
+    with live_server(meshcat) as (server, url):
+        replay = LiveReplay(
+            record, speed=speed, ghost=ghost, path=path, forces=forces, meshcat=server
+        )
+        if open_browser:
+            webbrowser.open(url)
+        try:
+            _play(replay)
+        except KeyboardInterrupt:
+            replay.close()  # Ctrl-C, another way to quit
+        except RuntimeError as error:
+            keep_for_ever(server)
+            raise FfsmError(f"the view is lost: {one_line(error)}") from error
+        else:
+            replay.close()
+
+
+def _play(replay: LiveReplay) -> None:
     last = time.perf_counter()
-    try:
-        with interruptible():
-            while replay.step((now := time.perf_counter()) - last):
-                last = now
-                time.sleep(1.0 / FRAMES_PER_SECOND)
-    except KeyboardInterrupt:
-        pass  # Ctrl-C, another way to quit
-    finally:
-        replay.close()
+    with interruptible():
+        while replay.step((now := time.perf_counter()) - last):
+            last = now
+            time.sleep(1.0 / FRAMES_PER_SECOND)

@@ -94,7 +94,7 @@ def recording_html(
 
 def write_recording(
     record: RunRecord,
-    file: Path,
+    file: str | Path,
     *,
     speed: float = 1.0,
     ghost: bool = True,
@@ -105,7 +105,9 @@ def write_recording(
 
     Raises RecordError if the file cannot be written.
     """
-    write_text(file, recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces))
+    write_text(
+        Path(file), recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces)
+    )
 
 
 def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: float) -> str:

@@ -25,7 +25,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat.actuators import draw_solids, solids_of
 from ffsm_drake.spacecraft.panel_drawing import box_around, box_corners
@@ -43,7 +43,7 @@ from ffsm_drake.systems.reference import make_motion
 _VIEW = np.array([0.5843, -0.7176, 0.3793])
 # Meshcat's vertical half angle is 37.5 degrees; this leaves a margin
 _TANGENT = 0.85 * math.tan(math.radians(37.5))
-_PRIVATE_TRIES = 4
+_TRIES = 4  # at random addresses, then at 127.0.0.1
 _TO_TARGET = (
     "quintic",
     "target_posture",
@@ -64,28 +64,25 @@ def quiet_drake() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def start_meshcat(*, private: bool = False) -> Meshcat:
-    """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on.
+def start_meshcat() -> Meshcat:
+    """A Meshcat server for this machine only, at a random address and port.
 
-    Drake's server accepts messages from every page of this machine's browsers, whatever its
-    origin. One with controls is ``private``: it listens on a random loopback address, 127.x.y.z (if
-    the system has more than 127.0.0.1), and a random port, which other pages cannot guess. Raises
-    FfsmError if no port is free.
+    Drake's server obeys every page of this machine's browsers, whatever its origin, and some of
+    their frames end it. So it listens on a random loopback address, 127.x.y.z (127.0.0.1 if the
+    system has no others), and a random port, which other pages cannot guess; ``door.live_server``
+    lets pages in. Raises FfsmError if no port is free.
     """
     params = MeshcatParams()
     params.show_stats_plot = False
-    for _ in range(_PRIVATE_TRIES if private else 0):
-        params.host = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+    for attempt in range(2 * _TRIES):
+        if attempt < _TRIES:
+            params.host = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+        else:
+            params.host = "127.0.0.1"
         params.port = 10_000 + secrets.randbelow(50_000)
         with suppress(RuntimeError):
             return Meshcat(params)
-    params.host, params.port = "127.0.0.1", None
-    try:
-        return Meshcat(params)
-    except RuntimeError as error:
-        raise FfsmError(
-            f"Meshcat cannot start: {one_line(error)}; free a port from 7000 to 7999"
-        ) from error
+    raise FfsmError("Meshcat cannot start: no port of this machine is free for it")
 
 
 def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:

@@ -16,6 +16,7 @@ from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
 from ffsm_drake.runs.ending import (
     DIVERGED,
+    FAILED,
     GROWING,
     INTERRUPTED,
     MISSED,
@@ -23,7 +24,8 @@ from ffsm_drake.runs.ending import (
     SETTLED,
     SETTLED_OVER,
 )
-from ffsm_drake.runs.record import IDENTIFIER, RunRecord
+from ffsm_drake.runs.reading import IDENTIFIER
+from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
@@ -44,6 +46,7 @@ _STATUS_TONES = {
     GROWING: "bad",
     MISSED: "bad",
     DIVERGED: "bad",
+    FAILED: "bad",
 }
 _FINDING_TONES = {
     "holds": "good",

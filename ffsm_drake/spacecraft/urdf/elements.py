@@ -2,19 +2,13 @@
 
 import dataclasses
 import math
-import re
-from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ffsm_drake.common.errors import ModelError, one_line
-from ffsm_drake.common.files import check_regular
+from ffsm_drake.spacecraft.checked_urdf import require
 
-DRAKE = "{http://drake.mit.edu}"
 WORLD = "world"
-MAX_URDF = 50_000_000  # bytes
 _MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -46,34 +40,9 @@ class Joint:
         return "m" if self.kind == "prismatic" else "rad"
 
 
-def require(condition: object, problem: str) -> None:
-    """Raise ModelError with the problem unless the condition holds."""
-    if not condition:
-        raise ModelError(problem)
-
-
-def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
-    """The root element, and the comments before it (licences). Raises ModelError: not a URDF."""
-    require(path.is_file(), f"no such file; give {what}")
-    try:
-        check_regular(path, limit=MAX_URDF)
-        content = path.read_bytes()
-        root = ElementTree.fromstring(content)
-    except OSError as error:
-        raise ModelError(f"cannot be read: {one_line(error)}") from error
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise ModelError(f"is not valid XML: {one_line(error)}") from error
-    is_xacro = any("xacro" in element.tag for element in root.iter())
-    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
-    require(root.tag == "robot", f"is not a URDF: its root element is <{root.tag}>, not <robot>")
-    before = content.decode("utf-8", errors="replace").partition("<robot")[0]
-    return root, "\n".join(re.findall(r"<!--.*?-->", before, flags=re.DOTALL))
-
-
 def name_of(element: Element) -> str:
-    name = element.get("name", "")
-    require(name, f"a <{element.tag.removeprefix(DRAKE)}> has no name")
-    return name
+    """The name of a link, joint or frame, which ``parse`` found good."""
+    return element.get("name", "")
 
 
 def end_of(joint: Element, role: str) -> str:

@@ -5,7 +5,8 @@ import math
 from xml.etree.ElementTree import Element, SubElement
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.spacecraft.urdf.elements import WORLD, end_of, name_of, require, vector
+from ffsm_drake.spacecraft.checked_urdf import require
+from ffsm_drake.spacecraft.urdf.elements import WORLD, end_of, name_of, vector
 
 DENSITY = 50.0  # kg/m^3, of a bus without a given size; that of the shipped servicer
 _NAME, _MOUNT = "bus", "bus_mount"

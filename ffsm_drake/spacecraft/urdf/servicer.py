@@ -10,17 +10,15 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, parse, require
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 from ffsm_drake.spacecraft.urdf.elements import (
-    DRAKE,
     WORLD,
     Joint,
     check_kind,
     name_of,
-    parse,
     read_joint,
     read_mass,
-    require,
     vector,
 )
 from ffsm_drake.spacecraft.urdf.mounting import Bus, mount

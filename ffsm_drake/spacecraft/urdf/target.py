@@ -8,12 +8,11 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.spacecraft.checked_urdf import parse, require
 from ffsm_drake.spacecraft.urdf.elements import (
     name_of,
-    parse,
     read_inertia,
     read_mass,
-    require,
     vector,
 )
 

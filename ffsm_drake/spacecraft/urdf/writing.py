@@ -10,9 +10,10 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.spacecraft.checked_urdf import DRAKE
 from ffsm_drake.spacecraft.model_files import DRAWABLE
 from ffsm_drake.spacecraft.urdf.drawing import color_visual, draw_bare_links
-from ffsm_drake.spacecraft.urdf.elements import DRAKE, WORLD, name_of, number
+from ffsm_drake.spacecraft.urdf.elements import WORLD, name_of, number
 from ffsm_drake.spacecraft.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.urdf.target import Target
 

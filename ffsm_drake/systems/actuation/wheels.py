@@ -59,7 +59,8 @@ class WheelSet:
     def __init__(self, settings: Wheels, *, sample_time: float, alone: bool) -> None:
         """Args: the wheels; s; whether there are no thrusters beside them.
 
-        Raises ScenarioError: alone they cannot give every torque.
+        Raises ScenarioError: alone they cannot give every torque. Beside them thrusters give the
+        torque about an axis that the wheels leave out.
         """
         units = settings.units.values()
         self.names = tuple(settings.units)
@@ -85,10 +86,14 @@ class WheelSet:
             )
         )
         self._share = np.linalg.pinv(self.axes, rcond=1e-9)
-        if alone and np.linalg.matrix_rank(self.axes, tol=1e-9) < 3:
+        left, sizes, _ = np.linalg.svd(self.axes)
+        self._lost = left[:, np.count_nonzero(sizes > 1e-9) :].T  # unit axes of no torque
+        if alone and len(self._lost):
+            axis = ", ".join(f"{number:.3g}" for number in self._lost[-1].round(3) + 0.0)
             raise ScenarioError(
                 "actuation.wheels.units",
-                "give no torque about some axis; add wheels, or actuation.thrusters",
+                f"give no torque about the axis [{axis}] of the base; add wheels, or "
+                "actuation.thrusters",
             )
         # Speeds that together give the base nothing.
         self._idle = np.eye(len(self.names)) - self._share @ self.axes
@@ -123,8 +128,11 @@ class WheelSet:
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-self.axes.dot(on_wheels))
 
     def most(self, direction: np.ndarray) -> float:
-        """The largest multiple of a torque (3; base's axes, N m) that the motors give."""
-        return 1.0 / float((np.abs(self._share.dot(direction)) / self._torque).max())
+        """The largest multiple of a torque (3; base's axes, N m) that the motors give, but for its
+        part about axes that are left to thrusters; infinite if that is all of it.
+        """
+        used = float((np.abs(self._share.dot(direction)) / self._torque).max())
+        return 1.0 / used if used > _LEAST * float(np.linalg.norm(direction)) else np.inf
 
     @property
     def initial(self) -> np.ndarray:
@@ -148,7 +156,10 @@ class WheelSet:
         """The largest momentum along a direction (3, base's axes), N m s, that ``filled`` allows;
         at least zero.
         """
-        along = self._share @ direction / np.linalg.norm(direction)
+        unit = direction / np.linalg.norm(direction)
+        if len(self._lost) and np.abs(self._lost @ unit).max() > 1e-9:
+            return 0.0
+        along = self._share @ unit
         room = self._most_momentum - np.sign(along) * (self._idle @ self.initial_momentum)
         with np.errstate(divide="ignore"):
             return max(0.0, float((room / np.abs(along)).min()))
@@ -156,13 +167,22 @@ class WheelSet:
     @property
     def least_capacity(self) -> float:
         """``capacity`` along the worst direction, N m s."""
+        if len(self._lost):
+            return 0.0
         room = self._most_momentum - np.abs(self._idle @ self.initial_momentum)
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def assist_torque(self, torque: np.ndarray) -> np.ndarray:
         """The part of a wanted torque on the base (3, base's axes, N m) that thrusters are asked
-        for, by ``assist_above``.
+        for: what wheels cannot give about any axis, and by ``assist_above``.
         """
+        if len(self._lost):
+            lost = self._lost.T @ (self._lost @ torque)
+            return lost + self._beyond(torque - lost)
+        return self._beyond(torque)
+
+    def _beyond(self, torque: np.ndarray) -> np.ndarray:
+        """The part of a torque that wheels can give which ``assist_above`` leaves to thrusters."""
         if self.settings.assist_above is None:
             return np.zeros(3)
         share = self.settings.assist_above / float(

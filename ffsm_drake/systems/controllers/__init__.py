@@ -5,7 +5,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean
+from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -84,13 +84,20 @@ def make_controller(
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
     made = _make(setup, factory)
+    if isinstance(made, type):
+        place = f"controller '{scenario.controller}'"
+        raise BlockError(f"{place} must be a control law or a Drake system, not a class of them")
     is_law = hasattr(made, "initial_state") and hasattr(made, "step")
     law = make_filtered(
         made, scenario.command_filter, setup.coordinates, sample_time=setup.sample_time
     )
     if is_law:
         return SampledController(
-            law, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time
+            law,
+            name=setup.name,
+            coordinates=setup.coordinates,
+            sample_time=setup.sample_time,
+            place=f"controller '{scenario.controller}'",
         )
     if law is not made:
         raise ScenarioError(

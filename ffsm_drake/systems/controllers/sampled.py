@@ -1,13 +1,13 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import (
     rotation_error,
@@ -16,6 +16,13 @@ from ffsm_drake.common.so3 import (
     rotation_errors,
 )
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers.checked import (
+    check_law,
+    checked_memory,
+    checked_step,
+    mapping,
+    memory_of,
+)
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
@@ -56,25 +63,32 @@ class SampledController(LeafSystem):
         name: str,
         coordinates: Coordinates,
         sample_time: float,
+        place: str = "",
         copies: Sequence[ControlLaw] = (),
     ) -> None:
-        """Args: a law for ``coordinates``; the system's name; the control period L, s; of several
-        copies of the spacecraft the law of each, which ``law`` joins: it has a row for each copy in
-        all arrays, and so has the memory.
+        """Args: a law for ``coordinates``; the system's name; the control period L, s; what names
+        the law in errors, by default the system's name; of several copies of the spacecraft the law
+        of each, which ``law`` joins: it has a row for each copy in all arrays, and so has the
+        memory.
+
+        Raises BlockError: a user-supplied law breaks its contract.
         """
         super().__init__()
         self.set_name(name)
-        self.law, self._laws = law, tuple(copies) or (law,)
+        self.law, self._place = law, place or name
+        self._laws = tuple(copies) or (law,)
+        self._step = checked_step(law, self._place)
         self._made_with: dict[str, Any] = {
             "name": name,
             "coordinates": coordinates,
             "sample_time": sample_time,
+            "place": place,
         }
         self._copies = len(self._laws)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
         self._declare_inputs(len(coordinates.names))
-        self._declare_state(len(coordinates.names), self._first_memory())
+        self._declare_state(len(coordinates.names), self._first_memory(len(coordinates.names)))
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (*OPTIONAL_OUTPUTS, SMALLEST):
             if key in self._memory:
@@ -96,31 +110,22 @@ class SampledController(LeafSystem):
             else None
         )
 
-    def _first_memory(self) -> State:
+    def _first_memory(self, num_velocities: int) -> State:
         """The law's memory at the start, of several copies with a row for each."""
-        memories = [law.initial_state() for law in self._laws]
-        for memory in memories:
-            reserved = {"generalized_force", "has_previous"}
-            if not isinstance(memory, Mapping) or reserved & set(memory):
-                raise BlockError(
-                    f"controller '{self.get_name()}': initial_state must return a mapping of names "
-                    "to arrays, without 'generalized_force' and 'has_previous'"
-                )
-        if self._copies == 1:
-            return memories[0]
-        return {name: np.stack([each[name] for each in memories]) for name in memories[0]}
+        if self._copies > 1:
+            memories = [law.initial_state() for law in self._laws]
+            return {name: np.stack([each[name] for each in memories]) for name in memories[0]}
+        memory = memory_of(self.law, self._place)
+        check_law(self.law, self._place, memory, num_velocities)
+        return memory
 
     def _declare_state(self, num_velocities: int, memory: State) -> None:
-        force = np.zeros((num_velocities,) if self._copies == 1 else (self._copies, num_velocities))
-        self._force = self.DeclareDiscreteState(force.ravel())
+        self._force = self.DeclareDiscreteState(np.zeros(self._copies * num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
         self._memory = {
-            key: self.DeclareDiscreteState(np.asarray(value, dtype=float).ravel())
-            for key, value in memory.items()
+            key: self.DeclareDiscreteState(value.ravel()) for key, value in memory.items()
         }
-        self._shapes = {"generalized_force": force.shape} | {
-            key: np.shape(value) for key, value in memory.items()
-        }
+        self._shapes = {key: value.shape for key, value in memory.items()}
 
     def widened(self, law: ControlLaw, copies: Sequence[ControlLaw]) -> "SampledController":
         """The controller of several copies of the spacecraft, from that of one.
@@ -173,16 +178,16 @@ class SampledController(LeafSystem):
           context_before: the other controller's context.
           references: [q_d; v_d] at that instant, of each copy: (B, nq + nv).
         """
+        one = {name: shape[self._copies > 1 :] for name, shape in self._shapes.items()}
         memory = {
-            name: before.state(context_before, name).reshape(self._copies, -1)
+            name: before.state(context_before, name).reshape(self._copies, *one[name])
             for name in self._memory
         }
-        resumed = [
-            law.resume({name: rows[copy] for name, rows in memory.items()}, other, reference)
-            for copy, (law, other, reference) in enumerate(
-                zip(self._laws, before._laws, references, strict=True)
-            )
-        ]
+        resumed = []
+        for copy, (law, other) in enumerate(zip(self._laws, before._laws, strict=True)):
+            own = {name: rows[copy] for name, rows in memory.items()}
+            returned = calling(self._place, law.resume, own, other, references[copy])
+            resumed.append(checked_memory(returned, f"{self._place}: resume", one))
         context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
             context.SetDiscreteState(index, np.concatenate([np.ravel(of[name]) for of in resumed]))
@@ -200,8 +205,9 @@ class SampledController(LeafSystem):
         """Discrete groups that a linearisation holds, name -> (group, value), see
         ``ControlLaw.held``.
         """
-        held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
-        return {"has_previous": (int(self._has_previous), 1.0), **held}
+        held = mapping(calling(self._place, self.law.held), f"{self._place}: held")
+        groups = {name: (int(self._memory[name]), value) for name, value in held.items()}
+        return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
     def read(self, context: Context) -> tuple[State, State]:
         """All that an update reads, by name: inputs that are connected, and the law's memory; a row
@@ -227,10 +233,15 @@ class SampledController(LeafSystem):
         return inputs, memory
 
     def step(
-        self, inputs: State, memory: State, *, is_first: bool = False
+        self,
+        inputs: State,
+        memory: State,
+        *,
+        is_first: bool = False,
+        time: Callable[[], float] = float,
     ) -> tuple[np.ndarray, State]:
         """The force, and the law's memory after it, from what ``read`` gives: of one update, or of
-        several at once, (m, ...) each.
+        several at once, (m, ...) each; ``time`` gives its time (s), for errors.
         """
         split, estimated, desired = (
             self._num_positions, inputs["estimated_state"], inputs["desired_state"],
@@ -249,10 +260,7 @@ class SampledController(LeafSystem):
             None if is_new is None else is_new[..., 1:] != 0.0,
             inputs.get("desired_frame"),
         )
-        returned = self.law.step(sample, memory)
-        if is_first:
-            self._check(returned)
-        force, memory = returned
+        force, memory = self._step(sample, memory, time)
         if self._undriven is not None:
             force = np.array(force)
             force[..., self._undriven] = 0.0
@@ -279,59 +287,9 @@ class SampledController(LeafSystem):
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, memory = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
-        if is_first:
-            for values in memory.values():
-                values.setflags(write=False)  # a law that writes into them fails once
-        try:
-            force, memory = self.step(inputs, memory, is_first=is_first)
-        except (SystemExit, GeneratorExit) as error:  # would end the process without an error
-            what = "called sys.exit" if isinstance(error, SystemExit) else "raised GeneratorExit"
-            raise BlockError(
-                f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an "
-                "exception"
-            ) from error
+        force, memory = self.step(inputs, memory, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         discrete_values.set_value(self._force, force.reshape(-1))
         for name, index in self._memory.items():
             discrete_values.set_value(index, np.ravel(memory[name]))
-
-    def _check(self, returned: object) -> None:
-        """Raise BlockError if the law's result is invalid; once, as shapes do not change."""
-        name = self.get_name()
-        if not (
-            isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)
-        ):
-            raise BlockError(
-                f"{name}: step must return (generalized_force, state), an array and a mapping, not "
-                f"{_described(returned)}"
-            )
-        values = {"generalized_force": returned[0], **returned[1]}
-        names = [key for key in self._shapes if key != "generalized_force"]
-        for key in values:
-            if key not in self._shapes:
-                raise BlockError(
-                    f"{name}: step returned '{key}', which initial_state does not name; its "
-                    "memory is "
-                    f"{', '.join(names) or 'empty'}"
-                )
-        for key, shape in self._shapes.items():
-            if key not in values:
-                raise BlockError(f"{name}: step returned no '{key}'; it must return all its memory")
-            try:
-                actual = np.asarray(values[key], dtype=float).shape
-            except (TypeError, ValueError) as error:
-                raise BlockError(
-                    f"{name}: step returned '{key}' that is not an array of numbers: "
-                    f"{one_line(error)}"
-                ) from error
-            if actual != shape:
-                raise BlockError(
-                    f"{name}: step returned '{key}' of shape {actual}; it must be {shape}"
-                )
-
-
-def _described(returned: object) -> str:
-    if isinstance(returned, tuple):
-        return f"a tuple of {', '.join(type(part).__name__ for part in returned) or 'nothing'}"
-    return type(returned).__name__

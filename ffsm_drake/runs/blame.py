@@ -1,0 +1,124 @@
+"""Which user-supplied block a run failed in."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from pydrake.systems.framework import Context, Diagram, System
+
+from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.guard import failure, user_frame
+from ffsm_drake.loop.blocks import kind_of
+from ffsm_drake.loop.closed_loop import ClosedLoop
+
+# Of each kind of block: signal -> output port, and whether it is a state [q; v].
+_OUTPUTS = {
+    "reference": {
+        "desired_state": ("desired_state", True),
+        "desired_acceleration": ("desired_acceleration", False),
+    },
+    "sensing": {"measurement": ("estimated_state", True)},
+    "actuation": {"applied_force": ("applied_force", False)},
+    "forces": {"disturbance_force": ("generalized_force", False)},  # or its own signal
+}
+_UNIT = 0.1  # a quaternion's norm may differ from 1 by this
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BadOutput:
+    """What a user-supplied block gave at a control sample that cannot be used."""
+
+    sample: int
+    problem: str
+
+
+def failure_of(
+    error: BaseException,
+    loop: ClosedLoop,
+    suspects: Mapping[str, str],
+    root_context: Context,
+) -> BlockError:
+    """The error that names the block in which an exception arose.
+
+    Args:
+      error: the exception.
+      loop: the closed loop that ran.
+      suspects: its user-supplied blocks, in words by name.
+      root_context: of the diagram, when it failed.
+    """
+    time = root_context.get_time()
+    if user_frame(error) is None and (problem := _bad_now(loop, suspects, root_context)):
+        return BlockError(f"{problem}; at t = {time:.2f} s")
+    systems = {id(system): name for name in suspects for system in _systems(loop.blocks.get(name))}
+    found, place = None, error.__traceback__
+    while place is not None:
+        first = place.tb_frame.f_code.co_varnames[:1]
+        owner = place.tb_frame.f_locals.get(first[0]) if first else None
+        found = systems.get(id(owner), found)
+        place = place.tb_next
+    return failure(error, suspects[found] if found else " or ".join(suspects.values()), time)
+
+
+def _bad_now(loop: ClosedLoop, suspects: Mapping[str, str], root_context: Context) -> str:
+    """The problem of the first user-supplied block whose output cannot be used; empty: none."""
+    for name, block in suspects.items():
+        for port, is_state in _OUTPUTS.get(kind_of(name), {}).values():
+            system = loop.blocks[name]
+            with contextlib.suppress(Exception):  # the failure itself, perhaps
+                context = system.GetMyContextFromRoot(root_context)
+                value = np.array(system.GetOutputPort(port).Eval(context))[None]
+                if not _right(value, is_state)[0]:
+                    return _problem(block, port, value[0], is_state)
+    return ""
+
+
+def _right(values: np.ndarray, is_state: bool) -> np.ndarray:
+    """Whether each of some outputs (n, size) can be used."""
+    finite = np.isfinite(values).all(axis=1)
+    norm = np.linalg.norm(values[:, :4], axis=1) if is_state else np.ones(len(values))
+    right: np.ndarray = finite & (np.abs(norm - 1.0) <= _UNIT)
+    return right
+
+
+def _problem(block: str, name: str, value: np.ndarray, is_state: bool) -> str:
+    what = "is not finite"
+    if np.isfinite(value).all():
+        what = f"has a quaternion of norm {np.linalg.norm(value[:4]):.3g}"
+    wanted = "finite, [q; v] with a unit quaternion" if is_state else "finite"
+    return f"{block}: its {name} {what}; it must be {wanted}"
+
+
+def _systems(block: System | None) -> Iterator[System]:
+    """A block's system, and those within it."""
+    if block is not None:
+        yield block
+    if isinstance(block, Diagram):
+        for part in block.GetSystems():
+            yield from _systems(part)
+
+
+def bad_output(
+    sound: np.ndarray, series: Mapping[str, np.ndarray], suspects: Mapping[str, str]
+) -> BadOutput | None:
+    """The first output of a user-supplied block, other than the controller, that cannot be used
+    though the state is within bounds; None: there is none.
+
+    Args:
+      sound: whether the state is within bounds, at each control sample (n,).
+      series: the signals at the control samples.
+      suspects: as for ``failure_of``.
+    """
+    found = []
+    for name, block in suspects.items():
+        kind, own = kind_of(name), f"force_{name.partition('.')[2]}"
+        for signal, (port, is_state) in _OUTPUTS.get(kind, {}).items():
+            values = series.get(own, series[signal])
+            right = _right(values, is_state)
+            if kind == "actuation":  # of a force that is finite
+                right |= ~np.isfinite(series["generalized_force"]).all(axis=1)
+            bad = np.flatnonzero(sound & ~right)
+            if bad.size:
+                problem = _problem(block, port, values[bad[0]], is_state)
+                found.append(BadOutput(sample=int(bad[0]), problem=problem))
+    return min(found, key=lambda each: each.sample, default=None)

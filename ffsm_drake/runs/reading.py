@@ -1,0 +1,468 @@
+"""Reading a record back: its files belong together, are as they were written, and hold what a run
+of their scenario writes. Nothing behind this file checks a record again.
+"""
+
+import hashlib
+import json
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ffsm_drake.common.errors import FfsmError, RecordError, one_line
+from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.shapes import misfit
+from ffsm_drake.loop.blocks import section_parts
+from ffsm_drake.runs.ending import COMPLETED, MISSED, OUTCOMES, Outcome
+from ffsm_drake.runs.table import OF_LAWS, VARIABLES
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
+from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
+from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.systems.part import (
+    CURVE,
+    INTERNAL_TORQUE,
+    ROLES,
+    STEPS,
+    STORED_MOMENTUM,
+    TIMELINE,
+    PartRecord,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+DATASET_FILE = "record.nc"
+METRICS_FILE = "metrics.json"
+REPORT_FILE = "report.html"
+FORMAT = 4
+# of record.nc, in the files that go with it; in reports an attribute of their head
+IDENTIFIER = "record_sha256"
+SEAL = "manifest_sha256"  # of the manifest's other entries, in itself
+_HEAD = 100_000  # bytes of a report within which that is
+_MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
+_MAX_RECORD = 100_000_000_000  # bytes
+_MAX_PER_SAMPLE = 100_000  # bytes, unpacked
+_COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
+_REQUIRED = [name for name in VARIABLES if name not in OF_LAWS]
+# Finite in a run that came to its end or to the grasp, but for what a user-supplied sensor says.
+_FINITE = [name for name in _REQUIRED if not name.startswith("measured")]
+# Finite in all but the last samples of other runs.
+_STATE = ("position", "velocity")
+_OF_FRAME = {"frame_error": True, "frame_prescribed": False, "frame_tracked": False}  # along time
+_OF_TARGET = {"target_position": "axis", "target_quaternion": "quaternion"}
+_PHASES = ("approach", "stop")
+_NORM_TOLERANCE = 0.5  # of a quaternion: coarse integration is remarked on, and still a record
+
+_VECTOR = tuple[float, float, float]
+
+
+class StaleReportWarning(UserWarning):
+    """A report beside a record shows another run."""
+
+
+def seal_of(manifest: dict[str, Any]) -> str:
+    """SHA-256 of a manifest's entries, in whatever order and layout they are written."""
+    entries = {key: value for key, value in manifest.items() if key != SEAL}
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_record(directory: Path) -> tuple[str, dict[str, Any]]:
+    """The SHA-256 of a run's dataset, and the fields of its record.
+
+    Warns (StaleReportWarning) of a report of another run.
+
+    Raises:
+      RecordError: a file is missing, was changed, or does not hold what a run writes.
+    """
+    identifier, fields = _read_manifest(directory / MANIFEST_FILE)
+    path = directory / DATASET_FILE
+    try:
+        check_regular(path, limit=_MAX_RECORD)
+        digest = digest_of(path)
+    except FileNotFoundError as error:
+        raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+    if identifier != digest:
+        raise RecordError(
+            f"{path}: is not the record that {MANIFEST_FILE} belongs to, or was changed; run it "
+            "again"
+        )
+    fields["dataset"] = _read_dataset(path, fields)
+    _check_metrics(directory / METRICS_FILE, digest)
+    _check_reports(directory, digest)
+    return digest, fields
+
+
+def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
+    """The identifier of the dataset beside a manifest, and the record's other fields. Raises
+    RecordError.
+    """
+    try:
+        manifest = _read_json(path)
+        if not isinstance(manifest, dict):
+            raise RecordError(
+                f"is not a run's manifest: must be an object, not {type(manifest).__name__}"
+            )
+        if manifest["format"] != FORMAT:
+            raise RecordError(
+                f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again"
+            )
+        fields = _fields_of(manifest, path)
+        if SEAL in manifest and manifest[SEAL] != seal_of(manifest):
+            raise RecordError("was changed after the run; run it again")
+    except FfsmError as error:
+        raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be read: {one_line(error)}; give the folder of a run"
+        ) from error
+    except KeyError as error:
+        raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise RecordError(
+            f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}"
+        ) from error
+    return manifest.get(IDENTIFIER), fields
+
+
+def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The fields of a record that its manifest holds. Raises what wrong contents lead to."""
+    scenario = scenario_from_dict(manifest["scenario"], source=str(path))
+    blocks = _fitting(manifest["blocks"], dict[str, dict[str, str]], "blocks")
+    sources = {
+        name: {
+            key: str((path.parent / text).resolve()) if key == "file" else text
+            for key, text in source.items()
+        }
+        for name, source in blocks.items()
+    }
+    parts = manifest.get("parts", [])
+    times = manifest["wall_time"]
+    wall_time = {name: times[name] for name in ("build", "advance_to", "total")}
+    return {
+        "scenario": scenario,
+        "outcome": _checked_outcome(manifest["outcome"]),
+        "wall_time": _fitting(wall_time, dict[str, float], "wall_time"),
+        "software": _fitting(manifest["software"], dict[str, str], "software"),
+        "blocks": sources,
+        "parts": _fitting(tuple(map(PartRecord.from_dict, parts)), tuple[PartRecord, ...], "parts"),
+        "grasp": manifest.get("grasp"),
+    }
+
+
+def _fitting(value: Any, shape: Any, place: str) -> Any:
+    """A value of a manifest. Raises TypeError unless it has a shape; see ``shapes.misfit``."""
+    if problem := misfit(value, shape, place):
+        raise TypeError(problem)
+    return value
+
+
+def _checked_outcome(data: Any) -> Outcome:
+    """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
+    outcome: Outcome = _fitting(Outcome(**data), Outcome, "outcome")
+    if outcome.status not in OUTCOMES:
+        raise ValueError(
+            f"outcome.status must be one of {', '.join(OUTCOMES)}, not {outcome.status!r:.40}"
+        )
+    return outcome
+
+
+def _read_dataset(path: Path, fields: dict[str, Any]) -> "xr.Dataset":
+    """The dataset of a run with the other fields of its record. Raises RecordError."""
+    import xarray as xr
+
+    scenario = fields["scenario"]
+    try:
+        with xr.open_dataset(path, engine="netcdf4") as stored:
+            if stored.nbytes > _MAX_PER_SAMPLE * (scenario.num_control_periods + 1):
+                raise OSError(f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario")
+            dataset = stored.load()
+    except Exception as error:  # xarray and HDF5 raise many types for a damaged file
+        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+    for problem in _problems(dataset, fields):
+        raise RecordError(f"{path}: {problem}; run it again")
+    return dataset
+
+
+def _problems(dataset: "xr.Dataset", fields: dict[str, Any]) -> Iterator[str]:
+    """What is wrong with a dataset; what a line takes for granted, the lines before it yield."""
+    scenario, outcome = fields["scenario"], fields["outcome"]
+    yield from _of_columns(dataset)
+    yield from _of_times(dataset, scenario, outcome)
+    coordinates, split = _coordinates_of(dataset, scenario)
+    yield from _of_names(dataset, coordinates, split)
+    yield from _of_phases(dataset)
+    yield from _of_numbers(dataset, outcome)
+    yield from _of_parts(dataset, scenario, fields["parts"])
+    if fields["grasp"] is not None:
+        shape = _grasp_shape(coordinates.names)
+        if scenario.capture is None:
+            yield f"the scenario of {MANIFEST_FILE} has no capture, but it holds a grasp"
+        if problem := misfit(fields["grasp"], shape, "grasp"):
+            yield f"{MANIFEST_FILE} beside it: {problem}"
+
+
+def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
+    """Every variable that a run has, of the dimensions and types that it has there."""
+    missing = [name for name in (*_COORDINATES, *_REQUIRED) if name not in dataset.variables]
+    if missing:
+        yield f"lacks {', '.join(missing)}; it comes from another version or program"
+    for name, shape in {"sample_time": float, "title": str, "controller": str}.items():
+        if name not in dataset.attrs:
+            yield f"lacks the attribute {name}"
+        if problem := misfit(np.asarray(dataset.attrs[name])[()], shape, name):
+            yield f"the attribute {problem}"
+    for name, (along, *_) in VARIABLES.items():
+        dims = ("time", along) if along else ("time",)
+        known = name in dataset.data_vars
+        if known and (dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu"):
+            yield f"{name} must hold numbers along {', '.join(dims)}"
+    for variable, column in dataset.variables.items():
+        name = str(variable)
+        for attribute in {"long_name", "units"} & {*column.attrs}:
+            if not isinstance(column.attrs[attribute], str):
+                yield f"{name}: its attribute {attribute} must be text"
+        if column.ndim == 0:
+            yield f"{name} must hold values along a dimension"
+        if name in dataset.data_vars:
+            if column.dims[:1] != ("time",) or column.ndim > 2 or column.dtype.kind not in "fiub":
+                yield f"{name} must hold numbers along time"
+        elif column.ndim != 1 or column.dtype.kind not in "fiubOSU":
+            yield f"{name} must hold numbers or words along one dimension"
+        elif column.dtype.kind == "O" and not all(isinstance(each, str) for each in column.values):
+            yield f"{name} must hold words"
+    if dataset.sizes["time"] == 0:
+        yield "holds no samples"
+
+
+def _coordinates_of(
+    dataset: "xr.Dataset", scenario: Scenario
+) -> tuple[Coordinates, StateSplit | None]:
+    """The coordinates of the scenario's model; the dataset's joints and no hidden coordinates where
+    that does not load any more, for what can be shown without.
+    """
+    try:
+        model = make_flexible_plant(scenario)
+    except FfsmError:
+        names, units = (
+            dataset[name].values.astype(str).tolist() for name in ("coordinate", "unit")
+        )
+        joints = tuple(names[NUM_BASE_VELOCITIES:]), tuple(units[NUM_BASE_VELOCITIES:])
+        return Coordinates(*joints, undriven=scenario.undriven), None
+    return model.coordinates, model.split
+
+
+def _of_names(
+    dataset: "xr.Dataset", coordinates: Coordinates, split: StateSplit | None
+) -> Iterator[str]:
+    """The names along each dimension, and what stands beside them."""
+    expected: dict[str, tuple[str, Any]] = {
+        "coordinate": ("coordinate", coordinates.names),
+        "position_name": ("position_name", coordinates.position_names),
+        "group": ("coordinate", coordinates.group_of),
+        "unit": ("coordinate", coordinates.units),
+        "axis": ("axis", ("x", "y", "z")),
+    }
+    if coordinates.undriven:
+        expected["driven"] = ("coordinate", coordinates.is_driven)
+    if split is not None and split.names:
+        expected["hidden_coordinate"] = ("hidden_coordinate", split.names)
+        if dataset.get("hidden_position", dataset["time"]).dims != ("time", "hidden_coordinate"):
+            yield "hidden_position must hold numbers along time, hidden_coordinate"
+    if not dataset.keys().isdisjoint(_OF_FRAME):
+        expected["frame_coordinate"] = ("frame_coordinate", FRAME_COORDINATES)
+        expected["frame_unit"] = ("frame_coordinate", FRAME_UNITS)
+        for name, along_time in _OF_FRAME.items():
+            dims = ("time",) * along_time + ("frame_coordinate",)
+            if name not in dataset or dataset[name].dims != dims:
+                yield f"{name} must stand along {', '.join(dims)}"
+    if "smallest_singular_value" in dataset and dataset["smallest_singular_value"].ndim != 1:
+        yield "smallest_singular_value must hold numbers along time"
+    if "quaternion" in dataset.dims:
+        expected["quaternion"] = ("quaternion", ("w", "x", "y", "z"))
+    for name, (along, values) in expected.items():
+        column = dataset.variables.get(name)
+        given = None if column is None else column.values.tolist()
+        if column is None or column.dims != (along,) or given != list(values):
+            wanted = ", ".join(map(str, values))
+            yield f"{name} must be {wanted}, as in the scenario's model"
+    for along, labels in dataset.indexes.items():
+        if not labels.is_unique:
+            yield f"{along} holds a value twice"
+
+
+def _of_times(dataset: "xr.Dataset", scenario: Scenario, outcome: Outcome) -> Iterator[str]:
+    """The control samples, up to the scenario's duration, and the end in the manifest."""
+    period, most = scenario.sample_time, scenario.num_control_periods + 1
+    if dataset.attrs["sample_time"] != period:
+        given = dataset.attrs["sample_time"]
+        yield f"the attribute sample_time must be {period:g}, as in {MANIFEST_FILE}, not {given:g}"
+    time = dataset["time"].values
+    if time.dtype.kind != "f" or not np.allclose(
+        time, period * np.arange(time.size), rtol=1e-9, atol=1e-6 * period
+    ):
+        yield f"time must hold the control samples from 0, {period:g} s apart"
+    if time.size > most:
+        yield f"holds {time.size} samples, and a run of its scenario at most {most}"
+    if outcome.time != time[-1]:
+        yield f"time ends at {time[-1]:g} s, but at {outcome.time:g} s in {MANIFEST_FILE}"
+
+
+def _of_phases(dataset: "xr.Dataset") -> Iterator[str]:
+    """The approach before the stop, and the target's pose."""
+    if "phase" not in dataset.variables:
+        return
+    column = dataset.variables["phase"]
+    phases = column.values.tolist()
+    number = [_PHASES.index(phase) for phase in phases if phase in _PHASES]
+    if column.dims != ("time",) or len(number) < len(phases) or number != sorted(number):
+        yield f"phase must be {' and then '.join(_PHASES)} along time"
+    for name, along in _OF_TARGET.items():
+        if name not in dataset or dataset[name].dims != ("time", along):
+            yield f"{name} must hold numbers along time, {along}"
+
+
+def _of_numbers(dataset: "xr.Dataset", outcome: Outcome) -> Iterator[str]:
+    """Numbers that are finite, and quaternions of rotations."""
+    whole = outcome.status in (COMPLETED, MISSED)
+    known = [name for name in (*_OF_TARGET, "hidden_position", "frame_error") if name in dataset]
+    for name in [*_FINITE, *known] if whole else _STATE:
+        values = dataset[name].values
+        finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        first = int(np.argmin(finite))
+        if not finite.all() and (whole or first == 0 or finite[first:].any()):
+            yield f"{name} must be finite, and is not at sample {first}"
+    for name in ("position", "desired_position", "target_quaternion"):
+        if name in dataset:
+            norm = np.linalg.norm(dataset[name].values[:, :4], axis=1)
+            # a run that diverges ends in any norm but zero
+            off = np.abs(norm - 1.0) >= _NORM_TOLERANCE if whole else norm < 1.0 - _NORM_TOLERANCE
+            off &= np.isfinite(norm)
+            if off.any():
+                first = int(np.argmax(off))
+                yield f"{name} must hold unit quaternions, but sample {first} has {norm[first]:g}"
+
+
+def _of_parts(
+    dataset: "xr.Dataset", scenario: Scenario, parts: tuple[PartRecord, ...]
+) -> Iterator[str]:
+    """Signals of parts, as balances and pictures take them."""
+
+    def lacking(signal: str, names: Any) -> list[str]:
+        values = dataset[signal]
+        labels = values[values.dims[-1]].values.astype(str).tolist() if values.ndim == 2 else []
+        return [name for name in names if name not in labels]
+
+    for role in ROLES:
+        columns = (3,) if role in (STORED_MOMENTUM, INTERNAL_TORQUE) else ()
+        for name in str(dataset.attrs.get(role, "")).split():
+            if name in dataset and dataset[name].shape[1:] != columns:
+                yield f"{name} must have {columns[0] if columns else 1} components as {role}"
+    for part in section_parts(scenario).values():
+        for solid in part.solids():
+            if solid.shown_by in dataset and lacking(solid.shown_by, [solid.name]):
+                yield f"{solid.shown_by} lacks the component {solid.name}"
+    for drawing in (drawing for part in parts for drawing in part.drawings):
+        if drawing.chart not in (CURVE, STEPS, TIMELINE):
+            yield f"{drawing.signal}: no such chart as {drawing.chart!r:.40} in {MANIFEST_FILE}"
+        if drawing.signal not in dataset:
+            continue
+        if drawing.signal not in dataset.data_vars:
+            yield f"{drawing.signal} must hold numbers along time"
+        if dataset[drawing.signal].ndim == 2 and (
+            missing := lacking(drawing.signal, drawing.panels)
+        ):
+            yield f"{drawing.signal} lacks the component {missing[0]}"
+
+
+def _grasp_shape(names: tuple[str, ...]) -> dict[str, Any]:
+    """The shape of ``RunRecord.grasp`` (``GraspLog.ledger``, ``MomentumBudget``); ``names`` of the
+    coordinates.
+    """
+    side = {
+        **dict.fromkeys(("linear_momentum", "angular_momentum", "spin"), _VECTOR),
+        "kinetic_energy": float,
+        "velocity": dict.fromkeys(names, float),
+    }
+    storage = {
+        **dict.fromkeys(("name", "fullest"), str),
+        **dict.fromkeys(("capacity", "least_capacity", "least_time"), float),
+        **dict.fromkeys(("share", "peak_share"), float),
+    }
+    return {
+        "time": float,
+        **dict.fromkeys(("impulse", "angular_impulse", "stored_momentum?"), _VECTOR),
+        "brake_impulse": dict[str, float],
+        "before": side,
+        "after": side,
+        "compliant": {
+            f"{name}?": float for name in ("peak_force", "peak_torque", "peak_stretch", "time")
+        },
+        "miss": dict.fromkeys(("position", "angle", "velocity", "angular_velocity"), float),
+        "momentum_budget?": {
+            **dict.fromkeys(("linear", "angular"), _VECTOR),
+            "mass": float,
+            "least_time": dict[str, float],
+            "storage": [None, storage],
+            "arm": [None, {"capacity": float | None, "time": float | None, "ended_by": str}],
+            "drift": float | None,
+            "rate": float | None,
+            "accepted": dict[str, float],
+            "used_up": dict[str, float | None],
+        },
+    }
+
+
+def _read_json(path: Path) -> Any:
+    check_regular(path, limit=_MAX_TEXT)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _check_metrics(path: Path, digest: str) -> None:
+    """Raise RecordError if the metrics belong to another record."""
+    try:
+        metrics = _read_json(path)
+    except FileNotFoundError:
+        return  # nothing here reads them
+    except (OSError, ValueError, RecursionError) as error:
+        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+    if not isinstance(metrics, dict) or metrics.get(IDENTIFIER) != digest:
+        raise RecordError(f"{path}: does not belong to {DATASET_FILE} beside it; run it again")
+
+
+def _check_reports(directory: Path, digest: str) -> None:
+    """Warn of a report in a run's folder, or of a comparison in the folder above, that shows
+    another run of this name.
+    """
+    for page, folder in (
+        (directory / REPORT_FILE, ""),
+        (directory.absolute().parent / REPORT_FILE, directory.name),
+    ):
+        try:
+            check_regular(page, limit=_MAX_RECORD)
+            with page.open("rb") as file:
+                head = file.read(_HEAD).decode("utf-8", "replace")
+        except OSError:
+            continue
+        found = re.search(f'<meta name="{IDENTIFIER}" content="([^"]*)">', head)
+        shown = [word.rpartition("=") for word in found[1].split()] if found else []
+        digests = [
+            shown_digest for controller, _, shown_digest in shown if folder in ("", controller)
+        ]
+        if digests and digest not in digests:
+            warnings.warn(
+                f"{page} shows another run than the {DATASET_FILE} of {directory}; make it anew",
+                StaleReportWarning,
+                stacklevel=4,
+            )

@@ -1,0 +1,150 @@
+"""What a URDF must hold before anything reads it: UTF-8 text, names that can be addressed, finite
+numbers, and lengths, masses and counts within bounds. Drake itself aborts on some of these, and
+blames others on what comes later.
+"""
+
+import dataclasses
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.common.files import check_regular
+
+DRAKE = "{http://drake.mit.edu}"
+MAX_URDF = 50_000_000  # bytes
+MAX_LINKS = 300
+MAX_SHAPES = 5_000
+_MAX_NAME = 200  # characters
+# strtod's decimal numbers, as Drake reads them; Python's float reads more
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)", re.ASCII)
+_NAMED = ("link", "joint", "frame", f"{DRAKE}joint")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Numbers:
+    """Allowed values of an attribute."""
+
+    most: float  # of their size; infinite where they may be
+    least: float = 0.0  # of their size, where they are not zero
+    unit: str = ""
+    count: tuple[int, ...] = (1,)
+    positive: bool = False
+
+
+_LENGTH = _Numbers(1e4, unit="m")
+_SIDE = _Numbers(1e4, least=1e-6, unit="m", positive=True)
+_ANGLES = _Numbers(1e3, unit="rad", count=(3,))
+_PLACE = dataclasses.replace(_LENGTH, count=(3,))
+_MOMENT = _Numbers(1e15, least=1e-15, unit="kg m^2")
+_FACTOR = _Numbers(1e9)
+
+_CHECKED = {
+    "origin": {"xyz": _PLACE, "rpy": _ANGLES},
+    "frame": {"xyz": _PLACE, "rpy": _ANGLES},
+    "axis": {"xyz": _Numbers(1e6, count=(3,))},
+    "mass": {"value": _Numbers(1e9, least=1e-9, unit="kg")},
+    "inertia": dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), _MOMENT),
+    "box": {"size": dataclasses.replace(_SIDE, count=(3,))},
+    "sphere": {"radius": _SIDE},
+    "cylinder": {"radius": _SIDE, "length": _SIDE},
+    "capsule": {"radius": _SIDE, "length": _SIDE},
+    "ellipsoid": {"a": _SIDE, "b": _SIDE, "c": _SIDE},
+    "mesh": {"scale": _Numbers(1e6, least=1e-9, count=(1, 3))},
+    "color": {"rgba": _Numbers(1e3, count=(4,))},
+    "limit": dict.fromkeys(
+        ("lower", "upper", "effort", "velocity", f"{DRAKE}acceleration"), _Numbers(math.inf)
+    ),
+    "dynamics": {"damping": _FACTOR, "friction": _FACTOR},
+    "rotor_inertia": {"value": _Numbers(1e9, unit="kg m^2")},
+    "gear_ratio": {"value": _FACTOR},
+}
+
+
+def require(condition: object, problem: str) -> None:
+    """Raise ModelError with the problem unless the condition holds."""
+    if not condition:
+        raise ModelError(problem)
+
+
+def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
+    """The root element, and the comments before it (licences).
+
+    Raises ModelError: not a URDF, or one with unusable names or numbers; it names link or joint,
+    element and attribute.
+    """
+    require(path.is_file(), f"no such file; give {what}")
+    try:
+        check_regular(path, limit=MAX_URDF)
+        content = path.read_bytes()
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise ModelError(f"line {line}: is not UTF-8 text; save it as UTF-8") from error
+    except OSError as error:
+        raise ModelError(f"cannot be read: {one_line(error)}") from error
+    # read as what Drake takes it for, whatever it declares
+    require("<!DOCTYPE" not in text, "has a <!DOCTYPE ...>, which a URDF cannot; leave it out")
+    try:
+        parser = ElementTree.XMLParser(encoding="utf-8")
+        root: Element = ElementTree.fromstring(content, parser)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ModelError(f"is not valid XML: {one_line(error)}") from error
+    is_xacro = any("xacro" in element.tag for element in root.iter())
+    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+    require(root.tag == "robot", f"is not a URDF: its root element is <{root.tag}>, not <robot>")
+    _check(root)
+    return root, "\n".join(re.findall(r"<!--.*?-->", text.partition("<robot")[0], flags=re.DOTALL))
+
+
+def _check(root: Element) -> None:
+    """Raise ModelError for the first name, number or count that cannot be used."""
+    parts = [part for part in root if part.tag in _NAMED]
+    links = sum(part.tag == "link" for part in parts)
+    require(links <= MAX_LINKS, f"has {links} links; at most {MAX_LINKS} are read")
+    shapes = sum(1 for _ in root.iter("geometry"))
+    require(shapes <= MAX_SHAPES, f"has {shapes} shapes; at most {MAX_SHAPES} are read")
+    for part in (*parts, *root.findall("material")):
+        name, tag = part.get("name", ""), part.tag.removeprefix(DRAKE)
+        require(name, f"a <{tag}> has no name")
+        if tag != "material":
+            _check_name(name, f"{tag} '{name[:_MAX_NAME]}'")
+        for element in part.iter():
+            for problem in _number_problems(element):
+                raise ModelError(f"{tag} '{name}': {problem}")
+
+
+def _check_name(name: str, place: str) -> None:
+    require(len(name) <= _MAX_NAME, f"{place}: its name is longer than {_MAX_NAME} characters")
+    fault = "'::', which separates model and name" if "::" in name else ""
+    if not name.isprintable() or name != name.strip():
+        fault = "a character that is not printed, or a space at an end"
+    require(not fault, f"{place}: its name holds {fault}; rename the {place.split()[0]}")
+
+
+def _number_problems(element: Element) -> Iterator[str]:
+    """What is wrong with the numbers of one element."""
+    tag = element.tag.removeprefix(DRAKE)
+    for attribute, allowed in _CHECKED.get(tag, {}).items():
+        if (text := element.get(attribute)) is None:
+            continue
+        parts, attribute = text.split(), attribute.removeprefix(DRAKE)
+        if len(parts) not in allowed.count or not all(map(_NUMBER.fullmatch, parts)):
+            count = "three numbers" if 3 in allowed.count else f"{allowed.count[0]} numbers"
+            wanted = "a number" if allowed.count == (1,) else count
+            yield f"<{tag} {attribute}> must be {wanted}, not '{text[:60]}'"
+            continue
+        for value in map(float, parts):
+            size, unit = abs(value), f" {allowed.unit}" * bool(allowed.unit)
+            if allowed.positive and value <= 0.0:
+                yield f"<{tag} {attribute}> must be > 0{unit}, not '{text[:60]}'"
+            elif not math.isfinite(value) and allowed.most < math.inf:
+                yield f"<{tag} {attribute}> must be finite, not '{text[:60]}'"
+            elif size > allowed.most or 0.0 < size < allowed.least:
+                bounds = f"at most {allowed.most:g}" + (
+                    f" and at least {allowed.least:g}" if allowed.least else ""
+                )
+                yield f"<{tag} {attribute}> must be {bounds}{unit} in size, not '{text[:60]}'"

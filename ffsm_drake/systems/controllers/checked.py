@@ -1,0 +1,256 @@
+"""What a user-supplied control law says and returns, checked against the contract of ControlLaw.
+
+Shipped laws are not checked in a run; the tests hold them to the contract.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
+
+OWN_STATE = ("generalized_force", "has_previous")  # names that a law's memory cannot have
+MOST_MEMORY = 100_000  # numbers in a law's memory; every sample copies them
+_NUMBERS = "fiu"  # kinds of arrays that count as numbers
+_MEMORY = "fiub"  # kinds of arrays that a memory may hold
+_REAL = np.dtype(float)
+Step = Callable[[Sample, State, Callable[[], float]], tuple[np.ndarray, State]]
+
+
+def has_user_code(law: Any) -> bool:
+    """True if a law, or the law or dynamics within it, is user-supplied."""
+    within = getattr(law, "__dict__", {})
+    inner = [within[name] for name in ("law", "dynamics") if name in within]
+    return is_user_supplied(type(law)) or any(map(has_user_code, inner))
+
+
+def memory_of(law: ControlLaw, place: str) -> dict[str, np.ndarray]:
+    """The initial state of a law, checked. Raises BlockError."""
+    return checked_memory(calling(place, lambda: law.initial_state()), f"{place}: initial_state")
+
+
+def checked_memory(
+    returned: Any, what: str, shapes: Mapping[str, tuple[int, ...]] | None = None
+) -> dict[str, np.ndarray]:
+    """A law's memory by name, as vectors of floats.
+
+    Args:
+      returned: what the law returned.
+      what: the method, for errors.
+      shapes: the memory's shapes by name; None: those of ``returned``.
+
+    Raises:
+      BlockError: it is no such mapping, or lacks a name of ``shapes``.
+    """
+    found = mapping(returned, what)
+    if shapes is None:
+        shared = sorted({*OWN_STATE} & {*found})
+        if shared:
+            raise BlockError(f"{what} names '{shared[0]}', which is the controller's; rename it")
+    else:
+        _check_names(found, shapes, what)
+    memory = {}
+    for name, value in found.items():
+        shape = None if shapes is None else shapes[name]
+        memory[name] = numbers(value, shape, f"{what} returned '{name}'", kinds=_MEMORY)
+    if (total := sum(value.size for value in memory.values())) > MOST_MEMORY:
+        raise BlockError(f"{what} has {total} numbers; at most {MOST_MEMORY} can be kept")
+    return memory
+
+
+def _check_names(found: Mapping[str, Any], known: Mapping[str, Any], what: str) -> None:
+    for name in found:
+        if name not in known:
+            raise BlockError(
+                f"{what} returned '{name}', which initial_state does not name; its memory is "
+                f"{', '.join(known) or 'empty'}"
+            )
+    for name in known:
+        if name not in found:
+            raise BlockError(f"{what} returned no '{name}'; it must return all its memory")
+
+
+def check_law(law: ControlLaw, place: str, memory: Mapping[str, np.ndarray], size: int) -> None:
+    """Check what a user-supplied law says of itself; its memory, and its number nv of velocities.
+
+    Raises BlockError: an attribute raises, or is not what ControlLaw says.
+    """
+    if not has_user_code(law):
+        return
+    for name, (default, is_right, wanted) in _ATTRIBUTES.items():
+        value = calling(f"{place}: {name}", getattr, law, name, default)
+        if not is_right(value, size):
+            raise BlockError(f"{place}: {name} must be {wanted}, not {described(value)}")
+    held = calling(place, lambda: getattr(law, "held", dict)())
+    _check_held(mapping(held, f"{place}: held"), memory, f"{place}: held")
+
+
+def _is_flag(value: Any, size: int) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_names(value: Any, size: int) -> bool:
+    return isinstance(value, tuple) and all(isinstance(each, str) for each in value)
+
+
+def _is_law(value: Any, size: int) -> bool:
+    return value is None or (hasattr(value, "step") and hasattr(value, "dynamics"))
+
+
+def _is_reaching(value: Any, size: int) -> bool:
+    if value is None:
+        return True
+    if not isinstance(value, ReachingGain) or not callable(value.rest):
+        return False
+    arrays = [value.start, value.largest, *(() if value.rate is None else (value.rate,))]
+    return all(
+        isinstance(each, np.ndarray) and each.shape == (size,) and each.dtype.kind in "fiu"
+        for each in arrays
+    )
+
+
+# Attribute -> what it is where the law has none, whether a value is right, and what is.
+_ATTRIBUTES: dict[str, tuple[Any, Callable[[Any, int], bool], str]] = {
+    "tracks_frame": (False, _is_flag, "True or False"),
+    "random_walks": ((), _is_names, "a tuple of names"),
+    "by_axis": (None, _is_law, "a time-delay law or None"),
+    "reaching_gain": (None, _is_reaching, "a ReachingGain of vectors (nv), or None"),
+}
+
+
+def _check_held(held: Mapping[str, Any], memory: Mapping[str, Any], what: str) -> None:
+    for name, value in held.items():
+        if name not in memory:
+            raise BlockError(
+                f"{what} names '{name}', which initial_state does not; its memory is "
+                f"{', '.join(memory) or 'empty'}"
+            )
+        real = isinstance(value, (int, float, np.integer, np.floating))
+        if value is not None and not (real and math.isfinite(value)):
+            raise BlockError(
+                f"{what}: '{name}' must be held at a finite number or None, not {value!r:.80}"
+            )
+
+
+def checked_step(law: ControlLaw, place: str) -> Step:
+    """The ``step`` of a law, with a function that gives the time (s) for errors.
+
+    Every result of a user-supplied law is checked, in about half a microsecond where it is as it
+    should be. At its first sample, and the first after a grasp, it cannot change its inputs in
+    place. A shipped law's step is called as it is.
+    """
+    if not has_user_code(law):
+        own = law.step
+        return lambda sample, state, time: own(sample, state)
+    untried = True
+
+    def step(sample: Sample, state: State, time: Callable[[], float]) -> tuple[np.ndarray, State]:
+        nonlocal untried
+        if untried or sample.is_first:
+            untried = False
+            for value in (sample.applied_force, *state.values()):
+                value.setflags(write=False)
+        try:
+            returned = law.step(sample, state)
+            if _is_right(returned, sample, state):
+                return returned
+            return _converted(returned, sample.v.shape, state, f"{place}: step")
+        except BlockError as error:
+            raise BlockError(f"{error}; at t = {time():.2f} s") from error.__cause__ or error
+        except BaseException as error:
+            if passes(error):
+                raise
+            raise failure(error, place, time()) from error
+
+    return step
+
+
+def _is_right(returned: Any, sample: Sample, state: State) -> bool:
+    """True for arrays of floats in the shapes that they must have; in a hurry."""
+    try:
+        force, memory = returned
+        if force.dtype is not _REAL or force.shape != sample.v.shape:
+            return False
+        if memory is state:
+            return True
+        for name, old in state.items():
+            value = memory[name]
+            if value.dtype is not _REAL or value.shape != old.shape:
+                return False
+        return len(memory) == len(state)
+    except Exception:
+        return False
+
+
+def _converted(
+    returned: Any, shape: tuple[int, ...], state: State, what: str
+) -> tuple[np.ndarray, State]:
+    """What ``step`` returned, as arrays of floats. Raises BlockError for what is none."""
+    if not (
+        isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)
+    ):
+        raise BlockError(
+            f"{what} must return (generalized_force, state), an array and a mapping, not "
+            f"{described(returned)}"
+        )
+    force = numbers(returned[0], shape, f"{what} returned 'generalized_force'")
+    shapes = {name: np.shape(value) for name, value in state.items()}
+    return force, checked_memory(returned[1], what, shapes)
+
+
+def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str = _NUMBERS) -> Any:
+    """A value as an array of floats.
+
+    Args:
+      value: what user-supplied code returned.
+      shape: its shape; None: any vector of at most MOST_MEMORY numbers.
+      what: names it in the error.
+      kinds: the kinds of arrays that are allowed.
+
+    Raises:
+      BlockError: it is something else.
+    """
+    wanted = "a vector of numbers" if shape is None else f"numbers of shape {shape}"
+    try:
+        array = value if isinstance(value, np.ndarray) else np.asarray(value)
+        size, found, kind = array.size, array.shape, array.dtype.kind
+    except BaseException as error:
+        if passes(error):
+            raise
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise BlockError(f"{what}, no array ({reason}); it must be {wanted}") from error
+    if kind not in kinds:
+        raise BlockError(f"{what}, {described(array)}; it must be {wanted}")
+    if shape is None and (len(found) != 1 or size > MOST_MEMORY):
+        raise BlockError(
+            f"{what} of shape {found}; it must be a vector, all of at most {MOST_MEMORY} numbers"
+        )
+    if shape is not None and found != shape:
+        raise BlockError(f"{what} of shape {found}; it must be {shape}")
+    return np.asarray(array, dtype=float)
+
+
+def described(value: Any) -> str:
+    """The type of a value, in words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    if isinstance(value, tuple):
+        return f"a tuple of {', '.join(type(part).__name__ for part in value) or 'nothing'}"
+    return type(value).__name__
+
+
+def mapping(value: Any, what: str) -> dict[str, Any]:
+    """A mapping with names as keys, as a dict. Raises BlockError for anything else."""
+    try:
+        found = dict(value) if isinstance(value, Mapping) else None
+    except BaseException as error:
+        if passes(error):
+            raise
+        raise failure(error, what) from error
+    if found is None or not all(isinstance(key, str) for key in found):
+        raise BlockError(f"{what} must return a mapping of names to arrays, not {described(value)}")
+    return found

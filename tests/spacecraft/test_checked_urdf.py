@@ -1,0 +1,88 @@
+"""Names, texts and numbers that a URDF must not hold are refused before Drake reads them, with
+file, part, element and attribute named.
+"""
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffsm_drake import load_scenario
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.plant import make_plant, models_dir
+
+SETTINGS = settings(derandomize=True, database=None, deadline=None, max_examples=60)
+GOOD = (models_dir() / "urdf" / "servicer.urdf").read_text()
+NUMBERS = [
+    match
+    for match in re.finditer(r'<(\w+)[^<>]*? (\w+)="([-+0-9.e ]+)"', GOOD)
+    if (match[1], match[2]) != ("limit", "velocity") and match[1] != "limit"
+]
+NAMES = list(re.finditer(r'<(link|joint|frame) name="(\w+)"', GOOD))
+BAD = st.sampled_from(
+    ["nan", "x", "1e300", "-1e300", "1e400", "inf", "1_0", "\u0661", "0x1p3", "1e16", "1;2"]
+)
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
+    """load(text or bytes): load the spacecraft with that servicer."""
+    file = tmp_path_factory.mktemp("urdf") / "servicer.urdf"
+    debris = models_dir() / "urdf" / "debris.urdf"
+    overrides = [f"model.servicer={file}", f"model.debris={debris}"]
+
+    def run(content, make=make_plant):
+        file.unlink(missing_ok=True)
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return make(load_scenario("postcapture", overrides).model)
+
+    return run
+
+
+@SETTINGS
+@given(st.sampled_from(NUMBERS), st.integers(0, 3), BAD)
+def test_bad_numbers(load, found, at, bad):
+    parts = found[3].split()
+    parts[at % len(parts)] = bad
+    text = GOOD[: found.start(3)] + " ".join(parts) + GOOD[found.end(3) :]
+    with pytest.raises(
+        ModelError, match=rf"servicer\.urdf: \w+ '\w+': <{found[1]} {found[2]}> must"
+    ):
+        load(text)
+
+
+@SETTINGS
+@given(st.sampled_from(NAMES), st.sampled_from(["a::b", "::", "servicer::x", " a", "a\u202e", ""]))
+def test_bad_names(load, found, bad):
+    text = re.sub(rf'"{found[2]}"', f'"{bad}"', GOOD)
+    with pytest.raises(ModelError, match=rf"servicer\.urdf: .*{found[1]}.* (name holds|no name)"):
+        load(text)
+
+
+@SETTINGS
+@given(st.text("äöüßéñ", min_size=1, max_size=4), st.sampled_from(["latin-1", "utf-16", "cp1252"]))
+def test_other_encodings(load, word, encoding):
+    text = GOOD.replace("<robot", f"<!-- {word} -->\n<robot", 1)
+    load(text)
+    declared = text.replace('version="1.0"', f'version="1.0" encoding="{encoding}"')
+    for each in (text, declared):
+        with pytest.raises(ModelError, match=r"servicer\.urdf: line \d+: is not UTF-8 text"):
+            load(each.encode(encoding))
+
+
+@pytest.mark.parametrize("side", ["1e300", "1e-300", "0", "-1"])
+def test_boxes_that_no_distance_can_be_measured_to(load, side):
+    text = re.sub(r'<box size="[^"]*"', f'<box size="1 {side} 1"', GOOD)
+    assert text != GOOD
+    with pytest.raises(ModelError, match="<box size> must be"):
+        load(text, Clearance)
+
+
+def test_long_chains_and_entities(load):
+    links = "".join(f'<link name="l{k}"/>' for k in range(400))
+    with pytest.raises(ModelError, match="links; at most 300 are read"):
+        load(GOOD.replace("</robot>", links + "</robot>"))
+    with pytest.raises(ModelError, match="has a <!DOCTYPE"):
+        load(GOOD.replace("<robot", '<!DOCTYPE r [<!ENTITY a "b">]>\n<robot', 1))
