@@ -179,54 +179,96 @@ def make_blocks(
       BlockError: a user-supplied block cannot be loaded, built or wired.
       NotAlike: the blocks of the copies cannot stand side by side.
     """
-    given, choices = dict(factories or {}), block_choices(scenarios[0])
-    _check_names(given)
-    owns = [section_parts(scenario, given) for scenario in scenarios]
-    if len({tuple(own) for own in owns}) > 1:
-        raise NotAlike("the sections of the copies' scenarios differ")
-    setups = [
-        BlockSetup(
-            name="",
-            scenario=scenario,
-            nominal=nominal,
-            settings={},
-            split=split or StateSplit(),
-        )
-        for scenario, nominal in zip(scenarios, nominals, strict=True)
-    ]
-    coordinates, copies = nominals[0].coordinates, len(scenarios)
-    blocks: dict[str, System] = {}
-    placed: tuple[dict[str, PlacedPart], ...] = tuple({} for _ in scenarios)
-    for name in _in_order((*owns[0], *choices, *given)):
-        factory, choice = given.get(name), choices.get(name, Block())
-        chosen = scenarios[0].controller if name == "controller" else choice.system
-        named = getattr(factory, "__name__", chosen)
-        place = f"{'' if name == 'controller' else 'blocks.'}{name} '{named}'"
-        fed = _fed(blocks, setups[0].split)
+    making = _Making(scenarios, nominals, factories or {}, split or StateSplit())
+    for name in making.names:
         if name == "controller":
-            blocks[name] = made = _make_controllers(scenarios, nominals, factory, fed)
-            check_ports(made, name, coordinates, place=place, copies=copies)
-            continue
+            making.make_controller()
+        else:
+            making.make_block(name)
+    return making.blocks, making.parts()
+
+
+class _Making:
+    """The blocks of a loop, made one after another; arguments and errors as for ``make_blocks``."""
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        nominals: Sequence[PlantModel],
+        given: Mapping[str, Factory],
+        split: StateSplit,
+    ) -> None:
+        _check_names(given)
+        self._scenarios, self._nominals, self._given = scenarios, nominals, given
+        self._choices = block_choices(scenarios[0])
+        # the parts of each copy's own sections
+        self._owns = [section_parts(scenario, given) for scenario in scenarios]
+        if len({tuple(own) for own in self._owns}) > 1:
+            raise NotAlike("the sections of the copies' scenarios differ")
+        self._setups = [
+            BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
+            for scenario, nominal in zip(scenarios, nominals, strict=True)
+        ]
+        self.blocks: dict[str, System] = {}
+        self._placed: list[dict[str, PlacedPart]] = [{} for _ in scenarios]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The blocks, in the order in which they are made."""
+        return _in_order((*self._owns[0], *self._choices, *self._given))
+
+    def make_controller(self) -> None:
+        """That of all copies: one around their laws if these are wide, else side by side."""
+        factory, fed = self._given.get("controller"), self._fed
+        named = getattr(factory, "__name__", self._scenarios[0].controller)
+        each = [
+            make_controller(scenario, nominal, factory)
+            for scenario, nominal in zip(self._scenarios, self._nominals, strict=True)
+        ]
+        made = each[0]
+        if len(each) > 1:
+            joined = join_controllers(each, self._nominals, self._scenarios[0])
+            made = joined or SideBySide(each, fed)
+        self._add("controller", made, place=f"controller '{named}'")
+
+    def make_block(self, name: str) -> None:
+        """Another one, unless it is an ideal actuator."""
+        factory, choice = self._given.get(name), self._choices.get(name, Block())
+        place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
         alone = name.rpartition(".")[2]
-        at = [dataclasses.replace(each, name=alone, settings=choice.settings) for each in setups]
-        fills = [factory_of(name, scenario, factory) for scenario in scenarios]
-        made = _make_block(fills, at, fed, place=place)
-        if made is None and name not in choices and name not in given:
-            continue  # an ideal actuator
-        check_ports(made, kind_of(name), coordinates, place=place, copies=copies)
+        setups = [
+            dataclasses.replace(each, name=alone, settings=choice.settings) for each in self._setups
+        ]
+        fills = [factory_of(name, scenario, factory) for scenario in self._scenarios]
+        made = _make_block(fills, setups, self._fed, place=place)
+        if made is None and name not in self._choices and name not in self._given:
+            return
+        self._add(name, made, place=place)
         made.set_name(alone if alone not in _TAKEN else name.replace(".", "_"))
-        for each, fill, setup in zip(placed, fills, at, strict=True):
-            if isinstance(fill, Part) and name not in owns[0]:
-                each[name] = place_part(fill, setup, made, name=name, block=name, copies=copies)
-        blocks[name] = made
-    shipped = tuple(
-        dict(_place_sections(own, setup, blocks, copies))
-        for own, setup in zip(owns, setups, strict=True)
-    )
-    parts = tuple(own | others for own, others in zip(shipped, placed, strict=True))
-    if len({tuple(_signal_sizes(each)) for each in parts}) > 1:
-        raise NotAlike("the signals of the copies' parts differ")
-    return blocks, parts
+        for placed, fill, setup in zip(self._placed, fills, setups, strict=True):
+            if isinstance(fill, Part) and name not in self._owns[0]:
+                placed[name] = place_part(
+                    fill, setup, made, name=name, block=name, copies=len(fills)
+                )
+
+    def parts(self) -> tuple[dict[str, PlacedPart], ...]:
+        """The parts of each copy. Raises NotAlike: their signals differ."""
+        parts = tuple(
+            dict(_place_sections(own, setup, self.blocks, len(self._setups))) | placed
+            for own, setup, placed in zip(self._owns, self._setups, self._placed, strict=True)
+        )
+        if len({tuple(_signal_sizes(each)) for each in parts}) > 1:
+            raise NotAlike("the signals of the copies' parts differ")
+        return parts
+
+    @property
+    def _fed(self) -> set[str]:
+        return _fed(self.blocks, self._setups[0].split)
+
+    def _add(self, name: str, made: System, *, place: str) -> None:
+        kind, coordinates = kind_of(name), self._nominals[0].coordinates
+        check_ports(made, kind, coordinates, place=place, copies=len(self._setups))
+        self.blocks[name] = made
 
 
 def _signal_sizes(parts: Mapping[str, PlacedPart]) -> Iterator[tuple[str, str, int]]:
@@ -244,22 +286,6 @@ def _place_sections(
         found = place_part(part, at, blocks.get(block), name=name, block=block, copies=copies)
         if found.signals:
             yield name, found
-
-
-def _make_controllers(
-    scenarios: Sequence[Scenario],
-    nominals: Sequence[PlantModel],
-    factory: Factory | None,
-    fed: Collection[str],
-) -> System:
-    """The controller of all copies: one around their laws if these are wide, else side by side."""
-    made = [
-        make_controller(scenario, nominal, factory)
-        for scenario, nominal in zip(scenarios, nominals, strict=True)
-    ]
-    if len(made) == 1:
-        return made[0]
-    return join_controllers(made, nominals, scenarios[0]) or SideBySide(made, fed)
 
 
 def _make_block(

@@ -46,6 +46,7 @@ from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.sensing import wire_stages
+from ffsm_drake.systems.side_by_side import SideBySide
 
 # Signals of every closed loop. Added to them: the OPTIONAL_OUTPUTS that the controller has, those
 # of the actuators, "hidden_state" with hidden coordinates, and "force_<name>" for each external
@@ -86,6 +87,11 @@ class ClosedLoop:
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
     @property
+    def single(self) -> MultibodyPlant:
+        """A plant of one spacecraft: the plant itself, unless it holds several copies."""
+        return self.plant if self.copies is None else self.copies.single
+
+    @property
     def tracks_frame(self) -> bool:
         """True if the controller tracks a frame's pose, and coordinates only in its null space."""
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
@@ -113,7 +119,7 @@ class ClosedLoop:
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
         self._tell("set_payload", root_context, scenario.payload.truth)
-        self.set_whole_state(root_context, self._start(scenario, self.model(context)))
+        self.set_whole_states(root_context, self._start(scenario, self.model(context))[None])
 
     def _start(self, scenario: Scenario, model: PlantModel) -> np.ndarray:
         """[q; v] of a spacecraft at the start, with the hidden state."""
@@ -137,20 +143,21 @@ class ClosedLoop:
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         rows = []
         for copy, scenario in enumerate(self.scenarios):
-            own = copies.single.CreateDefaultContext()
-            set_true_masses(copies.single, own, scenario)
-            copies.set_parameters(context, copy, copies.single, own)
-            model = PlantModel(
-                plant=copies.single, context=own, coordinates=self.coordinates, split=self.split
-            )
+            model = self.true_model(scenario)
+            copies.set_parameters(context, copy, copies.single, model.context)
             for placed in self.parts_of_copies[copy].values():
                 placed.part.check_plant(scenario, model)
             rows.append(self._start(scenario, model))
         self._tell(
             "set_payload", root_context, [scenario.payload.truth for scenario in self.scenarios]
         )
-        self.plant.SetPositionsAndVelocities(context, copies.whole(np.array(rows)))
-        self.set_blocks(root_context, self.split.known_part(np.array(rows)))
+        self.set_whole_states(root_context, np.array(rows))
+
+    def true_model(self, scenario: Scenario) -> PlantModel:
+        """The plant of one spacecraft in a new context with a scenario's true masses."""
+        context = self.single.CreateDefaultContext()
+        set_true_masses(self.single, context, scenario)
+        return dataclasses.replace(self.model(context), plant=self.single)
 
     def model(self, plant_context: Context) -> PlantModel:
         """The plant in one of its contexts, for computations."""
@@ -163,20 +170,41 @@ class ClosedLoop:
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
         """Set the payload's true mass properties in the plant and in the blocks that use them."""
+        self.set_payloads(root_context, [properties])
+
+    def set_payloads(self, root_context: Context, properties: Sequence[MassProperties]) -> None:
+        """As ``set_payload``, the properties of each copy's payload."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        change_payload(self.plant, context, self.scenario, properties)
-        self._tell("set_payload", root_context, properties)
+        if self.copies is None:
+            change_payload(self.plant, context, self.scenario, properties[0])
+        else:
+            for copy, (scenario, own) in enumerate(zip(self.scenarios, properties, strict=True)):
+                model = self.true_model(scenario)
+                change_payload(model.plant, model.context, scenario, own)
+                self.copies.set_parameters(context, copy, model.plant, model.context)
+        what = properties[0] if self.copies is None else properties
+        self._tell("set_payload", root_context, what)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
         """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
-        self.set_whole_state(root_context, self.split.whole(state))
+        self.set_whole_states(root_context, self.split.whole(state)[None])
 
-    def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
-        """As ``set_state``, for the plant's own [q; v], which includes the hidden state."""
+    def set_whole_states(self, root_context: Context, rows: np.ndarray) -> None:
+        """As ``set_state``, for the plant's own [q; v], with the hidden state, of each copy: a row
+        (B, nq + nv) for each.
+        """
+        state = rows[0] if self.copies is None else self.copies.whole(rows)
         self.plant.SetPositionsAndVelocities(
             self.plant.GetMyMutableContextFromRoot(root_context), state
         )
-        self.set_blocks(root_context, self.split.known_part(state))
+        known = self.split.known_part(rows)
+        self.set_blocks(root_context, known[0] if self.copies is None else known)
+
+    def whole_states(self, root_context: Context) -> np.ndarray:
+        """The plant's own [q; v] of each copy (B, nq + nv)."""
+        context = self.plant.GetMyContextFromRoot(root_context)
+        state: np.ndarray = self.plant.GetPositionsAndVelocities(context)
+        return state[None] if self.copies is None else self.copies.rows(state)
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
         """Reset the blocks, without history, to a known state [q; v], or to one of each copy."""
@@ -200,7 +228,7 @@ class ClosedLoop:
         root_context: Context,
         before: "ClosedLoop",
         context_before: Context,
-        reference: np.ndarray,
+        references: np.ndarray,
     ) -> None:
         """Continue the blocks from another loop's state; its scenario differs in the payload only.
 
@@ -208,7 +236,7 @@ class ClosedLoop:
           root_context: this loop's root context.
           before: the other loop.
           context_before: the other loop's root context.
-          reference: [q_d; v_d] where this loop's motion begins.
+          references: [q_d; v_d] where this loop's motion begins, of each copy: (B, nq + nv).
         """
         for name, block in self.blocks.items():
             other = before.blocks[name]
@@ -216,10 +244,21 @@ class ClosedLoop:
                 block.GetMyMutableContextFromRoot(root_context),
                 other.GetMyContextFromRoot(context_before),
             )
-            if isinstance(block, SampledController):
-                block.resume(context, other, source, reference)
-            else:
-                context.SetStateAndParametersFrom(source)
+            _resume(block, context, other, source, references)
+
+
+def _resume(
+    block: Any, context: Context, before: Any, context_before: Context, references: np.ndarray
+) -> None:
+    """Continue a block from another loop's, as in ``ClosedLoop.resume``."""
+    if isinstance(block, SideBySide):
+        pairs = zip(block.each(context), before.each(context_before), references, strict=True)
+        for own, other, reference in pairs:
+            _resume(own[0], own[1], other[0], other[1], reference[None])
+    elif isinstance(block, SampledController):
+        block.resume(context, before, context_before, references)
+    else:
+        context.SetStateAndParametersFrom(context_before)
 
 
 @guarded
@@ -249,30 +288,17 @@ def add_closed_loop(
         the blocks of several scenarios cannot stand side by side.
     """
     scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
-    first, copies = scenarios[0], None
-    if len(scenarios) > 1:
-        copies = Copies.of(first.model, len(scenarios), flexible=True)
-        plant = builder.AddNamedSystem("plant", copies.plant)
-    elif plant is None:
-        plant = builder.AddNamedSystem("plant", make_plant(first.model, flexible=True))
+    first = scenarios[0]
+    plant, copies = _add_plant(builder, scenarios, plant)
     single = plant if copies is None else copies.single
     coordinates, split = coordinates_of(single, undriven=first.undriven), split_of(single)
-    for each in scenarios:
-        for name, posture in each.postures.items():
-            configuration(single, posture, key=name)
-        for name in ("initial_velocity", "tolerance"):
-            coordinates.check_names(getattr(each, name), key=name)
+    _check_coordinates(scenarios, single, coordinates)
     nominals = [make_nominal_plant(each) for each in scenarios]
     blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
     wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
-    wiring.measure()
-    wiring.follow()
-    wiring.actuate()
-    wiring.act()
-    wiring.record_controller()
-    wiring.record_parts(parts[0])
+    wiring.connect(parts[0])
     return ClosedLoop(
         parts=parts[0],
         scenario=first,
@@ -285,6 +311,30 @@ def add_closed_loop(
         scenarios=scenarios if copies else (),
         parts_of_copies=parts if copies else (),
     )
+
+
+def _add_plant(
+    builder: DiagramBuilder, scenarios: Sequence[Scenario], plant: MultibodyPlant | None
+) -> tuple[MultibodyPlant, Copies | None]:
+    """The plant of all scenarios, unless there is one, and of several the copies in it."""
+    model = scenarios[0].model
+    if len(scenarios) > 1:
+        copies = Copies.of(model, len(scenarios), flexible=True)
+        return builder.AddNamedSystem("plant", copies.plant), copies
+    if plant is None:
+        plant = builder.AddNamedSystem("plant", make_plant(model, flexible=True))
+    return plant, None
+
+
+def _check_coordinates(
+    scenarios: Sequence[Scenario], plant: MultibodyPlant, coordinates: Coordinates
+) -> None:
+    """Raise ScenarioError for a value of an unknown coordinate."""
+    for scenario in scenarios:
+        for name, posture in scenario.postures.items():
+            configuration(plant, posture, key=name)
+        for name in ("initial_velocity", "tolerance"):
+            coordinates.check_names(getattr(scenario, name), key=name)
 
 
 def make_closed_loop(
@@ -332,6 +382,15 @@ class _Wiring:
         rearranged = bool(split.names) or copies is not None
         self._states = self._add_states() if rearranged else {"state": (plant, "state")}
         self.sources: dict[str, Source] = dict(self._states)
+
+    def connect(self, parts: Parts) -> None:
+        """All steps; ``parts`` are those whose signals are recorded."""
+        self.measure()
+        self.follow()
+        self.actuate()
+        self.act()
+        self.record_controller()
+        self.record_parts(parts)
 
     def measure(self) -> None:
         """The stages of sensing in a row, from the plant to the controller."""

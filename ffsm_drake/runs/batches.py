@@ -1,8 +1,9 @@
 """Many runs: side by side in one diagram where they can be, else alone, with the same bits.
 
 Side by side go runs with the same model, blocks, controller, integrator and number of control
-samples; they may differ in ``_MAY_DIFFER`` and in the payload's mass properties. Alone go runs with
-a capture, with error control, an implicit scheme or a paced clock, and with flexible joints.
+samples; they may differ in ``_MAY_DIFFER`` and in the payload's mass properties. Those with a
+capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise.
+Alone go runs with error control, an implicit scheme or a paced clock, and with flexible joints.
 """
 
 import dataclasses
@@ -15,8 +16,9 @@ import numpy as np
 
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import Rollout, user_supplied
-from ffsm_drake.scenario import MassProperties, Scenario, scenario_to_dict
+from ffsm_drake.runs.rollout import user_supplied
+from ffsm_drake.scenario import Capture, MassProperties, Scenario, scenario_to_dict
+from ffsm_drake.scenario.capture import Approach
 
 _MAY_DIFFER = (
     "description",
@@ -76,7 +78,7 @@ def run_many(
 
     Raises KeyboardInterrupt: interrupted from the keyboard.
     """
-    alone, together = _Kept(make_rollout), _Kept(Rollout)
+    alone, together = _Kept(make_rollout), _Kept(make_rollout)
     try:
         for indices in batches_of(scenarios, batch):
             chosen = [scenarios[index] for index in indices]
@@ -129,8 +131,7 @@ def _group(scenario: Scenario) -> str | None:
     """What runs that go side by side have in common; None: this one runs alone."""
     config = scenario.simulator_config
     if (
-        scenario.capture is not None
-        or config.use_error_control
+        config.use_error_control
         or config.integration_scheme not in _EXPLICIT
         or config.target_realtime_rate > 0.0
         or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
@@ -140,9 +141,14 @@ def _group(scenario: Scenario) -> str | None:
     payload = dataclasses.replace(
         scenario.payload, truth=MassProperties(), nominal=MassProperties()
     )
+    capture = scenario.capture
+    if capture is not None:
+        approach = None if capture.approach is None else Approach(scenario.grasp_time)
+        capture = Capture(approach=approach)
     common = dataclasses.replace(
         scenario,
         payload=payload,
+        capture=capture,
         duration=scenario.num_control_periods * scenario.sample_time,
         **{name: getattr(neutral, name) for name in _MAY_DIFFER},
     )

@@ -9,7 +9,7 @@ part of the payload's mass properties.
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -35,25 +35,30 @@ from ffsm_drake.systems.registry import Factory
 
 
 class CaptureRollout:
-    """As ``Rollout``, for a scenario with a capture."""
+    """As ``Rollout``, for a scenario with a capture, or several that grasp at the same sample."""
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: Scenario | Sequence[Scenario],
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         """Args and errors as for ``Rollout``."""
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
+        self._scenarios = _as_tuple(scenario)
         self._approach = None
-        if scenario.grasp_time > 0.0:
+        first = self._scenarios[0]
+        if first.grasp_time > 0.0:
             target = None
             if meshcat is not None:
-                model = make_nominal_plant(scenario)
-                target = target_path(scenario, model, planned_contact(scenario, model))[1][:, :7]
+                model = make_nominal_plant(first)
+                target = target_path(first, model, planned_contact(first, model))[1][:, :7]
             self._approach = Rollout(
-                without_target(scenario), blocks=blocks, meshcat=meshcat, target=target
+                [without_target(each) for each in self._scenarios],
+                blocks=blocks,
+                meshcat=meshcat,
+                target=target,
             )
 
     @property
@@ -67,14 +72,15 @@ class CaptureRollout:
             if rollout is not None:
                 rollout.release()
 
-    def accepts(self, scenario: Scenario) -> bool:
+    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
         """As ``Rollout.accepts``; the payload's true centre of mass must be the same too, since the
         target's motion depends on it.
         """
-        centers = [
-            each.payload.truth.center_of_mass for each in (scenario, self._stop.loop.scenario)
-        ]
-        return self._stop.accepts(scenario) and centers[0] == centers[1]
+        centers, built = (
+            [each.payload.truth.center_of_mass for each in scenarios]
+            for scenarios in (_as_tuple(scenario), self._scenarios)
+        )
+        return self._stop.accepts(scenario) and centers == built
 
     def check(self) -> None:
         """As ``Rollout.check``."""
@@ -92,28 +98,14 @@ class CaptureRollout:
         start = time.perf_counter()
         chosen = scenario or self._stop.loop.scenario
         if self._approach is None:
-            log = self._stop.run(scenario, progress=progress)
-            model = make_flexible_plant(chosen)
-            contact = planned_contact(chosen, model)
-            mismatch = _mismatch(
-                chosen, model, contact.q, contact.velocity, contact.target_velocity
-            )
-            grasp = GraspLog(
-                sample=0,
-                contact=contact,
-                payload=chosen.payload.truth,
-                target=np.empty((0, 13)),
-                mismatch=mismatch,
-                stored=_stored(log),
-            )
-            return dataclasses.replace(log, grasp=grasp)
-        handover = _Handover(chosen)
-        sample = handover.sample
+            return _grasped_at_start(self._stop.run(scenario, progress=progress))
+        handovers = _Handovers([chosen])
+        sample, (handover,) = handovers.sample, handovers.each
         try:
             approach = self._approach.run(
                 None if scenario is None else without_target(scenario),
                 progress=progress,
-                leg=Leg(last=sample, begin=handover.start, end=handover.keep),
+                leg=Leg(last=sample, begin=handovers.start, end=handovers.keep),
             )
         except BlockError as error:
             if error.log is not None:
@@ -123,7 +115,7 @@ class CaptureRollout:
         ungrasped = handover.ungrasped(approach.time.size)
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
-        handover.meet(self._stop.loop)
+        handovers.meet(self._stop.loop)
         if beyond := handover.beyond_envelope():
             last = float(approach.time[-1])
             message = f"the target is missed at t = {chosen.grasp_time:g} s: {beyond}"
@@ -131,7 +123,7 @@ class CaptureRollout:
             return dataclasses.replace(approach, scenario=chosen, outcome=missed, grasp=ungrasped)
         try:
             log = self._stop.run(
-                scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp)
+                scenario, progress=progress, leg=Leg(first=sample, begin=handovers.grasp)
             )
         except BlockError as error:
             if error.log is not None:
@@ -139,15 +131,60 @@ class CaptureRollout:
             raise
         return handover.joined(approach, log, start)
 
+    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
+        """As ``Rollout.run_all``; None of one that misses its target, too."""
+        start = time.perf_counter()
+        if self._approach is None:
+            logs = self._stop.run_all(scenarios)
+            return [None if log is None else _grasped_at_start(log) for log in logs]
+        handovers = _Handovers(self._scenarios if scenarios is None else scenarios)
+        sample = handovers.sample
+        approaches = self._approach.run_all(
+            None if scenarios is None else [without_target(each) for each in scenarios],
+            leg=Leg(last=sample, begin=handovers.start, end=handovers.keep),
+        )
+        if all(log is None for log in approaches):
+            return approaches
+        handovers.meet(self._stop.loop, without=[log is None for log in approaches])
+        logs = self._stop.run_all(
+            scenarios,
+            leg=Leg(first=sample, begin=handovers.grasp),
+            without=handovers.ended,
+        )
+        return [
+            None if before is None or after is None else handover.joined(before, after, start)
+            for before, after, handover in zip(approaches, logs, handovers.each, strict=True)
+        ]
+
+
+def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
+    return (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
+
+
+def _grasped_at_start(log: RunLog) -> RunLog:
+    """The log of a run that begins with the planned grasp."""
+    model = make_flexible_plant(log.scenario)
+    contact = planned_contact(log.scenario, model)
+    mismatch = _mismatch(log.scenario, model, contact.q, contact.velocity, contact.target_velocity)
+    grasp = GraspLog(
+        sample=0,
+        contact=contact,
+        payload=log.scenario.payload.truth,
+        target=np.empty((0, 13)),
+        mismatch=mismatch,
+        stored=_stored(log),
+    )
+    return dataclasses.replace(log, grasp=grasp)
+
 
 def make_rollout(
-    scenario: Scenario,
+    scenario: Scenario | Sequence[Scenario],
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
 ) -> Rollout | CaptureRollout:
-    """The rollout of a scenario; arguments and errors as for ``Rollout``."""
-    kind = Rollout if scenario.capture is None else CaptureRollout
+    """The rollout of a scenario, or of several; arguments and errors as for ``Rollout``."""
+    kind = Rollout if _as_tuple(scenario)[0].capture is None else CaptureRollout
     return kind(scenario, blocks=blocks, meshcat=meshcat)
 
 
@@ -157,27 +194,27 @@ class _Handover:
     log: GraspLog
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+        self._scenario, self.truth = scenario, scenario.payload.truth
         self.sample = round(scenario.grasp_time / scenario.sample_time)
         model = make_nominal_plant(scenario)
         planned = planned_contact(scenario, model)
-        self._reference = np.concatenate([planned.q, planned.grasp.velocity])
+        self.reference = np.concatenate([planned.q, planned.grasp.velocity])
         # The target's own motion up to where it is to be met.
         self._twist = planned.target_velocity
         self._X_WP, self._path = target_path(scenario, model, planned)
 
-    def start(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Put the servicer where the approach starts."""
+    def start(self, loop: ClosedLoop) -> np.ndarray:
+        """The plant's own [q; v] of the servicer where the approach starts."""
         capture = self._scenario.capture
         if capture is None or capture.approach is None:
             raise ValueError("capture.approach: there is none")
         position = configuration(
-            loop.plant, capture.approach.posture, key="capture.approach.posture"
+            loop.single, capture.approach.posture, key="capture.approach.posture"
         )
         velocity = loop.coordinates.vector(
             self._scenario.initial_velocity, key="initial_velocity", default=0.0
         )
-        loop.set_state(root_context, np.concatenate([position, velocity]))
+        return loop.split.whole(np.concatenate([position, velocity]))
 
     def ungrasped(self, samples: int) -> GraspLog:
         """Log of a run that ended before the grasp, after a number of samples."""
@@ -201,20 +238,15 @@ class _Handover:
             grasp=dataclasses.replace(self.log, stored=_stored(log)),
         )
 
-    def keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Keep the loop before the grasp, and its context at the grasp."""
-        self._before, self._context_before = loop, root_context
-
-    def meet(self, loop: ClosedLoop) -> None:
-        """Find how the gripper meets the target, with the loop in which it is held."""
-        scenario, plant = self._scenario, loop.plant
-        state = self._before.plant.GetPositionsAndVelocities(
-            self._before.plant.GetMyContextFromRoot(self._context_before)
-        )
+    def meet(self, loop: ClosedLoop, state: np.ndarray) -> None:
+        """Find how the gripper, at the plant's own [q; v], meets the target, with the loop in which
+        it is held.
+        """
+        scenario, plant = self._scenario, loop.single
         self._q, self._v = np.split(state, [plant.num_positions()])
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, self._q)
-        model = loop.model(context)
+        model = dataclasses.replace(loop.model(context), plant=plant)
         # X_WQ: where the model welds the target's frame P
         self._X_WQ = RigidTransform(target_body(scenario, model).EvalPoseInWorld(context))
         offset = self._X_WQ.translation() - self._X_WP.translation()
@@ -246,15 +278,15 @@ class _Handover:
             if limits[name] is not None and size > limits[name]
         )
 
-    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Grasp the target; the run continues from the state after the grasp."""
-        scenario, plant, q = self._scenario, loop.plant, self._q
-        context = plant.GetMyMutableContextFromRoot(root_context)
-        model = loop.model(context)
-        plant.SetPositions(context, q)
+    def grasp(self, loop: ClosedLoop) -> np.ndarray:
+        """Grasp the target, as ``log`` says; the plant's own [q; v] after it."""
+        scenario = self._scenario
+        model = loop.true_model(scenario)
         payload = seen_from(scenario.payload.truth, self._X_WQ.InvertAndCompose(self._X_WP))
-        set_payload(plant, context, body=scenario.payload.body, properties=payload)
-        contact = contact_at(scenario, model, q=q, velocity=self._v, target_velocity=self._twist_Q)
+        set_payload(model.plant, model.context, body=scenario.payload.body, properties=payload)
+        contact = contact_at(
+            scenario, model, q=self._q, velocity=self._v, target_velocity=self._twist_Q
+        )
         self.log = GraspLog(
             sample=self.sample,
             contact=contact,
@@ -263,10 +295,47 @@ class _Handover:
             offset=self._offset,
             mismatch=self._mismatch,
         )
-        loop.set_whole_state(root_context, np.concatenate([q, contact.grasp.velocity]))
-        loop.resume(root_context, self._before, self._context_before, self._reference)
+        return np.concatenate([self._q, contact.grasp.velocity])
+
+
+class _Handovers:
+    """Those of runs side by side, or of one, as callbacks of their legs."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        self.each = [_Handover(scenario) for scenario in scenarios]
+        (self.sample,) = {handover.sample for handover in self.each}
+        self.ended: set[int] = set()  # those that do not come to their grasp
+
+    def start(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Put the servicers where the approaches start."""
+        loop.set_whole_states(root_context, np.stack([each.start(loop) for each in self.each]))
+
+    def keep(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Keep the loop before the grasp, and its context at the grasp."""
+        self._before, self._context_before = loop, root_context
+
+    def meet(self, loop: ClosedLoop, without: Sequence[bool] = (False,)) -> None:
+        """Find how each gripper meets its target; ``without``: those whose approach failed."""
+        self.ended = set(np.flatnonzero(without).tolist())
+        for copy, state in enumerate(self._before.whole_states(self._context_before)):
+            if copy not in self.ended:
+                self.each[copy].meet(loop, state)
+                if self.each[copy].beyond_envelope():
+                    self.ended.add(copy)
+
+    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Grasp the targets; the runs continue from the states after the grasp."""
+        rows = loop.whole_states(root_context)
+        payloads = [each.truth for each in self.each]
+        for copy, handover in enumerate(self.each):
+            if copy not in self.ended:
+                rows[copy] = handover.grasp(loop)
+                payloads[copy] = handover.log.payload
+        loop.set_whole_states(root_context, rows)
+        references = np.stack([each.reference for each in self.each])
+        loop.resume(root_context, self._before, self._context_before, references)
         # to the blocks, which resume with nothing in the gripper
-        loop.set_payload(root_context, payload)
+        loop.set_payloads(root_context, payloads)
 
 
 def target_path(

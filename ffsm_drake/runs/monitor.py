@@ -1,7 +1,7 @@
 """Detection of divergence during a run or several, and a run's progress."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus
@@ -93,28 +93,48 @@ class Monitor:
         )
 
 
+_SKIPS = 3  # steps that are not looked at
+_SLOW = 0.1  # of the bound, below which a copy does not run away in so many
+
+
 class CopiesMonitor:
     """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: from
     then on it is put back to its start after every step. As a simulator's monitor, it stops a run
     when all are parked.
+
+    While all are slow it looks at every fourth step only, if the log is to show what happened in
+    between (``within``).
     """
 
     message = ""
 
-    def __init__(self, loop: ClosedLoop) -> None:
+    def __init__(
+        self, loop: ClosedLoop, parked: Collection[int] = (), *, every_step: bool = True
+    ) -> None:
+        """Args: a loop of several copies; those that are parked from the start; whether it looks at
+        every step.
+        """
         if loop.copies is None:
             raise ValueError("the loop has one copy of the spacecraft")
         self.loop, self.copies = loop, loop.copies
-        self.parked = set[int]()
+        self.parked = set(parked)
         self._bounds = np.array([scenario.divergence_speed for scenario in loop.scenarios])
         self._least = float(self._bounds.min())
+        self._skips, self._skipped = 0 if every_step else _SKIPS, 0
         self._nothing = EventStatus.DidNothing()
         self._first: tuple[Context, np.ndarray] | None = None  # the plant's context, and its start
 
     def __call__(self, context: Context) -> EventStatus:
-        if not self.check(context):
+        if self._skipped:
+            self._skipped -= 1
+        elif not self.check(context):
             return EventStatus.ReachedTermination(self.loop.diagram, self.message)
         return self._nothing
+
+    def within(self, copy: int, states: np.ndarray) -> bool:
+        """True if every velocity in a copy's known states [q; v] is within its bound."""
+        velocities = states[..., len(self.loop.coordinates.position_names) :]
+        return bool(np.abs(velocities).max() <= self._bounds[copy])
 
     def report(self, context: Context) -> None:
         """Several runs report no progress."""
@@ -127,7 +147,9 @@ class CopiesMonitor:
             self._first = own, start
         plant_context, start = self._first
         velocity = self.loop.plant.GetVelocities(plant_context)
-        if not self.parked and velocity.dot(velocity) <= self._least**2:  # surely within
+        square = velocity.dot(velocity)
+        if not self.parked and square <= self._least**2:  # surely within
+            self._skipped = self._skips if square <= (_SLOW * self._least) ** 2 else 0
             return True
         known = self.loop.split.known_velocities(velocity.reshape(self.copies.number, -1))
         within = np.abs(known).max(axis=1) <= self._bounds  # false for NaN too

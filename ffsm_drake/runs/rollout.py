@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -216,9 +216,20 @@ class Rollout:
         return log
 
     @guarded
-    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
+    def run_all(
+        self,
+        scenarios: Sequence[Scenario] | None = None,
+        *,
+        leg: Leg | None = None,
+        without: Collection[int] = (),
+    ) -> list[RunLog | None]:
         """Run the scenarios side by side, with the built ones or such that ``accepts`` takes, all
         for the same number of control samples.
+
+        Args:
+          scenarios: what to run; None for the built ones.
+          leg: the part of the runs; None for all of them.
+          without: copies of the spacecraft that are put aside, as those that diverge are.
 
         Returns: the log of each, as ``run`` gives it for the scenario alone; None of one that
         diverges or fails, which is to be run alone.
@@ -228,16 +239,16 @@ class Rollout:
           KeyboardInterrupt: interrupted from the keyboard.
           Exception: whatever fails in one of the runs; which is it, they tell alone.
         """
-        start, loop = time.perf_counter(), self.loop
+        start, loop, leg = time.perf_counter(), self.loop, leg or Leg()
         if scenarios is not None:
             if not self.accepts(scenarios):
                 problem = "differ from the built ones in more than a run can change; build others"
                 raise ScenarioError("scenarios", problem)
             loop = dataclasses.replace(loop, scenario=scenarios[0], scenarios=tuple(scenarios))
         if loop.copies is None:
-            return [self.run(loop.scenario)]
-        monitor = CopiesMonitor(loop)
-        interrupted, failure, advance_time = self._advance(monitor, Leg(), watched=True)
+            return [self.run(loop.scenario, leg=leg)]
+        monitor = CopiesMonitor(loop, without, every_step=not self._checked_in_log)
+        interrupted, failure, advance_time = self._advance(monitor, leg, watched=True)
         if interrupted:
             raise KeyboardInterrupt
         if failure is not None:
@@ -246,9 +257,10 @@ class Rollout:
         for copy, scenario in enumerate(loop.scenarios):
             if copy in monitor.parked:
                 continue
-            times, series = self._read_log(unfinished=False, copy=copy)
+            times, series = self._read_log(unfinished=leg.last is not None, copy=copy)
             finite = np.isfinite(series["state"]).all(axis=1)
-            if bad_output(finite, series, self._user_supplied):
+            within = monitor.within(copy, series["state"])
+            if not within or bad_output(finite, series, self._user_supplied):
                 continue
             end = float(times[-1])
             logs[copy] = RunLog(

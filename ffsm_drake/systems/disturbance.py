@@ -43,15 +43,17 @@ def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) 
     Raises:
       ScenarioError: a harmonic is given for an unknown coordinate.
     """
-    vectors = [_vectors(each, coordinates) for each in settings]
+    distinct = [each for at, each in enumerate(settings) if each not in settings[:at]]
+    vectors = [_vectors(each, coordinates) for each in distinct]
     amplitude, frequency, phase, bias = (np.concatenate(of) for of in zip(*vectors, strict=True))
-    nv = len(coordinates.names)
     builder = DiagramBuilder()
     harmonic = builder.AddNamedSystem("harmonic", Sine(amplitude, frequency, phase))
     port = harmonic.get_output_port(0)
-    if nv % 2:
-        kept = [i for i in range(amplitude.size) if (i + 1) % (nv + 1)]
-        port = _take(builder, port, kept)
+    nv, width = len(coordinates.names), amplitude.size // len(distinct)
+    copies = [distinct.index(each) for each in settings]
+    if nv < width or len(distinct) < len(copies):
+        port = _take(builder, port, [copy * width + i for copy in copies for i in range(nv)])
+    bias = np.concatenate([bias[copy * nv : (copy + 1) * nv] for copy in copies])
     if bias.any():
         biases = builder.AddNamedSystem("bias", ConstantVectorSource(bias))
         biased = builder.AddNamedSystem("biased", Adder(2, bias.size))

@@ -11,12 +11,14 @@ for its setup alone. Of the methods that a block may have, ``set_initial_state(c
 then gets a row for each copy, ``set_payload(context, properties)`` a sequence; where it draws
 numbers, ``set_random(context, generators)`` gets each copy's generator, of which it draws as the
 system alone would; and ``park(context, copy)``, where it can run away, puts a copy's memory to its
-start. The system around control laws is as wide as the laws (``ControlLaw.wide``).
+start. What a run changes stands in its context, from which the leg after a grasp takes it. The
+system around control laws is as wide as the laws (``ControlLaw.wide``).
 
 Any other block, a user's Drake system among them, stands there once for each copy, between
 demultiplexers and multiplexers: ``SideBySide``.
 """
 
+import functools
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -86,7 +88,15 @@ class SideBySide(Diagram):
         """Put a copy's memory to its defaults."""
         system = self.systems[copy]
         own = self._of(system, context)
-        own.SetStateAndParametersFrom(system.CreateDefaultContext())
+        own.SetStateAndParametersFrom(self._at_start[copy])
+
+    @functools.cached_property
+    def _at_start(self) -> list[Context]:
+        return [system.CreateDefaultContext() for system in self.systems]
+
+    def each(self, context: Context) -> list[tuple[System, Context]]:
+        """The systems, each with its own context."""
+        return [(system, self._of(system, context)) for system in self.systems]
 
     def _of(self, system: System, context: Context) -> Context:
         return self.GetMutableSubsystemContext(system, context)

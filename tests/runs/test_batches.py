@@ -21,7 +21,9 @@ from ffsm_drake import (
     simulate,
     simulate_many,
 )
+from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.batches import batches_of, usual_batch
+from ffsm_drake.runs.capture import CaptureRollout
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import is_wide
@@ -273,6 +275,37 @@ def test_a_run_that_diverges_leaves_the_others_alone(others):
         assert_equal(record, alone(each))
 
 
+def test_a_copy_that_is_too_fast_for_one_step_diverges():
+    calm = load_scenario("postcapture", ["duration=0.1"])
+    speeds = np.abs(Rollout(calm).run().series["state"][:, 12:]).max(axis=1)
+    others, fastest = np.sort(speeds)[-2:]
+    assert speeds[1] == fastest > 1.5 * others  # the disturbance's step, from rest
+    tight = dataclasses.replace(calm, divergence_speed=float(0.5 * (others + fastest)))
+    logs = Rollout([calm, tight, dataclasses.replace(calm, random_seed=1)]).run_all()
+    assert [log is None for log in logs] == [False, True, False]
+    assert alone(tight).outcome.status == "diverged"
+
+
+@settings(max_examples=5, deadline=None)
+@given(
+    kinds=st.lists(st.integers(0, 2), min_size=2, max_size=5),
+    name=st.sampled_from(["postcapture", "seven_joint"]),
+)
+def test_equal_disturbances_are_computed_once_with_their_bits(kinds, name):
+    base = load_scenario(name, ["duration=0.05"])
+    scenarios = [
+        dataclasses.replace(
+            base,
+            random_seed=seed,
+            disturbance=dataclasses.replace(base.disturbance, frequency_scale=1.0 + 0.3 * kind),
+        )
+        for seed, kind in enumerate(kinds)
+    ]
+    for log, each in zip(Rollout(scenarios).run_all(), scenarios, strict=True):
+        own = Rollout(each).run().series
+        np.testing.assert_array_equal(log.series["disturbance_force"], own["disturbance_force"])
+
+
 def test_runs_that_all_diverge_stop():
     scenario = load_scenario(
         "postcapture",
@@ -371,11 +404,90 @@ def test_a_scenario_that_cannot_be_built_fails_alone():
     assert_equal(third, alone(good))
 
 
-def test_captures_and_error_control_run_alone():
-    capture = load_scenario("tumbling_capture")
+# From a posture near that at the grasp, so that half a second is enough.
+POSTURE = "{joint_1: 0.17, joint_2: 0.34, joint_3: 1.06, joint_4: 0.6, joint_5: -0.7}"
+CAPTURE = (
+    "duration=1",
+    "reference.duration=3",
+    f"capture.approach={{duration: 0.5, posture: {{base_position: [0.1, 0.3, -0.2], "
+    f"base_rpy: [0.11, 0.08, -0.1], joints: {POSTURE}}}}}",
+    "capture.envelope={position: null, angle: null}",
+)
+NO_NOISE = ("sensing.position_noise={all: 0}", "sensing.velocity_noise={all: 0}")
+WHEEL = "inertia: 0.08, torque_limit: 5, speed_limit: 628"
+WHEELS = (
+    f"actuation.wheels.units={{x: {{axis: [1, 0, 0], {WHEEL}}}, y: {{axis: [0, 1, 0], {WHEEL}}}, "
+    f"z: {{axis: [0, 0, 1], {WHEEL}}}}}"
+)
+# What the runs of one batch share.
+GRASPS = {
+    "coupled": (),
+    "kalman": ("estimator.kind=kalman",),
+    "one sample": ("estimator.kind=one_sample", "controller=tdc", *NO_NOISE),
+    "held from the start": ("capture.approach=null",),
+    "filtered": ("estimator.kind=kalman", "command_filter.low_pass=20"),
+    "late": ("estimator.kind=kalman", "sensing.delay=1"),
+    "drifting": ("estimator.kind=kalman", "sensing.velocity_bias_walk={joints: 1e-6}"),
+    "wheels": ("estimator.kind=kalman", "controller=tdc", WHEELS),
+}
+# What differs between them.
+ENDS = {
+    "holds": (),
+    "misses": ("capture.envelope.velocity=1e-9",),
+    # beyond it during the approach, and, of most, after the grasp
+    "diverges before": ("divergence_speed=0.3",),
+    "diverges after": ("divergence_speed=0.6",),
+}
+
+
+def captured(shared, end, number):
+    """A capture with a seed, target, guess of it and tumble of its own."""
+    scenario = varied(load_scenario("tumbling_capture", [*CAPTURE, *shared, *ENDS[end]]), number)
+    payload, share = scenario.payload, 1.0 + 0.02 * number
+    center = [0.002 * number, 0.0, -0.001 * number]
+    truth = dataclasses.replace(payload.truth, center_of_mass=center)
+    return dataclasses.replace(
+        scenario,
+        payload=dataclasses.replace(payload, truth=truth),
+        initial_velocity={},
+        capture=dataclasses.replace(
+            scenario.capture, rate=[share * rate for rate in scenario.capture.rate]
+        ),
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    shared=st.sampled_from(sorted(GRASPS)),
+    runs=st.lists(st.tuples(st.sampled_from(sorted(ENDS)), st.integers(0, 5)), min_size=2),
+)
+def test_captures_go_side_by_side(shared, runs):
+    scenarios = [captured(GRASPS[shared], end, number) for end, number in runs[:4]]
+    assert batches_of(scenarios, len(scenarios)) == [list(range(len(scenarios)))]
+    logs = CaptureRollout(scenarios).run_all()
+    for log, scenario in zip(logs, scenarios, strict=True):
+        own = CaptureRollout(scenario).run()
+        assert (log is None) == (own.outcome.status != "completed")
+        if log is not None:
+            record, expected = (make_record(each, start=0.0) for each in (log, own))
+            assert_equal(record, expected)
+            assert record.grasp == expected.grasp
+            assert np.array_equal(log.grasp.target, own.grasp.target)
+    for record, each in zip(simulate_many(scenarios, batch=4), scenarios, strict=True):
+        assert_equal(record, alone(each))
+
+
+def test_captures_share_a_diagram_where_their_grasps_coincide():
+    scenarios = [captured((), "holds", number) for number in range(3)]
+    later = load_scenario("tumbling_capture", [*CAPTURE, "capture.approach.duration=0.6"])
+    held = load_scenario("tumbling_capture", [*CAPTURE, "capture.approach=null"])
+    assert batches_of([*scenarios, later, held, later, held], 16) == [[0, 1, 2], [3, 5], [4, 6]]
+
+
+def test_error_control_and_implicit_schemes_run_alone():
     controlled = load_scenario("postcapture", ["simulator_config.use_error_control=true"])
     implicit = load_scenario("postcapture", ["simulator_config.integration_scheme=implicit_euler"])
-    for scenario in (capture, controlled, implicit):
+    for scenario in (controlled, implicit):
         assert batches_of([scenario, scenario], 16) == [[0], [1]]
 
 

@@ -36,7 +36,7 @@ def join_controllers(
         law = _joined([each.law for each in sampled], models, scenario)
     except _CannotJoin:
         return None
-    return sampled[0].widened(law, [each.law.initial_state() for each in sampled])
+    return sampled[0].widened(law, [each.law for each in sampled])
 
 
 def _joined(values: Sequence[Any], models: Sequence[PlantModel], scenario: Scenario) -> Any:

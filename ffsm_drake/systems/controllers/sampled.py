@@ -1,5 +1,6 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -57,12 +58,11 @@ class SampledController(LeafSystem):
         coordinates: Coordinates,
         sample_time: float,
         place: str = "",
-        memory: State | None = None,
-        copies: int = 1,
+        copies: Sequence[ControlLaw] = (),
     ) -> None:
         """Args: a law for ``coordinates``; the system's name; the control period L, s; what names
-        the law in errors, by default the system's name; the memory at the start, by default the
-        law's; of how many copies of the spacecraft, each with a row in all arrays of law and
+        the law in errors, by default the system's name; of several copies of the spacecraft the law
+        of each, which ``law`` joins: it has a row for each copy in all arrays, and so has the
         memory.
 
         Raises BlockError: a user-supplied law breaks its contract.
@@ -70,9 +70,7 @@ class SampledController(LeafSystem):
         super().__init__()
         self.set_name(name)
         self.law, self._place = law, place or name
-        if memory is None:
-            memory = memory_of(law, self._place)
-            check_law(law, self._place, memory, len(coordinates.names))
+        self._laws = tuple(copies) or (law,)
         self._step = checked_step(law, self._place)
         self._made_with: dict[str, Any] = {
             "name": name,
@@ -80,29 +78,11 @@ class SampledController(LeafSystem):
             "sample_time": sample_time,
             "place": place,
         }
-        self._copies = copies
-        num_velocities = copies * len(coordinates.names)
+        self._copies = len(self._laws)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
-        num_states = copies * self._num_positions + num_velocities
-        self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
-        self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
-        self._desired_acceleration = self.DeclareVectorInputPort(
-            "desired_acceleration", num_velocities
-        )
-        self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
-        self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
-        self._desired_frame = (
-            self.DeclareVectorInputPort("desired_frame", copies * FRAME_SIZE)
-            if getattr(law, "tracks_frame", False)
-            else None
-        )
-        self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
-        self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        self._memory = {
-            key: self.DeclareDiscreteState(value.ravel()) for key, value in memory.items()
-        }
-        self._shapes = {key: value.shape for key, value in memory.items()}
+        self._declare_inputs(len(coordinates.names))
+        self._declare_state(len(coordinates.names), self._first_memory(len(coordinates.names)))
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (*OPTIONAL_OUTPUTS, SMALLEST):
             if key in self._memory:
@@ -110,24 +90,57 @@ class SampledController(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
-    def widened(self, law: ControlLaw, memories: Sequence[State]) -> "SampledController":
+    def _declare_inputs(self, num_velocities: int) -> None:
+        velocities = self._copies * num_velocities
+        states = self._copies * self._num_positions + velocities
+        self._estimated_state = self.DeclareVectorInputPort("estimated_state", states)
+        self._desired_state = self.DeclareVectorInputPort("desired_state", states)
+        self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", velocities)
+        self._applied_force = self.DeclareVectorInputPort("applied_force", velocities)
+        self._is_new = self.DeclareVectorInputPort("measurement_is_new", states)
+        self._desired_frame = (
+            self.DeclareVectorInputPort("desired_frame", self._copies * FRAME_SIZE)
+            if getattr(self.law, "tracks_frame", False)
+            else None
+        )
+
+    def _first_memory(self, num_velocities: int) -> State:
+        """The law's memory at the start, of several copies with a row for each."""
+        if self._copies > 1:
+            memories = [law.initial_state() for law in self._laws]
+            return {name: np.stack([each[name] for each in memories]) for name in memories[0]}
+        memory = memory_of(self.law, self._place)
+        check_law(self.law, self._place, memory, num_velocities)
+        return memory
+
+    def _declare_state(self, num_velocities: int, memory: State) -> None:
+        self._force = self.DeclareDiscreteState(np.zeros(self._copies * num_velocities))
+        self._has_previous = self.DeclareDiscreteState(np.zeros(1))
+        self._memory = {
+            key: self.DeclareDiscreteState(value.ravel()) for key, value in memory.items()
+        }
+        self._shapes = {key: value.shape for key, value in memory.items()}
+
+    def widened(self, law: ControlLaw, copies: Sequence[ControlLaw]) -> "SampledController":
         """The controller of several copies of the spacecraft, from that of one.
 
         Args:
           law: of all copies, with a row for each in all arrays.
-          memories: of each, at the start.
+          copies: of each.
         """
-        memory = {name: np.stack([each[name] for each in memories]) for name in memories[0]}
-        return SampledController(law, memory=memory, copies=len(memories), **self._made_with)
+        return SampledController(law, copies=copies, **self._made_with)
 
     def park(self, context: Context, copy: int) -> None:
         """Put a copy's force and memory to their values at the start."""
-        start = self.CreateDefaultContext()
         for index in (self._force, *self._memory.values()):
             values = np.array(context.get_discrete_state(index).value())
-            first = start.get_discrete_state(index).value()
+            first = self._at_start.get_discrete_state(index).value()
             values.reshape(self._copies, -1)[copy] = first.reshape(self._copies, -1)[copy]
             context.SetDiscreteState(index, values)
+
+    @functools.cached_property
+    def _at_start(self) -> Context:
+        return self.CreateDefaultContext()
 
     def state(self, context: Context, name: str) -> np.ndarray:
         """A copy of one piece of the discrete state, by its name in the class docstring."""
@@ -149,7 +162,7 @@ class SampledController(LeafSystem):
         context: Context,
         before: "SampledController",
         context_before: Context,
-        reference: np.ndarray,
+        references: np.ndarray,
     ) -> None:
         """Take over from another controller; the next sample is a first one, as velocities jump.
 
@@ -157,14 +170,21 @@ class SampledController(LeafSystem):
           context: this controller's context.
           before: the other controller, with the same law for another payload.
           context_before: the other controller's context.
-          reference: [q_d; v_d] (nq + nv) at that instant.
+          references: [q_d; v_d] at that instant, of each copy: (B, nq + nv).
         """
-        memory = {name: before.state(context_before, name) for name in self._memory}
-        returned = calling(self._place, self.law.resume, memory, before.law, reference)
-        memory = checked_memory(returned, f"{self._place}: resume", self._shapes)
+        one = {name: shape[self._copies > 1 :] for name, shape in self._shapes.items()}
+        memory = {
+            name: before.state(context_before, name).reshape(self._copies, *one[name])
+            for name in self._memory
+        }
+        resumed = []
+        for copy, (law, other) in enumerate(zip(self._laws, before._laws, strict=True)):
+            own = {name: rows[copy] for name, rows in memory.items()}
+            returned = calling(self._place, law.resume, own, other, references[copy])
+            resumed.append(checked_memory(returned, f"{self._place}: resume", one))
         context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
-            context.SetDiscreteState(index, memory[name])
+            context.SetDiscreteState(index, np.concatenate([np.ravel(of[name]) for of in resumed]))
 
     def memory_groups(self) -> Mapping[str, int]:
         """The discrete group of each piece of the law's memory, by name."""
@@ -253,6 +273,6 @@ class SampledController(LeafSystem):
         force, memory = self.step(inputs, memory, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        discrete_values.set_value(self._force, force.ravel())
+        discrete_values.set_value(self._force, force.reshape(-1))
         for name, index in self._memory.items():
             discrete_values.set_value(index, np.ravel(memory[name]))
