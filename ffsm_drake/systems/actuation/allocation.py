@@ -12,6 +12,7 @@ where a thruster cannot give what that asks for is the linear program itself sol
 """
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
@@ -69,32 +70,31 @@ class Allocation:
           stuck on, which the others must be able to cancel.
         """
         wanted = wrench.reshape(-1, 6)
-        left = wanted - leak
-        least = -_SLACK * (1.0 + np.abs(left).max(axis=1, keepdims=True))
-        found, given = times(self._shares_of(left), left), np.ones(len(left))
-        for row in (found < least).any(axis=1).nonzero()[0]:
-            found[row] = self._of_a_basis(left[row])
-        fits = ((found >= least) & (found <= self._largest * (1.0 + _SLACK))).all(axis=1)
-        found = np.maximum(found, 0.0)
-        for row in (~fits).nonzero()[0]:
-            found[row], given[row] = self._solve_within_bounds(wanted[row], leak)
+        left, bound = wanted - leak, self._largest * (1.0 + _SLACK)
+        least = -_SLACK * (1.0 + np.abs(left).max(axis=1))
+        found, given = np.empty((len(left), bound.size)), np.ones(len(left))
+        for row, share in enumerate(self._shares_of(left)):
+            forces = share.dot(left[row])
+            if forces.min() < least[row]:
+                forces = self._of_a_basis(left[row])
+            if not (forces.min() >= least[row] and (forces <= bound).all()):
+                forces, given[row] = self._solve_within_bounds(wanted[row], leak)
+            found[row] = forces
         before = wrench.shape[:-1]
-        return found.reshape(*before, self._largest.size), given.reshape(before)
+        return np.maximum(found, 0.0).reshape(*before, bound.size), given.reshape(before)
 
-    def _shares_of(self, wrenches: np.ndarray) -> np.ndarray:
-        """The maps (b, n, 6) of least squares with the thrusters whose bound is touched by every
-        best vertex of a wrench (b, 6).
+    def _shares_of(self, wrenches: np.ndarray) -> Iterator[np.ndarray]:
+        """The maps (n, 6) of least squares with the thrusters whose bound is touched by every best
+        vertex of each wrench (b, 6).
         """
         worth = times(self._prices, wrenches)
         best = worth.max(axis=1, keepdims=True)
-        maps = []
-        for is_best in worth >= best - _SLACK * (1.0 + best):
-            may_fire = self._touches[is_best].all(axis=0)
+        is_worse = worth < best - _SLACK * (1.0 + best)
+        for may_fire in (self._touches | is_worse[..., None]).all(axis=1):
             key = may_fire.tobytes()
             if key not in self._shares:
                 self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
-            maps.append(self._shares[key])
-        return np.array(maps)
+            yield self._shares[key]
 
     def _of_a_basis(self, wrench: np.ndarray) -> np.ndarray:
         """The forces (n) of six thrusters, a basis of the best vertex, that give a wrench (6)."""

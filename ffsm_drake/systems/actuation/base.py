@@ -157,10 +157,10 @@ class BaseActuators(LeafSystem):
             if begins:
                 with_owed = asked + np.matmul(owed.reshape(pairs), rotation) / thrusters.frame
                 fuel = thrusters.allocate(with_owed.reshape(owed.shape), fuel)
-                all_owed = np.matmul(with_owed, back).reshape(owed.shape)
-                owed = np.where(  # the rest is given up
-                    fuel.given < 1.0, owed - (1.0 - fuel.given) * thrusters.frame * all_owed, owed
-                )
+                if (fuel.given < 1.0).any():  # the rest is given up
+                    all_owed = np.matmul(with_owed, back).reshape(owed.shape)
+                    rest = (1.0 - fuel.given) * thrusters.frame * all_owed
+                    owed = np.where(fuel.given < 1.0, owed - rest, owed)
             firing, fuel = thrusters.fire(fuel)
             fired = firing.wrench.reshape(pairs)
             applied[..., :6] = np.matmul(fired, back).reshape(owed.shape)

@@ -146,12 +146,16 @@ class ThrusterSet:
         A wrench that is not finite gives forces that are none either: such a run has diverged.
         """
         known = np.isfinite(wrench).all(axis=-1, keepdims=True)
-        forces, part = self._allocation.solve(np.where(known, wrench, 0.0), self._leak)
+        all_known = bool(known.all())
+        solvable = wrench if all_known else np.where(known, wrench, 0.0)
+        forces, part = self._allocation.solve(solvable, self._leak)
         wanted, given = np.zeros((*part.shape, len(self.names))), part[..., None]
         wanted[..., self._works] = forces
-        if not known.all():
-            wanted, given = np.where(known, wanted, np.nan), np.where(known, given, np.nan)
-        open_for = np.where(known, np.maximum(memory.open_for, self._opened(wanted)), np.nan)
+        open_for = np.maximum(memory.open_for, self._opened(wanted))
+        if not all_known:
+            wanted, given, open_for = (
+                np.where(known, values, np.nan) for values in (wanted, given, open_for)
+            )
         return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
 
     def _opened(self, wanted: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ a).
 
 import dataclasses
 import functools
-import math
+import itertools
+import operator
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -244,15 +245,18 @@ class Gyroscopic(Diagram):
         vectors = (MakeVectorVariable(3 * copies, name).reshape(copies, 3) for name in "wrp")
         of_copies = list(zip(*vectors, strict=True))
         turning = [_cross(w, p) for w, _, p in of_copies]
+        passed = [Expression(0.0)] * (nv - 3)
         momentum = SymbolicVectorSystem(
             state=np.concatenate([p for _, _, p in of_copies]),
             input=np.concatenate([each[i] for i in (0, 1) for each in of_copies]),
-            dynamics=np.concatenate(
-                [of_turning - r for of_turning, (_, r, _) in zip(turning, of_copies, strict=True)]
-            ),
+            dynamics=[
+                of_turning - of_wheels
+                for each, (_, r, _) in zip(turning, of_copies, strict=True)
+                for of_turning, of_wheels in zip(each, r, strict=True)
+            ],
             output=[
-                *(one for each in turning for one in (*-each, *[Expression(0.0)] * (nv - 3))),
-                *(one for _, _, p in of_copies for one in p),
+                *itertools.chain(*([*map(operator.neg, each), *passed] for each in turning)),
+                *itertools.chain(*(p for _, _, p in of_copies)),
             ],
         )
         self._momentum = builder.AddNamedSystem("momentum", momentum)
@@ -270,9 +274,9 @@ class Gyroscopic(Diagram):
         self.GetMutableSubsystemContext(self._momentum, context).SetContinuousState(momentum)
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _cross(a: np.ndarray, b: np.ndarray) -> list[Expression]:
     """The cross product of vectors (3) of symbols."""
-    return np.array([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
 def _turning_and_reaction(size: int, first: Sequence[int]) -> Selector:
