@@ -65,7 +65,8 @@ class BaseActuators(LeafSystem):
         copies: int = 1,
     ) -> None:
         super().__init__()
-        self._copies, self._rows = copies, (copies, -1)
+        # of one spacecraft vectors, which are faster than rows
+        self._rows = (copies, -1) if copies > 1 else (-1,)
         self._thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
         # control samples from one allocation to the next
         self.frame = 1 if thrusters is None else thrusters.settings.frame
@@ -191,7 +192,7 @@ class BaseActuators(LeafSystem):
         sample = self.give(
             self._commanded.Eval(context).reshape(rows),
             value(self._memory).reshape(rows),
-            rotation=value(self._rotation).reshape(self._copies, 3, 3),
+            rotation=value(self._rotation).reshape(*self._rows[:-1], 3, 3),
             turning=value(self._turning).reshape(rows),
             begins=bool(value(self._begins).item()),
         )
@@ -206,16 +207,16 @@ class BaseActuators(LeafSystem):
         if self._thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
         state, nv = self._state.Eval(context).reshape(rows), self.sizes["applied_force"]
-        quaternion, w_WB = state[:, :4], state[:, nv + 1 : nv + 4]
+        quaternion, w_WB = state[..., :4], state[..., nv + 1 : nv + 4]
         ahead = attitude_ahead(quaternion, w_WB, self._sample_time / 2.0)
         values.set_value(self._rotation, ahead.ravel())
         if self.wheels is not None:
-            now = attitude_ahead(quaternion, w_WB, 0.0).reshape(self._copies, 3, 3)
-            in_base = times(self.wheels.axes, memory.reshape(rows)[:, self._parts[1]])
+            now = attitude_ahead(quaternion, w_WB, 0.0).reshape(*rows[:-1], 3, 3)
+            in_base = times(self.wheels.axes, memory.reshape(rows)[..., self._parts[1]])
             # The held direction of the torque, and the integrator, leave a little between the two.
             missing = self._stored.Eval(context).reshape(rows) - times(now, in_base)
-            turning = [times(now.swapaxes(1, 2), w_WB), missing / self._sample_time]
-            values.set_value(self._turning, np.concatenate(turning, axis=1).ravel())
+            turning = [times(now.swapaxes(-1, -2), w_WB), missing / self._sample_time]
+            values.set_value(self._turning, np.concatenate(turning, axis=-1).ravel())
 
 
 class BaseBlock(Diagram):
