@@ -99,17 +99,7 @@ class BaseActuators(LeafSystem):
         self._turning = self.DeclareDiscreteState(np.zeros(6 * copies))
         self._memory = self.DeclareDiscreteState(np.tile(memory, copies))
         size = sum(self.sizes.values())
-        # the entries of rows for the copies, part after part
-        self._by_name = np.concatenate(
-            [
-                part.ravel()
-                for part in np.split(
-                    np.arange(copies * size).reshape(copies, size),
-                    np.cumsum(list(self.sizes.values()))[:-1],
-                    axis=1,
-                )
-            ]
-        )
+        self._by_name = _part_after_part(list(self.sizes.values()), copies)
         # Not on the plant's state: while the command is held, the integrator's stages read the
         # cached value.
         depends = {self.input_port_ticket(self._commanded.get_index()), self.xd_ticket()}
@@ -217,6 +207,13 @@ class BaseActuators(LeafSystem):
             missing = self._stored.Eval(context).reshape(rows) - times(now, in_base)
             turning = [times(now.swapaxes(-1, -2), w_WB), missing / self._sample_time]
             values.set_value(self._turning, np.concatenate(turning, axis=-1).ravel())
+
+
+def _part_after_part(sizes: list[int], copies: int) -> np.ndarray:
+    """Of rows for the copies, with parts of these sizes, the entries part after part."""
+    rows = np.arange(copies * sum(sizes)).reshape(copies, -1)
+    parts = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
+    return np.concatenate([part.ravel() for part in parts])
 
 
 class BaseBlock(Diagram):
