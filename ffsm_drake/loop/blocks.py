@@ -23,7 +23,7 @@ from ffsm_drake.scenario import Block, Scenario, build_settings
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
-from ffsm_drake.systems.actuation import SECTIONS, make_actuation
+from ffsm_drake.systems.actuation import SECTIONS, actuation_of, wide_actuation_of
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
 from ffsm_drake.systems.controllers.joined import join_controllers
 from ffsm_drake.systems.deflections import Deflections
@@ -131,9 +131,7 @@ class _Section:
 _SECTIONS: dict[str, Factory] = {
     "reference": _Section(reference_of, wide_reference_of),
     "sensing": _Section(sensing_of, wide_sensing_of),
-    "actuation": lambda setup: make_actuation(
-        setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
-    ),
+    "actuation": _Section(actuation_of, wide_actuation_of),
 }
 # Blocks of which there may be several.
 _SEVERAL = ("sensing.<name>", "forces.<name>")

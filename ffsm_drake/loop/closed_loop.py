@@ -23,7 +23,6 @@ from pydrake.systems.primitives import (
     ConstantVectorSource,
     Gain,
     Selector,
-    SelectorParams,
     ZeroOrderHold,
 )
 
@@ -45,6 +44,7 @@ from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.sensing import wire_stages
 from ffsm_drake.systems.side_by_side import SideBySide
 
@@ -542,21 +542,7 @@ class _Wiring:
         self, name: str, inputs: Mapping[str, int], outputs: Mapping[str, list[tuple[int, int]]]
     ) -> Selector:
         """A system whose outputs are entries of its inputs: which input, and where in it."""
-        params = SelectorParams()
-        params.inputs = [
-            SelectorParams.InputPortParams(name=each, size=size) for each, size in inputs.items()
-        ]
-        params.outputs = [
-            SelectorParams.OutputPortParams(
-                name=each,
-                selections=[
-                    SelectorParams.OutputSelection(input_port_index=index, input_offset=offset)
-                    for index, offset in places
-                ],
-            )
-            for each, places in outputs.items()
-        ]
-        selector: Selector = self._builder.AddNamedSystem(name, Selector(params))
+        selector: Selector = self._builder.AddNamedSystem(name, make_selector(inputs, outputs))
         return selector
 
     def _sum(self, name: str, terms: list[Source]) -> Source:

@@ -3,18 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
-from pydrake.systems.primitives import (
-    Adder,
-    ConstantVectorSource,
-    Selector,
-    SelectorParams,
-    Sine,
-)
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
 
 from ffsm_drake.scenario import Disturbance
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.setup import BlockSetup
 
 
@@ -52,7 +47,11 @@ def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) 
     nv, width = len(coordinates.names), amplitude.size // len(distinct)
     copies = [distinct.index(each) for each in settings]
     if nv < width or len(distinct) < len(copies):
-        port = _take(builder, port, [copy * width + i for copy in copies for i in range(nv)])
+        kept = [(0, copy * width + i) for copy in copies for i in range(nv)]
+        taken = make_selector({"harmonics": port.size()}, {"taken": kept})
+        builder.AddNamedSystem("taken", taken)
+        builder.Connect(port, taken.get_input_port())
+        port = taken.get_output_port()
     bias = np.concatenate([bias[copy * nv : (copy + 1) * nv] for copy in copies])
     if bias.any():
         biases = builder.AddNamedSystem("bias", ConstantVectorSource(bias))
@@ -83,20 +82,3 @@ def _vectors(settings: Disturbance, coordinates: Coordinates) -> list[np.ndarray
     scaled = (settings.amplitude_scale * amplitude, settings.frequency_scale * frequency, phase)
     sines = [np.append(each, np.zeros(bias.size % 2)) for each in scaled]
     return [*sines, settings.amplitude_scale * bias]
-
-
-def _take(builder: DiagramBuilder, port: OutputPort, entries: Sequence[int]) -> OutputPort:
-    """Some entries of a port."""
-    params = SelectorParams()
-    params.inputs = [SelectorParams.InputPortParams(name="harmonics", size=port.size())]
-    params.outputs = [
-        SelectorParams.OutputPortParams(
-            name="taken",
-            selections=[
-                SelectorParams.OutputSelection(input_port_index=0, input_offset=i) for i in entries
-            ],
-        )
-    ]
-    taken = builder.AddNamedSystem("taken", Selector(params))
-    builder.Connect(port, taken.get_input_port())
-    return taken.get_output_port()

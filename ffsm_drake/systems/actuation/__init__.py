@@ -2,11 +2,13 @@
 wheels, thrusters.
 """
 
+import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder, InputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.scenario import Actuation, Scenario
@@ -17,7 +19,7 @@ from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import ReactionWheels, WheelSet
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.sensing import Quantizer
-from ffsm_drake.systems.setup import CompositeBlock
+from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 # What the sections of ``actuation`` bring to records and pages.
 SECTIONS: dict[str, type[Part]] = {
@@ -38,11 +40,15 @@ class Actuators(CompositeBlock):
     """Systems in a row from ``commanded_force`` to ``applied_force``, and some beside them.
 
     The first ports of those in the row are forces; what else they and the others put out are
-    outputs, by name, and all may read ``state``.
+    outputs, by name, and all may read ``state``. Of several copies of the spacecraft the ports hold
+    copy after copy.
     """
 
-    def __init__(self, row: Mapping[str, System], beside: Mapping[str, System]) -> None:
+    def __init__(
+        self, row: Mapping[str, System], beside: Mapping[str, System], *, copies: int = 1
+    ) -> None:
         super().__init__()
+        self._copies = copies
         builder, chain = DiagramBuilder(), list(row.values())
         readers = list[InputPort]()
         for name, system in (*row.items(), *beside.items()):
@@ -62,6 +68,53 @@ class Actuators(CompositeBlock):
             builder.ConnectInput("state", port)
         builder.BuildInto(self)
         self.set_name("actuation")
+
+    def park(self, context: Context, copy: int) -> None:
+        """Put a copy's memory to its start (``loop.side_by_side``)."""
+        for system in self.GetSystems():
+            own = self.GetMutableSubsystemContext(system, context)
+            start = system.CreateDefaultContext()
+            # A delay holds the forces of all copies at one sample, then those at the next.
+            width = system.get_input_port(0).size() if isinstance(system, DiscreteTimeDelay) else -1
+            for index in range(own.num_discrete_state_groups()):
+                values = own.get_discrete_state(index).value().copy()
+                if values.size > 1:  # one number is shared
+                    first = start.get_discrete_state(index).value()
+                    self._put_back(values, first, copy, width=width)
+                    own.SetDiscreteState(index, values)
+            if own.num_continuous_states():
+                values = own.get_continuous_state_vector().CopyToVector()
+                self._put_back(values, np.zeros(values.size), copy)
+                own.SetContinuousState(values)
+
+    def _put_back(
+        self, values: np.ndarray, start: np.ndarray, copy: int, *, width: int = -1
+    ) -> None:
+        """Set a copy's entries to those of the start, in vectors with all copies in each width."""
+        shape = (-1 if width > 0 else 1, self._copies, max(width // self._copies, -1))
+        values.reshape(shape)[:, copy] = start.reshape(shape)[:, copy]
+
+
+def actuation_of(setup: BlockSetup) -> Actuators | None:
+    """The actuators of a scenario's section; None of ideal ones."""
+    return wide_actuation_of([setup])
+
+
+def wide_actuation_of(setups: Sequence[BlockSetup]) -> Actuators | None:
+    """The actuators of several copies of the spacecraft, see ``loop.side_by_side``; None where they
+    are ideal, or differ in more than limits of the force and quantisation.
+    """
+    settings = [setup.scenario.actuation for setup in setups]
+    first = settings[0]
+    if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
+        return None
+    return _make_actuation(settings, setups[0].coordinates, sample_time=setups[0].sample_time)
+
+
+def _by_copy(settings: Actuation) -> dict[str, Any]:
+    """What copies of the spacecraft may differ in; the drives' torque falls from the limit."""
+    alike = settings.drives is not None
+    return {name: getattr(settings, name) for name in ("limit", "quantization")[alike:]}
 
 
 def make_actuation(
@@ -89,30 +142,52 @@ def make_actuation(
       ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
         every wrench.
     """
-    row, beside = _make_limits(settings, coordinates, sample_time=sample_time), dict[str, System]()
+    return _make_actuation([settings], coordinates, sample_time=sample_time, base=base)
+
+
+def _make_actuation(
+    of_copies: Sequence[Actuation],
+    coordinates: Coordinates,
+    *,
+    sample_time: float,
+    base: System | None = None,
+) -> Actuators | None:
+    """As ``make_actuation``, of each of the settings, which differ by ``_by_copy``."""
+    settings, copies = of_copies[0], len(of_copies)
+    row, beside = _make_limits(of_copies, coordinates, sample_time=sample_time), dict[str, System]()
     if settings.drives is not None:
         drives = DriveSet(settings.drives, settings.limit, coordinates)
         if drives.has_rate_limit:
-            row["rate_limit"] = RateLimit(drives, coordinates, sample_time=sample_time)
+            row["rate_limit"] = RateLimit(
+                drives, coordinates, sample_time=sample_time, copies=copies
+            )
         if drives.has_friction:
-            beside["friction"] = JointFriction(drives, coordinates)
+            beside["friction"] = JointFriction(drives, coordinates, copies=copies)
     if base is not None:
         row["base"] = base
     elif settings.thrusters is not None or settings.wheels is not None:
-        own = make_base_actuators(settings, coordinates, sample_time=sample_time)
-        row["base"] = BaseBlock(own, coordinates)
+        own = make_base_actuators(settings, coordinates, sample_time=sample_time, copies=copies)
+        row["base"] = BaseBlock(own, coordinates, copies=copies)
     if beside and not row:
-        row["as_commanded"] = PassThrough(len(coordinates.names))
-    return Actuators(row, beside) if row else None
+        row["as_commanded"] = PassThrough(copies * len(coordinates.names))
+    return Actuators(row, beside, copies=copies) if row else None
 
 
 def _make_limits(
-    settings: Actuation, coordinates: Coordinates, *, sample_time: float
+    of_copies: Sequence[Actuation], coordinates: Coordinates, *, sample_time: float
 ) -> dict[str, System]:
     """Saturation, quantisation and delay, by name; those that there are."""
-    limit = coordinates.vector(settings.limit or {}, key="actuation.limit", default=np.inf)
-    resolution = coordinates.vector(
-        settings.quantization, key="actuation.quantization", default=0.0
+    settings = of_copies[0]
+    limit, resolution = (
+        np.concatenate(
+            [
+                coordinates.vector(
+                    getattr(each, name) or {}, key=f"actuation.{name}", default=default
+                )
+                for each in of_copies
+            ]
+        )
+        for name, default in (("limit", np.inf), ("quantization", 0.0))
     )
     row: dict[str, System] = {}
     if np.isfinite(limit).any():
@@ -127,12 +202,14 @@ def _make_limits(
 
 
 def make_base_actuators(
-    settings: Actuation, coordinates: Coordinates, *, sample_time: float
+    settings: Actuation, coordinates: Coordinates, *, sample_time: float, copies: int = 1
 ) -> BaseActuators:
-    """Thrusters and wheels as one system; errors as for ``make_actuation``."""
+    """Thrusters and wheels, of all copies of the spacecraft, as one system; errors as for
+    ``make_actuation``.
+    """
     thrusters, wheels = None, None
     if settings.thrusters is not None:
         thrusters = ThrusterSet(settings.thrusters, sample_time=sample_time)
     if settings.wheels is not None:
         wheels = WheelSet(settings.wheels, sample_time=sample_time, alone=thrusters is None)
-    return BaseActuators(thrusters, wheels, coordinates, sample_time=sample_time)
+    return BaseActuators(thrusters, wheels, coordinates, sample_time=sample_time, copies=copies)

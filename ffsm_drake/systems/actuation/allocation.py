@@ -12,9 +12,12 @@ where a thruster cannot give what that asks for is the linear program itself sol
 """
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
+
+from ffsm_drake.common.products import times
 
 _SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
 _SLACK = 1e-9  # relative; by which a bound may be missed
@@ -57,36 +60,49 @@ class Allocation:
         _, optimal = vertices(self._cost)
         self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
 
-    def solve(self, wrench: np.ndarray, leak: np.ndarray | float = 0.0) -> tuple[np.ndarray, float]:
-        """The forces (n, N) of the largest part of a wrench (6, N m and N) that can be given, and
-        that part, 0 to 1.
+    def solve(
+        self, wrench: np.ndarray, leak: np.ndarray | float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The forces (..., n, N) of the largest part of a wrench (..., 6, N m and N) that can be
+        given, and that part (...), 0 to 1.
 
         Args: the wrench; the part of it that is there already (6), such as of a thruster that is
           stuck on, which the others must be able to cancel.
         """
-        left = wrench - leak
-        least = -_SLACK * (1.0 + np.abs(left).max())
-        found = self._share(left).dot(left)
-        if found.min() < least:
-            forces = self._inverses.dot(left).reshape(-1, 6)
-            best = forces.min(axis=1).argmax()
-            found = np.zeros(self._largest.size)
-            found[self._bases[best]] = forces[best]
-        if found.min() >= least and (found <= self._largest * (1.0 + _SLACK)).all():
-            return np.maximum(found, 0.0), 1.0
-        return self._solve_within_bounds(wrench, leak)
+        wanted = wrench.reshape(-1, 6)
+        left, bound = wanted - leak, self._largest * (1.0 + _SLACK)
+        least = -_SLACK * (1.0 + np.abs(left).max(axis=1))
+        found, given = np.empty((len(left), bound.size)), np.ones(len(left))
+        for row, share in enumerate(self._shares_of(left)):
+            forces = share.dot(left[row])
+            if forces.min() < least[row]:
+                forces = self._of_a_basis(left[row])
+            if not (forces.min() >= least[row] and (forces <= bound).all()):
+                forces, given[row] = self._solve_within_bounds(wanted[row], leak)
+            found[row] = forces
+        before = wrench.shape[:-1]
+        return np.maximum(found, 0.0).reshape(*before, bound.size), given.reshape(before)
 
-    def _share(self, wrench: np.ndarray) -> np.ndarray:
-        """The map (n, 6) of least squares with the thrusters whose bound is touched by every best
-        vertex.
+    def _shares_of(self, wrenches: np.ndarray) -> Iterator[np.ndarray]:
+        """The maps (n, 6) of least squares with the thrusters whose bound is touched by every best
+        vertex of each wrench (b, 6).
         """
-        worth = self._prices.dot(wrench)
-        best = worth.max()
-        may_fire = self._touches[worth >= best - _SLACK * (1.0 + best)].all(axis=0)
-        key = may_fire.tobytes()
-        if key not in self._shares:
-            self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
-        return self._shares[key]
+        worth = times(self._prices, wrenches)
+        best = worth.max(axis=1, keepdims=True)
+        is_worse = worth < best - _SLACK * (1.0 + best)
+        for may_fire in (self._touches | is_worse[..., None]).all(axis=1):
+            key = may_fire.tobytes()
+            if key not in self._shares:
+                self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
+            yield self._shares[key]
+
+    def _of_a_basis(self, wrench: np.ndarray) -> np.ndarray:
+        """The forces (n) of six thrusters, a basis of the best vertex, that give a wrench (6)."""
+        forces = self._inverses.dot(wrench).reshape(-1, 6)
+        best = forces.min(axis=1).argmax()
+        found = np.zeros(self._largest.size)
+        found[self._bases[best]] = forces[best]
+        return found
 
     def _solve_within_bounds(
         self, wrench: np.ndarray, leak: np.ndarray | float

@@ -4,7 +4,6 @@ import itertools
 import math
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -16,6 +15,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.products import times
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
@@ -36,7 +36,7 @@ class BaseActuators(LeafSystem):
       stored_momentum: with wheels only, their momentum in world axes as it is integrated (3), N m
         s.
     Output, which changes at control samples only:
-      sample: stacked by ``sizes``:
+      sample: stacked by ``sizes``, each for copy after copy of the spacecraft:
         applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world
           axes, without the wheels' gyroscopic torque;
         with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the share
@@ -62,8 +62,11 @@ class BaseActuators(LeafSystem):
         coordinates: Coordinates,
         *,
         sample_time: float,
+        copies: int = 1,
     ) -> None:
         super().__init__()
+        # of one spacecraft vectors, which are faster than rows
+        self._rows = (copies, -1) if copies > 1 else (-1,)
         self._thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
         # control samples from one allocation to the next
         self.frame = 1 if thrusters is None else thrusters.settings.frame
@@ -84,22 +87,24 @@ class BaseActuators(LeafSystem):
                 "wheel_unloads": 1,
                 "wheel_reaction": 3,
             }
-            self._stored = self.DeclareVectorInputPort("stored_momentum", 3)
+            self._stored = self.DeclareVectorInputPort("stored_momentum", 3 * copies)
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
         self._parts = list(itertools.starmap(slice, itertools.pairwise(ends)))
-        self._commanded = self.DeclareVectorInputPort("commanded_force", nv)
-        self._state = self.DeclareVectorInputPort("state", 2 * nv + 1)
-        self._rotation = self.DeclareDiscreteState(np.eye(3).ravel())
+        self._commanded = self.DeclareVectorInputPort("commanded_force", copies * nv)
+        self._state = self.DeclareVectorInputPort("state", copies * (2 * nv + 1))
+        self._rotation = self.DeclareDiscreteState(np.tile(np.eye(3).ravel(), copies))
         self._begins = self.DeclareDiscreteState(np.zeros(1))
-        self._turning = self.DeclareDiscreteState(np.zeros(6))
-        self._memory = self.DeclareDiscreteState(memory)
+        self._turning = self.DeclareDiscreteState(np.zeros(6 * copies))
+        self._memory = self.DeclareDiscreteState(np.tile(memory, copies))
+        size = sum(self.sizes.values())
+        self._by_name = _part_after_part(list(self.sizes.values()), copies)
         # Not on the plant's state: while the command is held, the integrator's stages read the
         # cached value.
         depends = {self.input_port_ticket(self._commanded.get_index()), self.xd_ticket()}
         self._sample = self.DeclareVectorOutputPort(
-            "sample", sum(self.sizes.values()), weak_callback(self._calc), depends
+            "sample", copies * size, weak_callback(self._calc), depends
         )
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
@@ -113,91 +118,102 @@ class BaseActuators(LeafSystem):
         turning: np.ndarray,
         begins: bool,
     ) -> np.ndarray:
-        """The output ``sample``, as a pure function of the command (nv) and of what the discrete
-        state holds.
+        """The output ``sample`` (...), a row for each copy, as a pure function of the command
+        (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
+        ``turning`` (..., 6), ``begins``.
 
         An infinite command is none: what it gives is NaN, and such a run has diverged.
         """
         commanded = np.where(np.isinf(commanded), np.nan, commanded)
         thrusters, wheels = self._thrusters, self.wheels
-        wanted = commanded[:6].reshape(2, 3).dot(rotation)  # torque, force in the base's axes
-        memories = iter([memory[part] for part in self._parts])
+        back = rotation.swapaxes(-1, -2)
+        pairs = (*commanded.shape[:-1], 2, 3)
+        # torque, force in the base's axes
+        wanted = np.matmul(commanded[..., :6].reshape(pairs), rotation)
+        memories = iter([memory[..., part] for part in self._parts])
         parts, kept = list[np.ndarray](), list[np.ndarray]()
         applied, by_wheels = commanded.copy(), np.zeros(3)
         asked = wanted.copy()  # of the thrusters
         if wheels is not None:
-            short, momentum, unloads = next(memories), next(memories), bool(next(memories).item())
-            w_WB, missing = turning[:3], turning[3:]
-            wanted[0] += short.dot(rotation) / (_RECOVERY * self._sample_time)
+            short, momentum, unloads = next(memories), next(memories), next(memories) > 0.0
+            w_WB, missing = turning[..., :3], turning[..., 3:]
+            wanted[..., 0, :] += times(back, short) / (_RECOVERY * self._sample_time)
             if begins:
                 unloads = wheels.unloads(unloads, momentum, w_WB)
-            asked[0] = wheels.assist_torque(wanted[0])
-            if unloads:
-                asked[0] += wheels.unloading_torque(momentum)
+            asked[..., 0, :] = wheels.assist_torque(wanted[..., 0, :])
+            if unloads.any():
+                asked[..., 0, :] += np.where(unloads, wheels.unloading_torque(momentum), 0.0)
         if thrusters is not None:
             owed, fuel = next(memories), ThrusterMemory.unpacked(next(memories))
             if begins:
-                with_owed = asked + owed.reshape(2, 3).dot(rotation) / thrusters.frame
-                fuel = thrusters.allocate(with_owed.ravel(), fuel)
-                if fuel.given < 1.0:  # the rest is given up
-                    owed = (
-                        owed
-                        - (1.0 - fuel.given) * thrusters.frame * with_owed.dot(rotation.T).ravel()
-                    )
+                with_owed = asked + np.matmul(owed.reshape(pairs), rotation) / thrusters.frame
+                fuel = thrusters.allocate(with_owed.reshape(owed.shape), fuel)
+                if (fuel.given < 1.0).any():  # the rest is given up
+                    all_owed = np.matmul(with_owed, back).reshape(owed.shape)
+                    rest = (1.0 - fuel.given) * thrusters.frame * all_owed
+                    owed = np.where(fuel.given < 1.0, owed - rest, owed)
             firing, fuel = thrusters.fire(fuel)
-            fired = firing.wrench.reshape(2, 3)
-            applied[:6] = fired.dot(rotation.T).ravel()
-            parts += [firing.force, firing.open_share, np.array([firing.given])]
+            fired = firing.wrench.reshape(pairs)
+            applied[..., :6] = np.matmul(fired, back).reshape(owed.shape)
+            parts += [firing.force, firing.open_share, firing.given]
             if thrusters.carries_over:
-                owed = owed + (asked - fired).dot(rotation.T).ravel() * self._sample_time
+                more = np.matmul(asked - fired, back).reshape(owed.shape)
+                owed = owed + more * self._sample_time
             kept += [owed, fuel.packed()]
-            wanted[0] -= fired[0]
+            wanted[..., 0, :] -= fired[..., 0, :]
         if wheels is not None:
-            torques = wheels.give(wanted[0], momentum, w_WB)
-            by_wheels = rotation.dot(torques.on_base) + missing
-            applied[:3] = by_wheels + (0.0 if thrusters is None else applied[:3])
-            parts += [momentum, torques.motor, np.array([float(unloads)]), by_wheels]
+            torques = wheels.give(wanted[..., 0, :], momentum, w_WB)
+            by_wheels = times(rotation, torques.on_base) + missing
+            applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
+            parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
             # What is missing has been given already, in a direction that was held.
-            given = applied[:3] - missing
-            short = wheels.bounded(short + (commanded[:3] - given) * self._sample_time, _RECOVERY)
+            given = applied[..., :3] - missing
+            left = short + (commanded[..., :3] - given) * self._sample_time
             kept = [
-                short,
+                wheels.bounded(left, _RECOVERY),
                 momentum + torques.on_wheels * self._sample_time,
-                np.array([float(unloads)]),
+                unloads * 1.0,
                 *kept,
             ]
-        return np.concatenate([applied, *parts, *kept])
+        return np.concatenate([applied, *parts, *kept], axis=-1)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        value = context.get_discrete_state().value
+        value, rows = context.get_discrete_state().value, self._rows
         sample = self.give(
-            self._commanded.Eval(context),
-            value(self._memory),
-            rotation=value(self._rotation).reshape(3, 3),
-            turning=value(self._turning),
+            self._commanded.Eval(context).reshape(rows),
+            value(self._memory).reshape(rows),
+            rotation=value(self._rotation).reshape(*self._rows[:-1], 3, 3),
+            turning=value(self._turning).reshape(rows),
             begins=bool(value(self._begins).item()),
         )
-        output.SetFromVector(sample)
+        output.SetFromVector(sample.ravel()[self._by_name])
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
-        sample, memory = round(context.get_time() / self._sample_time), None
+        sample, rows = round(context.get_time() / self._sample_time), self._rows
+        memory = context.get_discrete_state().value(self._memory)
         if sample > 0:
-            memory = self._sample.Eval(context)[-self.sizes["memory"] :]
+            memory = self._sample.Eval(context)[-memory.size :]
             values.set_value(self._memory, memory)
         if self._thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
-        state, nv = self._state.Eval(context), self.sizes["applied_force"]
-        quaternion, w_WB = state[:4], state[nv + 1 : nv + 4]
-        values.set_value(self._rotation, attitude_ahead(quaternion, w_WB, self._sample_time / 2.0))
+        state, nv = self._state.Eval(context).reshape(rows), self.sizes["applied_force"]
+        quaternion, w_WB = state[..., :4], state[..., nv + 1 : nv + 4]
+        ahead = attitude_ahead(quaternion, w_WB, self._sample_time / 2.0)
+        values.set_value(self._rotation, ahead.ravel())
         if self.wheels is not None:
-            rotation = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
-            kept = context.get_discrete_state().value(self._memory) if memory is None else memory
-            momentum = kept[self._parts[1]]
+            now = attitude_ahead(quaternion, w_WB, 0.0).reshape(*rows[:-1], 3, 3)
+            in_base = times(self.wheels.axes, memory.reshape(rows)[..., self._parts[1]])
             # The held direction of the torque, and the integrator, leave a little between the two.
-            missing = self._stored.Eval(context) - rotation.dot(self.wheels.axes.dot(momentum))
-            values.set_value(
-                self._turning, np.concatenate([w_WB.dot(rotation), missing / self._sample_time])
-            )
+            missing = self._stored.Eval(context).reshape(rows) - times(now, in_base)
+            turning = [times(now.swapaxes(-1, -2), w_WB), missing / self._sample_time]
+            values.set_value(self._turning, np.concatenate(turning, axis=-1).ravel())
+
+
+def _part_after_part(sizes: list[int], copies: int) -> np.ndarray:
+    """Of rows for the copies, with parts of these sizes, the entries part after part."""
+    rows = np.arange(copies * sum(sizes)).reshape(copies, -1)
+    parts = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
+    return np.concatenate([part.ravel() for part in parts])
 
 
 class BaseBlock(Diagram):
@@ -207,17 +223,21 @@ class BaseBlock(Diagram):
     stacked in ``BaseActuators``, ``applied_force`` first; with wheels also those of ``Gyroscopic``.
     """
 
-    def __init__(self, base: BaseActuators, coordinates: Coordinates) -> None:
+    def __init__(self, base: BaseActuators, coordinates: Coordinates, *, copies: int = 1) -> None:
         super().__init__()
         self._wheels, builder = base.wheels, DiagramBuilder()
         builder.AddNamedSystem("actuators", base)
-        parts = builder.AddNamedSystem("sample", Demultiplexer(list(base.sizes.values())))
+        parts = builder.AddNamedSystem(
+            "sample", Demultiplexer([copies * size for size in base.sizes.values()])
+        )
         builder.Connect(base.get_output_port(), parts.get_input_port())
         outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
         builder.ExportInput(base.GetInputPort("commanded_force"), "commanded_force")
         builder.ExportInput(base.GetInputPort("state"), "state")
         if base.wheels is not None:
-            stored = self._stored = builder.AddNamedSystem("gyroscopic", Gyroscopic(coordinates))
+            stored = self._stored = builder.AddNamedSystem(
+                "gyroscopic", Gyroscopic(coordinates, copies=copies)
+            )
             builder.ConnectInput("state", stored.GetInputPort("state"))
             builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("reaction"))
             name = "stored_momentum"
@@ -230,21 +250,47 @@ class BaseBlock(Diagram):
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The wheels have their initial momentum, in a base with the attitude of ``state`` [q;
-        v].
+        v], a row for each copy.
         """
         if self._wheels is not None:
-            rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
-            momentum = rotation.dot(self._wheels.axes.dot(self._wheels.initial_momentum))
+            quaternion = state[..., :4]
+            rotation = attitude_ahead(quaternion, np.zeros_like(quaternion[..., :3]), 0.0)
+            in_base = times(self._wheels.axes, self._wheels.initial_momentum)
+            momentum = times(rotation.reshape(*quaternion.shape[:-1], 3, 3), in_base)
             within = self.GetMutableSubsystemContext(self._stored, context)
-            self._stored.set_momentum(within, momentum)
+            self._stored.set_momentum(within, momentum.ravel())
 
 
 def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: float) -> np.ndarray:
-    """R_WB (9, by rows) after a time, s, at a constant angular velocity w_WB (3, rad/s) from (w, x,
-    y, z).
+    """R_WB (..., 9, by rows) after a time, s, at a constant angular velocity w_WB (..., 3, rad/s)
+    from (w, x, y, z) (..., 4).
     """
-    x, y, z = (0.5 * time * angular_velocity).tolist()  # half the rotation vector
+    before = quaternion.reshape(-1, 4).tolist()
+    halves = (0.5 * time * angular_velocity).reshape(-1, 3).tolist()  # of the rotation vector
+    turned = [_turned(one, half) for one, half in zip(before, halves, strict=True)]
+    return np.array(turned).reshape(*quaternion.shape[:-1], 9)
+
+
+def _turned(quaternion: list[float], half: list[float]) -> tuple[float, ...]:
+    """A rotation matrix (9, by rows): that of a quaternion of any length, turned by twice a
+    rotation vector. On few numbers faster than arrays, and than Drake's classes.
+    """
+    bw, bx, by, bz = quaternion
+    norm = math.sqrt(bw * bw + bx * bx + by * by + bz * bz)
+    bw, bx, by, bz = bw / norm, bx / norm, by / norm, bz / norm
+    x, y, z = half
     angle = math.sqrt(x * x + y * y + z * z)
     sinc = math.sin(angle) / angle if angle > 0.0 else 1.0
-    turn = Quaternion(wxyz=[math.cos(angle), sinc * x, sinc * y, sinc * z])
-    return turn.multiply(Quaternion(quaternion / np.linalg.norm(quaternion))).rotation().ravel()
+    aw, ax, ay, az = math.cos(angle), sinc * x, sinc * y, sinc * z
+    w = (aw * bw - ay * by) - (az * bz + ax * bx)
+    x = (aw * bx + ay * bz) - (az * by - ax * bw)
+    y = (aw * by + ay * bw) + (az * bx - ax * bz)
+    z = (aw * bz - ay * bx) + (az * bw + ax * by)
+    xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
+    xy, xz, yz = 2.0 * y * x, 2.0 * z * x, 2.0 * z * y
+    wx, wy, wz = 2.0 * x * w, 2.0 * y * w, 2.0 * z * w
+    return (
+        *(1.0 - (yy + zz), xy - wz, xz + wy),
+        *(xy + wz, 1.0 - (xx + zz), yz - wx),
+        *(xz - wy, yz + wx, 1.0 - (xx + yy)),
+    )

@@ -46,6 +46,7 @@ from ffsm_drake.systems.part import (
     View,
     by_key,
 )
+from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.drives"
@@ -136,8 +137,8 @@ class DriveSet:
             )
 
     def give(self, force: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """What comes of a wanted force (n) at joint rates (n): the part with the motion is cut, N m
-        or N.
+        """What comes of a wanted force (..., n) at joint rates (..., n): the part with the motion
+        is cut, N m or N.
         """
         most = self.available(rate)
         return np.clip(
@@ -163,29 +164,34 @@ class RateLimit(LeafSystem):
 
     Inputs: ``force`` (nv) and ``state`` [q; v] (nq + nv). Output: ``limited`` (nv), which changes
     at control samples only. Discrete state, updated every control sample: the joint rates (n).
+    All of copy after copy of the spacecraft.
     """
 
-    def __init__(self, drives: DriveSet, coordinates: Coordinates, *, sample_time: float) -> None:
+    def __init__(
+        self, drives: DriveSet, coordinates: Coordinates, *, sample_time: float, copies: int = 1
+    ) -> None:
         super().__init__()
-        self._drives, nv = drives, len(coordinates.names)
-        self._force = self.DeclareVectorInputPort("force", nv)
-        self._state = self.DeclareVectorInputPort("state", 2 * nv + 1)
-        self.DeclareDiscreteState(len(drives.names))
+        self._drives, nv, self._rows = drives, len(coordinates.names), (copies, -1)
+        self._force = self.DeclareVectorInputPort("force", copies * nv)
+        self._state = self.DeclareVectorInputPort("state", copies * (2 * nv + 1))
+        self.DeclareDiscreteState(copies * len(drives.names))
         # Not on the plant's state: while the command is held, the integrator's stages read the
         # cached value.
         depends = {self.input_port_ticket(self._force.get_index()), self.xd_ticket()}
-        self.DeclareVectorOutputPort("limited", nv, weak_callback(self._calc), depends)
+        self.DeclareVectorOutputPort("limited", copies * nv, weak_callback(self._calc), depends)
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
-        values.set_value(self._state.Eval(context)[-len(self._drives.names) :])
+        states = self._state.Eval(context).reshape(self._rows)
+        values.set_value(states[:, -len(self._drives.names) :].ravel())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        force = self._force.Eval(context).copy()
-        joints = force[NUM_BASE_VELOCITIES:]
-        joints[:] = self._drives.give(joints, context.get_discrete_state_vector().value())
-        output.SetFromVector(force)
+        force = self._force.Eval(context).reshape(self._rows).copy()
+        joints = force[:, NUM_BASE_VELOCITIES:]
+        rates = context.get_discrete_state_vector().value().reshape(self._rows)
+        joints[:] = self._drives.give(joints, rates)
+        output.SetFromVector(force.ravel())
 
 
 class JointFriction(Diagram):
@@ -193,27 +199,37 @@ class JointFriction(Diagram):
 
     Input: ``state`` [q; v] of the plant. Outputs: ``friction_force`` (nv), N m or N, and
     ``friction_work`` (nv), its integral of force times rate since the start, J, which is integrated
-    with the plant.
+    with the plant. Of several copies of the spacecraft the ports hold copy after copy.
     """
 
-    def __init__(self, drives: DriveSet, coordinates: Coordinates) -> None:
+    def __init__(self, drives: DriveSet, coordinates: Coordinates, *, copies: int = 1) -> None:
         super().__init__()
         nv, count = len(coordinates.names), len(drives.names)
         builder = DiagramBuilder()
-        state = builder.AddNamedSystem("state", Demultiplexer([NUM_BASE_POSITIONS + nv, count]))
-        rates, work = (MakeVectorVariable(count, name) for name in ("v", "w"))
-        base = [Expression(0.0)] * NUM_BASE_VELOCITIES
-        force = [self._force(drives, i, rate) for i, rate in enumerate(rates)]
+        size = NUM_BASE_POSITIONS + nv + count
+        places = [
+            (0, (copy + 1) * size - count + i) for copy in range(copies) for i in range(count)
+        ]
+        state = builder.AddNamedSystem(
+            "state", make_selector({"state": copies * size}, {"rates": places})
+        )
+        rates, work = (MakeVectorVariable(copies * count, name) for name in ("v", "w"))
+        force = [self._force(drives, i % count, rate) for i, rate in enumerate(rates)]
+
+        def by_coordinate(of_joints: Sequence[Any]) -> list[Any]:
+            rows, base = np.reshape(of_joints, (copies, count)), [Expression(0.0)]
+            return [one for row in rows for one in (*base * NUM_BASE_VELOCITIES, *row)]
+
         friction = SymbolicVectorSystem(
             state=work,
             input=rates,
             dynamics=[one * rate for one, rate in zip(force, rates, strict=True)],
-            output=[*base, *force, *base, *work],
+            output=[*by_coordinate(force), *by_coordinate(work)],
         )
         builder.AddNamedSystem(FRICTION, friction)
-        outputs = builder.AddNamedSystem("outputs", Demultiplexer([nv, nv]))
+        outputs = builder.AddNamedSystem("outputs", Demultiplexer([copies * nv] * 2))
         builder.ExportInput(state.get_input_port(), "state")
-        builder.Connect(state.get_output_port(1), friction.get_input_port())
+        builder.Connect(state.get_output_port(), friction.get_input_port())
         builder.Connect(friction.get_output_port(), outputs.get_input_port())
         for index, name in enumerate((FRICTION_FORCE, FRICTION_WORK)):
             builder.ExportOutput(outputs.get_output_port(index), name)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Scenario, Thruster, Thrusters, thrusters_of
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import (
@@ -39,35 +40,38 @@ _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
 class Firing(NamedTuple):
-    """What thrusters do in one control sample."""
+    """What thrusters do in one control sample; of one spacecraft, or of several in rows."""
 
-    wrench: np.ndarray  # (6,) its mean on the base, torque then force in the base's axes; N m and N
-    force: np.ndarray  # (n,) mean force of each, N
-    open_share: np.ndarray  # (n,) share of the sample for which each is open
-    given: float  # the part of the wanted wrench that the last allocation could give, 0 to 1
+    wrench: (
+        np.ndarray
+    )  # (..., 6) its mean on the base, torque then force in the base's axes; N m and N
+    force: np.ndarray  # (..., n) mean force of each, N
+    open_share: np.ndarray  # (..., n) share of the sample for which each is open
+    # (..., 1) the part of the wanted wrench that the last allocation could give, 0 to 1
+    given: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ThrusterMemory:
-    """What thrusters remember from sample to sample; all (n) but ``given``."""
+    """What thrusters remember from sample to sample; all (..., n) but ``given`` (..., 1)."""
 
     open_for: np.ndarray  # s; for how long from now on each is open
     level: np.ndarray  # share of its force that each gives now
     wanted: np.ndarray  # N; forces of the last allocation
     filtered: np.ndarray  # of the Schmitt triggers
     is_on: np.ndarray  # likewise; 1 or 0
-    given: float  # of the last allocation
+    given: np.ndarray  # of the last allocation
 
     def packed(self) -> np.ndarray:
-        return np.concatenate([*(getattr(self, name) for name in _BY_THRUSTER), [self.given]])
+        return np.concatenate([*(getattr(self, name) for name in _PACKED)], axis=-1)
 
     @classmethod
     def unpacked(cls, values: np.ndarray) -> "ThrusterMemory":
-        open_for, level, wanted, filtered, is_on = values[:-1].reshape(len(_BY_THRUSTER), -1)
-        return cls(open_for, level, wanted, filtered, is_on, float(values[-1]))
+        n = values.shape[-1] // (len(_PACKED) - 1)
+        return cls(*(values[..., i * n : (i + 1) * n] for i in range(len(_PACKED))))
 
 
-_BY_THRUSTER = ("open_for", "level", "wanted", "filtered", "is_on")
+_PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
 
 
 class ThrusterSet:
@@ -128,34 +132,40 @@ class ThrusterSet:
     def initial_memory(self) -> ThrusterMemory:
         """Closed, but for what is stuck on."""
         none = np.zeros(len(self.names))
-        return ThrusterMemory(none, self._stuck_on.astype(float), none, none, none, 1.0)
+        return ThrusterMemory(none, self._stuck_on.astype(float), none, none, none, np.ones(1))
 
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a wrench (6; base's axes, N m and N) that they give."""
         beyond = 10.0 * float(self.force.sum()) / float(np.linalg.norm(direction))
-        return beyond * self._allocation.solve(beyond * direction, self._leak)[1]
+        return beyond * float(self._allocation.solve(beyond * direction, self._leak)[1])
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
-        """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N)
+        """The start of a frame: memory with what a wanted wrench (..., 6; base's axes, N m and N)
         opens.
 
         A wrench that is not finite gives forces that are none either: such a run has diverged.
         """
-        if not np.isfinite(wrench).all():
-            unknown = np.full(len(self.names), np.nan)
-            return dataclasses.replace(memory, wanted=unknown, given=np.nan, open_for=unknown)
-        forces, given = self._allocation.solve(wrench, self._leak)
-        wanted = np.zeros(len(self.names))
-        wanted[self._works] = forces
-        if not self.carries_over:
-            return dataclasses.replace(memory, wanted=wanted, given=given)
+        known = np.isfinite(wrench).all(axis=-1, keepdims=True)
+        all_known = bool(known.all())
+        solvable = wrench if all_known else np.where(known, wrench, 0.0)
+        forces, part = self._allocation.solve(solvable, self._leak)
+        wanted, given = np.zeros((*part.shape, len(self.names))), part[..., None]
+        wanted[..., self._works] = forces
+        open_for = np.maximum(memory.open_for, self._opened(wanted))
+        if not all_known:
+            wanted, given, open_for = (
+                np.where(known, values, np.nan) for values in (wanted, given, open_for)
+            )
+        return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
+
+    def _opened(self, wanted: np.ndarray) -> np.ndarray:
+        """For how long (..., n), s, wanted forces (..., n), N, open at the start of a frame."""
+        if not self.carries_over:  # a trigger opens at any sample
+            return np.zeros_like(wanted)
         share, settings = wanted / self.force, self.settings
         if settings.modulator == "sigma_delta":
-            opened = whole_frames(share, frame=self.frame, threshold=settings.threshold)
-        else:
-            opened = pulse_widths(share, frame=self.frame, minimum=settings.minimum_on_time)
-        open_for = np.maximum(memory.open_for, opened)
-        return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
+            return whole_frames(share, frame=self.frame, threshold=settings.threshold)
+        return pulse_widths(share, frame=self.frame, minimum=settings.minimum_on_time)
 
     def fire(self, memory: ThrusterMemory) -> tuple[Firing, ThrusterMemory]:
         """One control sample from memory as it is at its start, after any allocation."""
@@ -166,7 +176,7 @@ class ThrusterSet:
             least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)
             open_for = np.maximum(open_for, is_on * least)
         opened = np.minimum(open_for, self.sample_time)
-        opened[self._stuck_on] = self.sample_time
+        opened[..., self._stuck_on] = self.sample_time
         share, level = mean_level(
             memory.level,
             opened,
@@ -182,7 +192,7 @@ class ThrusterSet:
             memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0
         )
         return Firing(
-            self.wrenches.dot(force), force, opened / self.sample_time, memory.given
+            times(self.wrenches, force), force, opened / self.sample_time, memory.given
         ), after
 
 

@@ -9,19 +9,21 @@ a).
 
 import dataclasses
 import functools
-import math
+import itertools
+import operator
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydrake.symbolic import MakeVectorVariable
+from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
-from pydrake.systems.primitives import Demultiplexer, MatrixGain, Multiplexer, SymbolicVectorSystem
+from pydrake.systems.primitives import Demultiplexer, Selector, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.products import length, times
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.scenario import Scenario, Wheels
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.part import (
     INTERNAL_TORQUE,
@@ -37,6 +39,7 @@ from ffsm_drake.systems.part import (
     View,
     by_key,
 )
+from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.setup import BlockSetup
 
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
@@ -46,11 +49,11 @@ _UNLOADING = 0.5  # of the motors' torque, at most
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class WheelTorques:
-    """What wheels do in one control sample."""
+    """What wheels do in one control sample; of one spacecraft, or of several in rows."""
 
-    motor: np.ndarray  # (n,) torque of each motor, N m
-    on_wheels: np.ndarray  # (n,) torque of motor and friction on each, N m
-    on_base: np.ndarray  # (3,) in the base's axes, without the gyroscopic torque, N m
+    motor: np.ndarray  # (..., n) torque of each motor, N m
+    on_wheels: np.ndarray  # (..., n) torque of motor and friction on each, N m
+    on_base: np.ndarray  # (..., 3) in the base's axes, without the gyroscopic torque, N m
 
 
 class WheelSet:
@@ -100,22 +103,22 @@ class WheelSet:
         self._most_momentum = self.inertia * self._speed
 
     def speed(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
-        """Speeds (n, rad/s) relative to the base, from momenta (n, N m s) and w_WB in the base's
-        axes (3, rad/s).
+        """Speeds (..., n, rad/s) relative to the base, from momenta (..., n, N m s) and w_WB in the
+        base's axes (..., 3, rad/s).
         """
-        return momentum / self.inertia - angular_velocity.dot(self.axes)
+        return momentum / self.inertia - times(self.axes.T, angular_velocity)
 
     def give(
         self, torque: np.ndarray, momentum: np.ndarray, angular_velocity: np.ndarray
     ) -> WheelTorques:
-        """The torques nearest to a wanted one on the base (3, base's axes) within the wheels'
+        """The torques nearest to a wanted one on the base (..., 3, base's axes) within the wheels'
         limits.
 
         Above the motors' limits it is scaled; a wheel at its speed limit is not accelerated.
         """
-        motor = -self._share.dot(torque)
-        motor = motor / max(1.0, float((np.abs(motor) / self._torque).max()))
-        carried = self.inertia * angular_velocity.dot(self.axes)
+        motor = -times(self._share, torque)
+        motor = motor / np.maximum(1.0, self._loads(motor))
+        carried = self.inertia * times(self.axes.T, angular_velocity)
         most = self.inertia * self._speed
         motor = np.clip(
             motor,
@@ -125,7 +128,12 @@ class WheelSet:
         motor = np.clip(motor, -self._torque, self._torque)
         speed = self.speed(momentum, angular_velocity)
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
-        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-self.axes.dot(on_wheels))
+        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
+
+    def _loads(self, motor: np.ndarray) -> np.ndarray:
+        """The largest share (..., 1) of a motor's limit among torques of motors (..., n), N m."""
+        loads: np.ndarray = (np.abs(motor) / self._torque).max(axis=-1, keepdims=True)
+        return loads
 
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a torque (3; base's axes, N m) that the motors give, but for its
@@ -173,44 +181,46 @@ class WheelSet:
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def assist_torque(self, torque: np.ndarray) -> np.ndarray:
-        """The part of a wanted torque on the base (3, base's axes, N m) that thrusters are asked
-        for: what wheels cannot give about any axis, and by ``assist_above``.
+        """The part of a wanted torque on the base (..., 3, base's axes, N m) that thrusters are
+        asked for: what wheels cannot give about any axis, and by ``assist_above``.
         """
         if len(self._lost):
-            lost = self._lost.T @ (self._lost @ torque)
+            lost = times(self._lost.T, times(self._lost, torque))
             return lost + self._beyond(torque - lost)
         return self._beyond(torque)
 
     def _beyond(self, torque: np.ndarray) -> np.ndarray:
         """The part of a torque that wheels can give which ``assist_above`` leaves to thrusters."""
         if self.settings.assist_above is None:
-            return np.zeros(3)
-        share = self.settings.assist_above / float(
-            (np.abs(self._share.dot(torque)) / self._torque).max() + _LEAST
-        )
-        return max(0.0, 1.0 - share) * torque
+            return np.zeros_like(torque)
+        share = self.settings.assist_above / (self._loads(times(self._share, torque)) + _LEAST)
+        return np.maximum(0.0, 1.0 - share) * torque
 
     def bounded(self, impulse: np.ndarray, samples: int) -> np.ndarray:
-        """An impulse of torque (3, N m s), cut to twice what the weakest motor gives in some
+        """An impulse of torque (..., 3, N m s), cut to twice what the weakest motor gives in some
         control samples.
         """
         most = 2.0 * samples * self._sample_time * self._torque.min()
-        return impulse / max(1.0, math.hypot(*impulse.tolist()) / most)  # does not overflow
+        return impulse / np.maximum(1.0, length(impulse) / most)
 
-    def unloads(self, was: bool, momentum: np.ndarray, angular_velocity: np.ndarray) -> bool:
-        """Whether thrusters are to unload the wheels, with hysteresis; ``was``: whether they
-        were.
+    def unloads(
+        self, was: np.ndarray | bool, momentum: np.ndarray, angular_velocity: np.ndarray
+    ) -> np.ndarray:
+        """Whether (..., 1) thrusters are to unload the wheels, with hysteresis; ``was``: whether
+        they were.
         """
-        fullest = float((np.abs(self.speed(momentum, angular_velocity)) / self._speed).max())
-        return fullest > (self.settings.desaturate_below if was else self.settings.desaturate_above)
+        speeds = np.abs(self.speed(momentum, angular_velocity))
+        fullest: np.ndarray = (speeds / self._speed).max(axis=-1, keepdims=True)
+        below, above = self.settings.desaturate_below, self.settings.desaturate_above
+        return fullest > np.where(was, below, above)
 
     def unloading_torque(self, momentum: np.ndarray) -> np.ndarray:
-        """Torque on the base (3, base's axes) that thrusters are to give so that wheels against it
-        lose momentum.
+        """Torque on the base (..., 3, base's axes) that thrusters are to give so that wheels
+        against it lose momentum.
         """
-        torque = -self.axes.dot(momentum) / self.settings.desaturation_time
-        largest = float((np.abs(self._share.dot(torque)) / (_UNLOADING * self._torque)).max())
-        return torque / max(1.0, largest)
+        torque = -times(self.axes, momentum) / self.settings.desaturation_time
+        largest = self._loads(times(self._share, torque)) / _UNLOADING
+        return torque / np.maximum(1.0, largest)
 
 
 class Gyroscopic(Diagram):
@@ -221,44 +231,62 @@ class Gyroscopic(Diagram):
     base in world axes but for the gyroscopic one, held over a sample: dp/dt = w x p - reaction.
     Outputs: ``gyroscopic_force`` (nv), -w x p on the base, and ``stored_momentum`` p (3). All of it
     runs in C++. The base gets the opposite of dp/dt in every stage of the integrator, so that the
-    sum of both momenta is kept to rounding.
+    sum of both momenta is kept to rounding. Of several copies of the spacecraft the ports hold copy
+    after copy.
     """
 
-    def __init__(self, coordinates: Coordinates) -> None:
+    def __init__(self, coordinates: Coordinates, *, copies: int = 1) -> None:
         super().__init__()
         nv = len(coordinates.names)
         builder = DiagramBuilder()
-        state = builder.AddNamedSystem(
-            "state", Demultiplexer([NUM_BASE_POSITIONS + nv - 6, 3, nv - 3])
-        )
-        inputs = builder.AddNamedSystem("inputs", Multiplexer([3, 3]))
-        w, reaction, p = (MakeVectorVariable(3, name) for name in ("w", "r", "p"))
-        turning = [w[1] * p[2] - w[2] * p[1], w[2] * p[0] - w[0] * p[2], w[0] * p[1] - w[1] * p[0]]
+        nq = NUM_BASE_POSITIONS + nv - NUM_BASE_VELOCITIES
+        first = [copy * (nq + nv) + nq for copy in range(copies)]  # of w
+        inputs = builder.AddNamedSystem("inputs", _turning_and_reaction(nq + nv, first))
+        vectors = (MakeVectorVariable(3 * copies, name).reshape(copies, 3) for name in "wrp")
+        of_copies = list(zip(*vectors, strict=True))
+        turning = [_cross(w, p) for w, _, p in of_copies]
+        passed = [Expression(0.0)] * (nv - 3)
         momentum = SymbolicVectorSystem(
-            state=p,
-            input=np.concatenate([w, reaction]),
+            state=np.concatenate([p for _, _, p in of_copies]),
+            input=np.concatenate([each[i] for i in (0, 1) for each in of_copies]),
             dynamics=[
                 of_turning - of_wheels
-                for of_turning, of_wheels in zip(turning, reaction, strict=True)
+                for each, (_, r, _) in zip(turning, of_copies, strict=True)
+                for of_turning, of_wheels in zip(each, r, strict=True)
             ],
-            output=[*(-one for one in turning), *p],
+            output=[
+                *itertools.chain(*([*map(operator.neg, each), *passed] for each in turning)),
+                *itertools.chain(*(p for _, _, p in of_copies)),
+            ],
         )
         self._momentum = builder.AddNamedSystem("momentum", momentum)
-        outputs = builder.AddNamedSystem("outputs", Demultiplexer([3, 3]))
-        force = builder.AddNamedSystem("force", MatrixGain(np.eye(nv)[:, :3]))
-        builder.ExportInput(state.get_input_port(), "state")
+        outputs = builder.AddNamedSystem("outputs", Demultiplexer([copies * nv, copies * 3]))
+        builder.ExportInput(inputs.get_input_port(0), "state")
         builder.ExportInput(inputs.get_input_port(1), "reaction")
-        builder.Connect(state.get_output_port(1), inputs.get_input_port(0))
         builder.Connect(inputs.get_output_port(), momentum.get_input_port())
         builder.Connect(momentum.get_output_port(), outputs.get_input_port())
-        builder.Connect(outputs.get_output_port(0), force.get_input_port())
-        builder.ExportOutput(force.get_output_port(), "gyroscopic_force")
+        builder.ExportOutput(outputs.get_output_port(0), "gyroscopic_force")
         builder.ExportOutput(outputs.get_output_port(1), "stored_momentum")
         builder.BuildInto(self)
 
     def set_momentum(self, context: Context, momentum: np.ndarray) -> None:
-        """Set p (3), N m s."""
+        """Set p (3), N m s, of copy after copy."""
         self.GetMutableSubsystemContext(self._momentum, context).SetContinuousState(momentum)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> list[Expression]:
+    """The cross product of vectors (3) of symbols."""
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+def _turning_and_reaction(size: int, first: Sequence[int]) -> Selector:
+    """From the states (size each) of copies of the spacecraft, and reactions (3 each): the angular
+    velocities, which begin at these entries, then the reactions.
+    """
+    places = [(0, start + i) for start in first for i in range(3)]
+    places += [(1, i) for i in range(3 * len(first))]
+    sizes = {"state": size * len(first), "reaction": 3 * len(first)}
+    return make_selector(sizes, {"both": places})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
