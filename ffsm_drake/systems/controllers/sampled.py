@@ -273,6 +273,8 @@ class SampledController(LeafSystem):
         force, memory = self.step(inputs, memory, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        discrete_values.set_value(self._force, force.reshape(-1))
+        alone = self._copies == 1
+        discrete_values.set_value(self._force, force if alone else force.reshape(-1))
         for name, index in self._memory.items():
-            discrete_values.set_value(index, np.ravel(memory[name]))
+            values = memory[name]
+            discrete_values.set_value(index, values if alone else values.reshape(-1))
