@@ -22,7 +22,7 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, user_supplied
-from ffsm_drake.scenario import Block, Scenario, as_dict
+from ffsm_drake.scenario import Block, Scenario, as_dict, checked
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
@@ -89,6 +89,7 @@ def prepare(
     overrides the target's mass.
     """
     with guarded, same_folder():
+        scenario = checked(scenario)
         if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
             scenario = timed(scenario)
         if check_stability:
@@ -171,8 +172,9 @@ def simulate_many(
     results: list[Any] = [None] * len(scenarios)
     ready = dict[int, Scenario]()
     with same_folder():
-        for index, scenario in enumerate(scenarios):
+        for index, given in enumerate(scenarios):
             try:
+                scenario = checked(given)
                 has_own = scenario.blocks.reference is None
                 ready[index] = timed(scenario) if has_own else scenario
             except Exception as error:

@@ -24,7 +24,7 @@ from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
 from ffsm_drake.runs.limits import limits_left
-from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.scenario import Scenario, checked, from_grasp
 
 _FAR = 100.0  # tolerances; a run that ends further off did not do what it was for
 
@@ -196,6 +196,7 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: with ``rehearsal``, a user-supplied block fails.
     """
+    scenario = checked(scenario)
     found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises"))
     try:
         with Linearizer(scenario) as linearizer:

@@ -25,6 +25,7 @@ from ffsm_drake.scenario.layers import (
     shipped_scenarios,
 )
 from ffsm_drake.scenario.loading import (
+    checked,
     differing_keys,
     load_scenario,
     override_scenario,
@@ -67,6 +68,7 @@ __all__ = [
     "MANIFEST_FILE",
     "anchor_paths",
     "build_settings",
+    "checked",
     "differing_keys",
     "flatten",
     "relate_paths",

@@ -96,3 +96,14 @@ def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, Any]:
 def override_scenario(scenario: Scenario, overrides: Iterable[Override]) -> Scenario:
     """A new scenario with overrides applied; the given one does not change."""
     return scenario_from_dict(scenario_to_dict(scenario), overrides)
+
+
+def checked(scenario: Scenario) -> Scenario:
+    """A scenario that Python code may have changed, checked like one from a file.
+
+    Raises ScenarioError: a value cannot be used; the message begins with ``Scenario`` and the key.
+    """
+    try:
+        return scenario_from_dict(scenario_to_dict(scenario))
+    except ScenarioError as error:
+        raise error.located("Scenario") from None

@@ -11,6 +11,8 @@ import typing
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.settings import join, require_valid, settings_of
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
@@ -31,7 +33,7 @@ def as_dict(value: Any) -> Any:
         return {key: as_dict(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [as_dict(item) for item in value]
-    return value
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
 @functools.cache

@@ -52,7 +52,7 @@ from ffsm_drake.control_design.stability.planned_dynamics import Demand, make_de
 from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_noise
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
-from ffsm_drake.scenario import Estimator, Scenario
+from ffsm_drake.scenario import Estimator, Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
@@ -186,7 +186,7 @@ def design(
     """
     end = math.inf if time_limit is None else time.monotonic() + time_limit
     search = _Search(
-        complete_gains(scenario), budget, payload_range, tuple(trade), foresee, progress
+        complete_gains(checked(scenario)), budget, payload_range, tuple(trade), foresee, progress
     )
     search.run(end)
     return search.result()

@@ -30,7 +30,7 @@ from ffsm_drake.control_design.stability.one_axis import (
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.control_design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
-from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.scenario import Scenario, checked, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import VibrationMode
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
@@ -224,6 +224,7 @@ def stability(
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     if linearizer is None:
+        scenario = checked(scenario)
         with Linearizer(scenario) as own:
             return stability(scenario, postures=postures, linearizer=own)
     scenario, planned = from_grasp(scenario), linearizer.planned
