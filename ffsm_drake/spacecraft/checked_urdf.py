@@ -3,6 +3,7 @@ numbers, and lengths, masses and counts within bounds. Drake itself aborts on so
 blames others on what comes later.
 """
 
+import contextlib
 import dataclasses
 import math
 import re
@@ -10,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+
+import yaml
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
@@ -98,6 +101,29 @@ def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, 
     require(root.tag == "robot", f"is not a URDF: its root element is <{root.tag}>, not <robot>")
     _check(root)
     return root, "\n".join(re.findall(r"<!--.*?-->", text.partition("<robot")[0], flags=re.DOTALL))
+
+
+def check_directives(text: str) -> None:
+    """Raise ModelError for the first number of model directives that cannot be a place or angle."""
+    with contextlib.suppress(yaml.YAMLError):  # which Drake reports
+        for token in yaml.scan(text):
+            if isinstance(token, yaml.ScalarToken) and token.plain:
+                _check_place(token.value.replace(".inf", "inf"), token.start_mark.line + 1)
+
+
+def check_poses(text: str) -> None:
+    """Raise ModelError for the first number of an SDF's poses that cannot be used."""
+    for found in re.finditer(r"<pose\b[^>]*>([^<]*)<", text):
+        for word in found[1].split():
+            _check_place(word, text.count("\n", 0, found.start()) + 1)
+
+
+def _check_place(word: str, line: int) -> None:
+    if _NUMBER.fullmatch(word) and not abs(float(word)) <= _LENGTH.most:
+        raise ModelError(
+            f"line {line}: a place or angle must be at most {_LENGTH.most:g} m, rad or deg in "
+            f"size, not {word[:60]}"
+        )
 
 
 def _check(root: Element) -> None:

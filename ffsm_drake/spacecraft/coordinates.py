@@ -52,6 +52,8 @@ class Coordinates:
     joints: tuple[str, ...]
     joint_units: tuple[str, ...]  # "rad" or "m", one per joint
     undriven: tuple[str, ...] = ()  # groups that no actuator moves
+    # joints that only the true plant has, for errors
+    flexible: tuple[str, ...] = dataclasses.field(default=(), compare=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -120,11 +122,7 @@ class Coordinates:
 
     def joint_vector(self, values: Mapping[str, float], *, key: str, default: float) -> np.ndarray:
         """As ``vector``, for joints only: keys are ``all`` or joint names. Raises ScenarioError."""
-        valid = ("all", "joints", *self.joints)
-        for name in values:
-            if name not in valid:
-                choice = f"{', '.join(valid)}{did_you_mean(name, valid)}"
-                raise ScenarioError(f"{key}.{name}", f"is not a joint; valid here: {choice}")
+        self._check(values, ("all", "joints", *self.joints), key, "is not a joint")
         return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
 
     def indices(self, names: Iterable[str], *, key: str) -> np.ndarray:
@@ -136,14 +134,17 @@ class Coordinates:
 
     def check_names(self, names: Mapping[str, object], *, key: str) -> None:
         """Raise ScenarioError when a key is neither ``all``, nor a group, nor a coordinate."""
-        valid = ("all", *GROUPS, *self.names)
+        self._check(names, ("all", *GROUPS, *self.names), key, "unknown coordinate")
+
+    def _check(self, names: Iterable[str], valid: tuple[str, ...], key: str, fault: str) -> None:
+        """Raise ScenarioError for a name that is not valid."""
         for name in names:
-            if name not in valid:
-                raise ScenarioError(
-                    f"{key}.{name}",
-                    "unknown coordinate; valid here: "
-                    f"{', '.join(valid)}{did_you_mean(name, valid)}",
-                )
+            if name in valid:
+                continue
+            problem = f"{fault}; valid here: {', '.join(valid)}{did_you_mean(name, valid)}"
+            if name in self.flexible:
+                problem = "is a flexible joint (model.flexible), at rest at zero; leave it out"
+            raise ScenarioError(f"{key}.{name}", problem)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,10 +10,11 @@ from xml.etree import ElementTree
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.spacecraft.checked_urdf import parse
+from ffsm_drake.spacecraft.checked_urdf import check_directives, check_poses, parse
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
+_PLACES = {".yaml": check_directives, ".yml": check_directives, ".sdf": check_poses}
 _MAX_SIZE = 500_000_000  # bytes
 _MAX_READ = 5_000_000  # characters searched for names of further files
 # A file name in XML, JSON or YAML, or at the end of a line of a Wavefront file.
@@ -36,7 +37,8 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
       packages: package:// name -> folder.
 
     Raises:
-      ModelError: one of them is a device, a FIFO, a folder, too large, or an unusable URDF.
+      ModelError: one of them is a device, a FIFO, a folder, too large, or an unusable URDF;
+        directives or an SDF with other than UTF-8 text, or places that cannot be used.
     """
     first = next(_resolved(address, Path(), packages), None)
     try:
@@ -60,8 +62,11 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
             if path.suffix.lower() == ".urdf":
                 parse(path)
             if path.suffix.lower() in _TEXTS:
-                with path.open(encoding="utf-8", errors="replace") as file:
+                checks = _PLACES.get(path.suffix.lower())
+                with path.open(encoding="utf-8", errors="strict" if checks else "replace") as file:
                     text = file.read(_MAX_READ)
+                if checks:
+                    checks(text)
                 for found in _NAMES.finditer(text):
                     name = next(filter(None, found.groups()), "")
                     further = _resolved(name, path.parent, packages)
@@ -70,6 +75,8 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
             continue
         except (ModelError, OSError, ValueError) as error:
             named = "" if path == pending[0] else f"{path}: "
+            if isinstance(error, UnicodeDecodeError):
+                return f"{named}is not UTF-8 text; save it as UTF-8", ()
             remedy = "" if isinstance(error, ModelError) else "; give a file"
             return f"{named}{one_line(error)}{remedy}", ()
     return "", tuple(pending)

@@ -373,7 +373,13 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
     if repeated:
         raise ModelError(f"joint names must differ; more than one is called {', '.join(repeated)}")
     units = tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in joints)
-    return Coordinates(tuple(names), units, undriven)
+    # Drake names the frame that a model's joint is on after the joint.
+    flexible = tuple(
+        joint.frame_on_parent().name().removesuffix("_parent")
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.name().startswith(HIDDEN)
+    )
+    return Coordinates(tuple(names), units, undriven, flexible)
 
 
 def split_of(plant: MultibodyPlant) -> StateSplit:

@@ -53,12 +53,14 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
     for ``base_limits``.
     """
     for part in own_parts(scenario):
-        for what, most in (part.most(scenario, _DIRECTIONS) or {}).items():
+        principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
+        directions = np.vstack([_DIRECTIONS, *(-each for each in principal), *principal])
+        for what, most in (part.most(scenario, directions) or {}).items():
             finite = np.isfinite(most)
             if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
                 continue
             weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
-            axis = ", ".join(f"{number:.2g}" for number in _DIRECTIONS[weak] + 0.0)
+            axis = ", ".join(f"{number:.2g}" for number in directions[weak].round(3) + 0.0)
             unit = "N m" if what == "torque" else "N"
             yield (
                 f"actuation: {part.title.lower()} nearly degenerate: along [{axis}] of the base's "

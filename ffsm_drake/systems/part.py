@@ -333,6 +333,12 @@ class Part:
         """
         return None
 
+    def reach(self, scenario: Scenario) -> Mapping[str, np.ndarray]:
+        """Of an actuator with ``most``: for each of its kinds a matrix (3, n; base's axes) whose
+        columns are what its units, or combinations that give nothing else, give at their largest.
+        """
+        return {}
+
     def saturated(self, signals: "Signals") -> np.ndarray:
         """Whether an actuator gives less than was wanted of it: (n,) from its signals
         (n, components), or a single truth value from those of one sample (components).

@@ -9,6 +9,7 @@ import warnings
 
 import pytest
 import yaml
+from click.testing import CliRunner
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
@@ -16,11 +17,13 @@ from ffsm_drake import (
     ScenarioError,
     design,
     load_scenario,
+    make_closed_loop,
     override_scenario,
     simulate,
     simulate_many,
     stability,
 )
+from ffsm_drake.cli import main
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.preflight.verdict import verdict
 from ffsm_drake.scenario import Scenario, checked
@@ -189,6 +192,42 @@ def test_of_a_scenario_made_in_python(case, entry):
     if place.key.startswith("simulator_config."):
         assume(isinstance(value, float))  # Drake's own struct refuses or converts others
     scenario = checked(Scenario())
-    for key, given in [*besides(place), (place.key, value)]:
-        put(scenario, key, given)
+    for key, item in [*besides(place), (place.key, value)]:
+        put(scenario, key, item)
     check_blamed(place, "Scenario", ENTRIES[entry], scenario)
+
+
+@settings(SETTINGS, max_examples=10)
+@given(st.sampled_from(("joint_1", "joint_3", "joint_5")), st.booleans())
+def test_a_value_of_a_flexible_joint(joint, gains):
+    key = "controllers.tde_aismc.k_d" if gains else "target_posture.joints"
+    loose = f"model.flexible.loose={{kind: joint, joint: {joint}, frequency: 1}}"
+    nothing = [f"{name}_posture.joints={{all: 0}}" for name in ("initial", "target")]
+    scenario = load_scenario("postcapture", [loose, *nothing, f"{key}.{joint}=0.5"])
+    with pytest.raises(ScenarioError, match=rf"{key}.{joint}: is a flexible joint"):
+        make_closed_loop(scenario)
+
+
+PARTS = {  # what makes a flexible part unusable, by the key that is blamed
+    "body": {"frequency": 1.0, "body": "nowhere"},
+    "joint": {"frequency": 1.0, "kind": "joint", "joint": "nowhere"},
+    "": {"frequency": 1.0, "mass": 1e-9, "length": 1e-9, "width": 1e-9},
+}
+
+
+@pytest.mark.parametrize("key", PARTS)
+@pytest.mark.parametrize("way", ["file", "override"])
+def test_a_part_that_the_model_cannot_have(tmp_path, monkeypatch, key, way):
+    """Whoever gave it is blamed, not the payload, nor a file that does not hold it."""
+    monkeypatch.chdir(tmp_path)
+    words = ["validate", "postcapture", "--set", f"model.flexible.p={as_text(PARTS[key])}"]
+    if way == "file":
+        (tmp_path / "mine.yaml").write_text(
+            yaml.safe_dump({"model": {"flexible": {"p": PARTS[key]}}})
+        )
+        words = ["validate", "mine.yaml"]
+    said = CliRunner().invoke(main, words).stderr
+    source = "mine.yaml" if way == "file" else "override"
+    place = f"model.flexible.p.{key}: no " if key else "model.flexible: 'p' moves no inertia"
+    assert said.startswith(f"error: {source}: {place}"), said
+    assert len(said.splitlines()) == 1

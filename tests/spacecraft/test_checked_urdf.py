@@ -86,3 +86,39 @@ def test_long_chains_and_entities(load):
         load(GOOD.replace("</robot>", links + "</robot>"))
     with pytest.raises(ModelError, match="has a <!DOCTYPE"):
         load(GOOD.replace("<robot", '<!DOCTYPE r [<!ENTITY a "b">]>\n<robot', 1))
+
+
+DIRECTIVES = (models_dir() / "postcapture.dmd.yaml").read_text()
+POSE = """<sdf version="1.9"><model name="debris"><pose>{} 0 0 0 0 0</pose>
+<link name="debris"/><frame name="grasp"/></model></sdf>"""
+FRAME = """- add_frame:
+    name: more
+    X_PF: {{base_frame: servicer::base, translation: [0, {}, 0], rotation: !Rpy {{deg: [1, 2, 3]}}}}
+"""
+
+
+@settings(SETTINGS, max_examples=20)
+@given(st.sampled_from(["1e300", "-1e300", "1e400", "inf", "-inf", "10001"]), st.booleans())
+def test_places_of_directives_and_sdf(tmp_path_factory, number, sdf):
+    folder = tmp_path_factory.mktemp("model")
+    file, debris = folder / "m.dmd.yaml", folder / "debris.sdf"
+    text = DIRECTIVES + FRAME.format("1" if sdf else number.replace("inf", ".inf"))
+    if sdf:
+        debris.write_text(POSE.format(number))
+        text = text.replace("package://ffsm_drake/urdf/debris.urdf", debris.as_uri())
+    file.write_text(text)
+    model = load_scenario("postcapture", [f"model.directives={file}"]).model
+    with pytest.raises(ModelError, match=r"line \d+: a place or angle must be at most 10000 m"):
+        make_plant(model)
+    file.write_text(DIRECTIVES + FRAME.format("1.5"))
+    make_plant(model)
+
+
+def test_encodings_of_directives(tmp_path):
+    file = tmp_path / "m.dmd.yaml"
+    file.write_bytes(DIRECTIVES.encode() + "# café\n".encode("latin-1"))
+    model = load_scenario("postcapture", [f"model.directives={file}"]).model
+    with pytest.raises(ModelError, match=r"m\.dmd\.yaml: is not UTF-8 text"):
+        make_plant(model)
+    file.write_text(DIRECTIVES + "# café\n")
+    make_plant(model)

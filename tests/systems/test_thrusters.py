@@ -4,13 +4,18 @@ failures.
 
 import dataclasses
 import itertools
+import json
+import re
 
 import flight_settings
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 from scipy.signal import lsim
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop
 from ffsm_drake.common.numbers import NONE, number
@@ -33,6 +38,7 @@ from ffsm_drake.systems.actuation.modulation import (
 )
 from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.limits import uneven_remarks
 from ffsm_drake.systems.part import pulses_of
 
 LAYOUTS = tuple(thruster_layouts())
@@ -458,3 +464,29 @@ def test_errors_are_one_clear_line(overrides, expected):
         make_closed_loop(load_scenario("postcapture", overrides))
     assert expected in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@settings(derandomize=True, database=None, deadline=None, max_examples=15)
+@given(
+    st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    st.floats(0.004, 0.02),
+    st.sampled_from((0, 1, 2)),
+)
+def test_the_weak_axis_of_thrusters_is_found_wherever_it_points(rpy, arm, weak):
+    """Couples about three axes; the short arm's gives the least torque, whatever the axes."""
+    axes, arms = Rotation.from_euler("xyz", rpy).as_matrix().T, np.ones(3)
+    arms[weak] = arm
+    units = {
+        f"t{k}{'np'[a > 0]}{'np'[b > 0]}": {
+            "position": (a * arms[k] * axes[k - 2]).tolist(),
+            "direction": (b * axes[k - 1]).tolist(),
+            "force": 1.0,
+        }
+        for k, a, b in itertools.product(range(3), (-1, 1), (-1, 1))
+    }
+    overrides = [f"actuation.thrusters={json.dumps({'layout': None, 'units': units})}"]
+    (remark,) = uneven_remarks(load_scenario("postcapture", overrides))
+    found = re.search(r"along \[(.*)\] of .* they give (\S+) N m of torque", remark)
+    along = np.array([float(each) for each in found[1].split(",")])  # to two digits
+    assert abs(along @ axes[weak]) == pytest.approx(np.linalg.norm(along), rel=1e-3)
+    assert float(found[2]) == pytest.approx(2.0 * arm, rel=0.01)

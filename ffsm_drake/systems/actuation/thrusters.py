@@ -139,6 +139,17 @@ class ThrusterSet:
         beyond = 10.0 * float(self.force.sum()) / float(np.linalg.norm(direction))
         return beyond * float(self._allocation.solve(beyond * direction, self._leak)[1])
 
+    @property
+    def reach(self) -> dict[str, np.ndarray]:
+        """Torques (3, n; base's axes, N m) of combinations of thrusters without a force, and forces
+        (N) of those without a torque.
+        """
+        torques, forces = np.split(self.wrenches[:, self._works] * self.force[self._works], 2)
+        return {
+            kind: own @ np.linalg.svd(other)[2][3:].T
+            for kind, own, other in (("torque", torques, forces), ("force", forces, torques))
+        }
+
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
         """The start of a frame: memory with what a wanted wrench (..., 6; base's axes, N m and N)
         opens.
@@ -335,6 +346,10 @@ class FiredThrusters(Part):
             kind: np.array([thrusters.most(each) for each in np.hstack(parts)])
             for kind, parts in (("torque", (directions, none)), ("force", (none, directions)))
         }
+
+    def reach(self, scenario: Scenario) -> Mapping[str, np.ndarray]:
+        """Torque without force, and force without torque."""
+        return ThrusterSet(self.settings, sample_time=scenario.sample_time).reach
 
     def saturated(self, signals: Signals) -> np.ndarray:
         """Whether they give less than the wanted wrench."""

@@ -135,6 +135,11 @@ class WheelSet:
         loads: np.ndarray = (np.abs(motor) / self._torque).max(axis=-1, keepdims=True)
         return loads
 
+    @property
+    def reach(self) -> np.ndarray:
+        """The largest torque of each motor (3, n; base's axes), N m."""
+        return self.axes * self._torque
+
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a torque (3; base's axes, N m) that the motors give, but for its
         part about axes that are left to thrusters; infinite if that is all of it.
@@ -436,6 +441,10 @@ class ReactionWheels(Part):
         """Torque."""
         wheels = self.storage(scenario)
         return {"torque": np.array([wheels.most(each) for each in directions])}
+
+    def reach(self, scenario: Scenario) -> Mapping[str, np.ndarray]:
+        """Torque."""
+        return {"torque": self.storage(scenario).reach}
 
     def locked(self, scenario: Scenario) -> Scenario:
         """Without wheels, whose mass is part of the base's."""
