@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario.layers import (
     Override,
     assembled,
