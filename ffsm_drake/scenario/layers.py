@@ -23,6 +23,7 @@ from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 MANIFEST_FILE = "manifest.json"  # of a run's folder; holds its scenario
 MAX_FILE_SIZE = 1_000_000  # bytes
 EXTENDS = "extends"  # key of the scenario that a file extends
+OVERRIDE = "override"  # the source of an override
 
 Override = str | Mapping[str, Any]  # "key=value", or what a file that extends may hold
 
@@ -32,19 +33,24 @@ class Layer:
     """What one file or one override gives."""
 
     given: Any  # of a file and a mapping: plain data; of a text: key=value
-    source: str  # the file, or "override", for errors
+    source: str  # the file, or OVERRIDE, for errors
     folder: Path | None = None  # where relative paths start; None: they stay
+
+    @property
+    def is_assignment(self) -> bool:
+        """Whether it is an override's key=value."""
+        return isinstance(self.given, str) and self.source == OVERRIDE
 
     def gives(self, key: str) -> bool:
         """Whether a dotted key, one within it or one that holds it stands in the layer."""
-        if isinstance(self.given, str):
+        if self.is_assignment:
             return is_overridden(key, [self.given.partition("=")[0].strip()])
         return isinstance(self.given, Mapping) and is_overridden(key, flatten(self.given))
 
     def onto(self, schema: Any, below: "Stack") -> "Stack":
         """The layers below, and this one on top; checked but for conditions on several settings."""
         try:
-            if isinstance(self.given, str):
+            if self.is_assignment:
                 apply_override(schema, below.whole, self.given)
                 return Stack(below.whole, below.whole)
             given = merged(schema, below.given, self.given)
@@ -96,13 +102,13 @@ def override_layers(overrides: Iterable[Override]) -> list[Layer]:
     layers = []
     for override in overrides:
         if isinstance(override, str):
-            layers.append(Layer(override, "override"))
+            layers.append(Layer(override, OVERRIDE))
             continue
         for key, value in override.items():
             given, parts = value, str(key).split(".")
             for part in reversed(parts):
                 given = {part: given}
-            layers.append(Layer(given, "override"))
+            layers.append(Layer(given, OVERRIDE))
     return layers
 
 
