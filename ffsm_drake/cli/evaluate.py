@@ -226,9 +226,8 @@ def design(
         write_text(folder / "design.yaml", scenario_to_yaml(chosen))
         save_figure(plot_design(found), folder / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
-    if found.ended_by == INTERRUPT:
-        sys.exit(exit_code())
-    sys.exit(0 if max(found.chosen.radius_by_mass.values()) < 1.0 else EXIT_UNSTABLE)
+    stable = max(found.chosen.radius_by_mass.values()) < 1.0
+    sys.exit(exit_code() if found.ended_by == INTERRUPT else 0 if stable else EXIT_UNSTABLE)
 
 
 def _told(mission: "Verdict | None") -> str:

@@ -4,12 +4,15 @@ simulation.
 
 import dataclasses
 import gc
+import re
 import sys
 import types
 import weakref
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, RandomSource
@@ -25,7 +28,7 @@ from ffsm_drake.control_design.stability.boundaries import (
     with_sample_time,
 )
 from ffsm_drake.control_design.stability.linear_settings import NOT_LINEAR
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.mission import linear_verdict
 from ffsm_drake.control_design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
@@ -345,3 +348,25 @@ def test_every_setting_of_the_actuators_is_kept_or_named():
             old, default = getattr(before, name), getattr(plain, name)
             assert old != default, f"{name}: give it another value than its default"
             assert getattr(after, name) == (default if name in NOT_LINEAR[part] else old), name
+
+
+@settings(derandomize=True, database=None, deadline=None, max_examples=20)
+@given(
+    st.sampled_from(
+        (
+            "actuation.delay={}",
+            "sensing.delay={}",
+            "actuation.thrusters={{layout: 12x5N, frame: {}}}",
+        )
+    ),
+    st.integers(100, 1000),
+)
+@example("actuation.delay={}", 130)
+@example("actuation.thrusters={{layout: 12x5N, frame: {}}}", 1000)
+def test_a_loop_that_would_take_minutes_is_refused_by_its_size(key, samples):
+    """Counts of states, of the period and of evaluations, at least one of them beyond its bound."""
+    with pytest.raises(NotLinear, match="too large to analyse") as caught:
+        Linearizer(load_scenario("postcapture", [key.format(samples)]))
+    counts = re.findall(r"(\d+) [a-z ]+\(at most (\d+)", str(caught.value))
+    assert len(counts) == 3
+    assert any(int(count) > int(bound) for count, bound in counts)
