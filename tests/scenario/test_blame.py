@@ -231,3 +231,11 @@ def test_a_part_that_the_model_cannot_have(tmp_path, monkeypatch, key, way):
     place = f"model.flexible.p.{key}: no " if key else "model.flexible: 'p' moves no inertia"
     assert said.startswith(f"error: {source}: {place}"), said
     assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("text", ["postcapture", "duration=5"])
+def test_a_file_that_holds_a_text_is_no_override(tmp_path, text):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=rf"mine.yaml: must be a mapping .*, not '{text}'"):
+        load_scenario(path)
