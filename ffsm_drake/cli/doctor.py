@@ -90,9 +90,14 @@ def _controllers() -> str:
 
 def _meshcat() -> str:
     from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
+    from ffsm_drake.show.meshcat.door import Door
 
     with quiet_drake():
-        return f"serves {start_meshcat().web_url()}, to this machine only"
+        door = Door(start_meshcat())
+    try:
+        return f"serves {door.url}, to this machine only"
+    finally:
+        door.close()
 
 
 def _graphviz() -> str:
