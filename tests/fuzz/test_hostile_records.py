@@ -365,6 +365,6 @@ def test_records_are_read_or_refused(good, place):
     fuzz(good, 200)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_many_records_are_read_or_refused(good, place):
     fuzz(good, 5000)

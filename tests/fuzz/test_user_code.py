@@ -1,7 +1,7 @@
 """User-supplied code that fails in drawn ways: one line that names it and an exit status, the run
 up to then kept; never a traceback, an abort, success, or an exit that looks like Ctrl-C.
 
-The quick suite tries 200 faults, the slow one 5000 (``pytest -m slow tests/fuzz``). They run in
+The quick suite tries 200 faults, the exhaustive one 5000 (``pytest -m exhaustive tests/fuzz``). They run in
 forked batches, so that a process that dies is seen, and its fault known.
 """
 
@@ -321,7 +321,7 @@ def test_a_known_fault(fault, tmp_path):
 @pytest.mark.parametrize(
     ("count", "number"),
     [(50, k) for k in range(4)]
-    + [pytest.param(500, k, marks=pytest.mark.slow) for k in range(10, 20)],
+    + [pytest.param(500, k, marks=pytest.mark.exhaustive) for k in range(10, 20)],
 )
 def test_faults_of_user_supplied_code(count, number, tmp_path):
     found = try_all(drawn(count, number), tmp_path)

@@ -194,7 +194,7 @@ def replay_served(record, count):
     return sent
 
 
-@pytest.mark.parametrize("count", [70, pytest.param(1670, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [70, pytest.param(1670, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("live", [run_watched, run_with_controls])
 def test_no_frame_costs_a_record(live, count, tmp_path):
     sent, record = live(tmp_path, count)
@@ -202,7 +202,7 @@ def test_no_frame_costs_a_record(live, count, tmp_path):
     assert record.outcome.status == "completed"
 
 
-@pytest.mark.parametrize("count", [70, pytest.param(1670, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [70, pytest.param(1670, marks=pytest.mark.exhaustive)])
 def test_no_frame_ends_a_replay(count, tmp_path, run):
     run("postcapture", "duration=1").save(tmp_path)
     assert replay_served(tmp_path, count) >= count
