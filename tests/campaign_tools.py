@@ -3,12 +3,11 @@ its own.
 """
 
 import contextlib
-import gc
 import sqlite3
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import yaml
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.common.workers import Stop, Workers
+from ffsm_drake.common.workers import InThisProcess, Stop, Workers
 
 SMALL = {
     "description": "a small campaign",
@@ -53,8 +52,9 @@ def write_spec(path: Path, **changes) -> Path:
     return path
 
 
-# A thread of this process, which has loaded everything.
-HERE = Workers(open=lambda: ThreadPoolExecutor(1), in_flight=lambda: 1, renewable=False)
+# This process, which has loaded everything; its own thread, since Drake ends a process in which
+# another one collects a Meshcat that some test left.
+HERE = Workers(open=InThisProcess, in_flight=lambda: 1, renewable=False)
 
 
 def forked(count: int, *, in_flight: int) -> Workers:
@@ -68,8 +68,6 @@ def forked(count: int, *, in_flight: int) -> Workers:
 
 def run_here(spec_file: Path, database: Path, *, workers: Workers = HERE) -> Path:
     """Run a campaign from this process; by default in it."""
-    # a Meshcat that another test left must end in its own thread: elsewhere Drake ends the process
-    gc.collect()
     start_campaign(load_spec(spec_file), database, workers=workers, stop=Stop())
     return database
 

@@ -161,7 +161,7 @@ def _check_address(address: str) -> None:
         raise WorkersError(f"{address}: the host is not known: {one_line(error)}") from error
 
 
-class _InThisProcess(Executor):
+class InThisProcess(Executor):
     """Runs each task as it is submitted."""
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -271,7 +271,7 @@ def map_tasks(
       WorkersError: a task's worker died every time.
       KeyboardInterrupt: Ctrl-C or SIGTERM; the tasks under way were finished.
     """
-    here = Workers(open=_InThisProcess, in_flight=lambda: 1, renewable=False)
+    here = Workers(open=InThisProcess, in_flight=lambda: 1, renewable=False)
     results: dict[int, Result] = {}
     with (
         stop_on_signals() as stop,
