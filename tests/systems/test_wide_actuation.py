@@ -92,7 +92,9 @@ def check(scenarios):
     assert isinstance(rollout.loop.blocks["actuation"], Actuators)
     for log, scenario in zip(rollout.run_all(), scenarios, strict=True):
         alone = Rollout(scenario).run()
-        assert log is not None
+        if log is None:  # put aside
+            assert alone.outcome.status == "diverged"
+            continue
         assert set(log.series) == set(alone.series)
         for name, values in alone.series.items():
             np.testing.assert_array_equal(log.series[name], values, err_msg=name)
