@@ -56,6 +56,8 @@ _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, that is found of user-supplied systems which do not declare
 # it, and the change of their map, relative to its rows, that tells one sample from another.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
+# Stretches of samples that are looked at: a transient may hide the period in the first.
+_TRIES = 3
 
 
 class NotLinear(BlockError):
@@ -403,24 +405,30 @@ class Linearizer:
         """
         if self._own_period is None and not self.user_supplied:
             self._own_period = 1
+        for _ in range(_TRIES):
+            if self._own_period is None:
+                self._own_period = self._own_period_from(index, held)
+                index += 2 * _LONGEST_PERIOD
         if self._own_period is None:
-            maps = []
-            for each in range(index, index + 2 * _LONGEST_PERIOD):
-                maps.append(self._map_of_errors(each))
-                self._go_on(each, held)
-            rows = np.abs(maps).max(axis=(0, 2))[:, None]
-            for period in range(1, _LONGEST_PERIOD + 1):
-                pairs = zip(maps, maps[period:], strict=False)
-                if all((np.abs(b - a) <= _DIFFERENT * rows).all() for a, b in pairs):
-                    self._own_period = period
-                    break
-            else:
-                names = ", ".join(system.get_name() for system in self.user_supplied)
-                raise NotLinear(
-                    f"{names}: differs from sample to sample, without a period of up to "
-                    f"{_LONGEST_PERIOD} samples"
-                )
+            names = ", ".join(system.get_name() for system in self.user_supplied)
+            raise NotLinear(
+                f"{names}: differs from sample to sample, without a period of up to "
+                f"{_LONGEST_PERIOD} samples"
+            )
         return self._own_period
+
+    def _own_period_from(self, index: int, held: Mapping[str, np.ndarray]) -> int | None:
+        """The least period of the maps from a control sample on; None where they have none."""
+        maps = []
+        for each in range(index, index + 2 * _LONGEST_PERIOD):
+            maps.append(self._map_of_errors(each))
+            self._go_on(each, held)
+        rows = np.abs(maps).max(axis=(0, 2))[:, None]
+        for period in range(1, _LONGEST_PERIOD + 1):
+            pairs = zip(maps, maps[period:], strict=False)
+            if all((np.abs(b - a) <= _DIFFERENT * rows).all() for a, b in pairs):
+                return period
+        return None
 
     def _map_of_errors(self, index: int) -> np.ndarray:
         """Derivative of the memory after a control sample's update by the plant's state before."""
