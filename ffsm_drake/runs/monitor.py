@@ -98,8 +98,8 @@ _SLOW = 0.1  # of the bound, below which a copy does not run away in so many
 
 
 class CopiesMonitor:
-    """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: from
-    then on it is put back to its start after every step. As a simulator's monitor, it stops a run
+    """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: it is put
+    back to its start, again whenever it leaves its bounds. As a simulator's monitor, it stops a run
     when all are parked.
 
     While all are slow it looks at every fourth step only, if the log is to show what happened in
@@ -148,25 +148,29 @@ class CopiesMonitor:
         plant_context, start = self._first
         velocity = self.loop.plant.GetVelocities(plant_context)
         square = velocity.dot(velocity)
-        if not self.parked and square <= self._least**2:  # surely within
-            self._skipped = self._skips if square <= (_SLOW * self._least) ** 2 else 0
+        if square <= self._least**2:  # surely within
+            slow = square <= (_SLOW * self._least) ** 2 and not self.parked
+            self._skipped = self._skips if slow else 0
             return True
         known = self.loop.split.known_velocities(velocity.reshape(self.copies.number, -1))
         within = np.abs(known).max(axis=1) <= self._bounds  # false for NaN too
-        self.parked |= set(np.flatnonzero(~within).tolist())
+        beyond = np.flatnonzero(~within).tolist()
+        self.parked |= set(beyond)
         if len(self.parked) == self.copies.number:
             self.message = "all runs diverge"
             return False
-        if self.parked:
-            self._park(context, plant_context, start)
+        if beyond:
+            self._park(context, plant_context, start, beyond)
         return True
 
     def check_force(self, context: Context) -> bool:
         """True: what fails is not told from what diverges; each run is then repeated alone."""
         return True
 
-    def _park(self, context: Context, plant_context: Context, start: np.ndarray) -> None:
-        plant, parked = self.loop.plant, sorted(self.parked)
+    def _park(
+        self, context: Context, plant_context: Context, start: np.ndarray, parked: list[int]
+    ) -> None:
+        plant = self.loop.plant
         rows = self.copies.rows(plant.GetPositionsAndVelocities(plant_context))
         rows[parked] = start[parked]
         plant.SetPositionsAndVelocities(plant_context, self.copies.whole(rows))
