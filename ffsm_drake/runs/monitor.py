@@ -98,9 +98,9 @@ _SLOW = 0.1  # of the bound, below which a copy does not run away in so many
 
 
 class CopiesMonitor:
-    """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: it is put
-    back to its start, again whenever it leaves its bounds. As a simulator's monitor, it stops a run
-    when all are parked.
+    """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: it is
+    put back to its start, again whenever it leaves its bounds. As a simulator's monitor, it stops a
+    run when all are parked.
 
     While all are slow it looks at every fourth step only, if the log is to show what happened in
     between (``within``).

@@ -1,8 +1,8 @@
 """User-supplied code that fails in drawn ways: one line that names it and an exit status, the run
 up to then kept; never a traceback, an abort, success, or an exit that looks like Ctrl-C.
 
-The quick suite tries 200 faults, the exhaustive one 5000 (``pytest -m exhaustive tests/fuzz``). They run in
-forked batches, so that a process that dies is seen, and its fault known.
+The quick suite tries 200 faults, the exhaustive one 5000 (``pytest -m exhaustive tests/fuzz``).
+They run in forked batches, so that a process that dies is seen, and its fault known.
 """
 
 import contextlib
