@@ -53,3 +53,21 @@ def test_startup(monkeypatch, capsys):
     # Drake takes longer
     assert float(re.search(r"(\d\.\d\d) \(\d\.\d\d\) of it", printed[1])[1]) < 0.7
     assert printed[1].endswith("of what it takes with --against")
+
+
+def test_campaign_cases(monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    cases = importlib.import_module("campaign_cases")
+    short = ["--repeats", "1", "--cases", "2", "--duration", "0.1"]
+    cases.main(["payload_uncertainty", "flight_sensors", *short])
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in printed] == [
+        *(f"payload_uncertainty, {law}" for law in ("tdc", "asmc", "aismc", "tde_aismc")),
+        "payload_uncertainty, mean of its laws",
+        "flight_sensors, tde_aismc",
+    ]
+    pattern = r": (\S+) ms alone, (\S+) ms side by side: (\S+)$"
+    for alone, batched, ratio in (
+        map(float, re.search(pattern, line).groups()) for line in printed
+    ):
+        assert abs(batched / alone - ratio) < 0.01
