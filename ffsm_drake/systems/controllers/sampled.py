@@ -46,8 +46,8 @@ class SampledController(LeafSystem):
       sliding_variable, reaching_gain, switching_gain: (nv), if the law's memory has them.
       smallest_singular_value: (1), if the law's memory has it.
     Discrete state, updated every ``sample_time``:
-      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by
-        name.
+      generalized_force (nv), has_previous (1; 0 before the first update), of several copies parked
+        (1 where ``park`` was called), then the law's memory by name.
     """
 
     def __init__(
@@ -116,6 +116,8 @@ class SampledController(LeafSystem):
     def _declare_state(self, num_velocities: int, memory: State) -> None:
         self._force = self.DeclareDiscreteState(np.zeros(self._copies * num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
+        if self._copies > 1:
+            self._parked = self.DeclareDiscreteState(np.zeros(self._copies))
         self._memory = {
             key: self.DeclareDiscreteState(value.ravel()) for key, value in memory.items()
         }
@@ -131,7 +133,10 @@ class SampledController(LeafSystem):
         return SampledController(law, copies=copies, **self._made_with)
 
     def park(self, context: Context, copy: int) -> None:
-        """Put a copy's force and memory to their values at the start."""
+        """Put a copy's force and memory to their values at the start, where they stay."""
+        is_parked = np.array(context.get_discrete_state(self._parked).value())
+        is_parked[copy] = 1.0
+        context.SetDiscreteState(self._parked, is_parked)
         for index in (self._force, *self._memory.values()):
             values = np.array(context.get_discrete_state(index).value())
             first = self._at_start.get_discrete_state(index).value()
@@ -268,12 +273,17 @@ class SampledController(LeafSystem):
         return e, e_dot
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
-        inputs, memory = self.read(context)
+        inputs, before = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
-        force, memory = self.step(inputs, memory, is_first=is_first, time=context.get_time)
+        force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         alone = self._copies == 1
+        if not alone and (parked := context.get_discrete_state().value(self._parked) > 0.0).any():
+            force = np.where(parked[:, None], 0.0, force)
+            memory = {name: values.copy() for name, values in memory.items()}
+            for name, values in memory.items():
+                values[parked] = before[name][parked]
         discrete_values.set_value(self._force, force if alone else force.reshape(-1))
         for name, index in self._memory.items():
             values = memory[name]
