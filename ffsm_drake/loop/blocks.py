@@ -198,7 +198,7 @@ class _Making:
     ) -> None:
         _check_names(given)
         self._scenarios, self._nominals, self._given = scenarios, nominals, given
-        self._choices = block_choices(scenarios[0])
+        self._choices = [block_choices(scenario) for scenario in scenarios]
         # the parts of each copy's own sections
         self._owns = [section_parts(scenario, given) for scenario in scenarios]
         if len({tuple(own) for own in self._owns}) > 1:
@@ -213,7 +213,7 @@ class _Making:
     @property
     def names(self) -> tuple[str, ...]:
         """The blocks, in the order in which they are made."""
-        return _in_order((*self._owns[0], *self._choices, *self._given))
+        return _in_order((*self._owns[0], *self._choices[0], *self._given))
 
     def make_controller(self) -> None:
         """That of all copies: one around their laws if these are wide, else side by side."""
@@ -231,15 +231,16 @@ class _Making:
 
     def make_block(self, name: str) -> None:
         """Another one, unless it is an ideal actuator."""
-        factory, choice = self._given.get(name), self._choices.get(name, Block())
-        place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
+        factory, choices = self._given.get(name), [of.get(name, Block()) for of in self._choices]
+        place = f"blocks.{name} '{getattr(factory, '__name__', choices[0].system)}'"
         alone = name.rpartition(".")[2]
         setups = [
-            dataclasses.replace(each, name=alone, settings=choice.settings) for each in self._setups
+            dataclasses.replace(each, name=alone, settings=choice.settings)
+            for each, choice in zip(self._setups, choices, strict=True)
         ]
         fills = [factory_of(name, scenario, factory) for scenario in self._scenarios]
         made = _make_block(fills, setups, self._fed, place=place)
-        if made is None and name not in self._choices and name not in self._given:
+        if made is None and name not in self._choices[0] and name not in self._given:
             return
         self._add(name, made, place=place)
         made.set_name(alone if alone not in _TAKEN else name.replace(".", "_"))
@@ -290,7 +291,7 @@ def _make_block(
     factories: Sequence[Factory], setups: Sequence[BlockSetup], fed: Collection[str], *, place: str
 ) -> Any:
     """The system of all copies; None of an ideal actuator."""
-    if len(setups) > 1:
+    if len(setups) > 1 and all(factory == factories[0] for factory in factories):
         wide = call_wide_factory(factories[0], setups, place=place)
         if wide is not None:
             return wide

@@ -1,9 +1,10 @@
 """Many runs: side by side in one diagram where they can be, else alone, with the same bits.
 
 Side by side go runs with the same model, blocks, controller, integrator and number of control
-samples; they may differ in ``_MAY_DIFFER`` and in the payload's mass properties. Those with a
-capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise.
-Alone go runs with error control, an implicit scheme or a paced clock, and with flexible joints.
+samples; they may differ in the sections ``_FREE``, in numbers of those ``_OF_ONE_KIND``, in the
+payload's mass properties, and in frequency and damping of flexible parts. Those with a capture
+grasp at the same sample, or all begin with the grasp; their captures may differ otherwise. Alone go
+runs with error control, an implicit scheme or a paced clock, and with flexible joints.
 """
 
 import dataclasses
@@ -17,10 +18,12 @@ import numpy as np
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import user_supplied
-from ffsm_drake.scenario import Capture, MassProperties, Scenario, scenario_to_dict
+from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
 
-_MAY_DIFFER = (
+# Sections in which such runs may differ: what is read for each run before it or after it, what its
+# own context holds, and what blocks have a row for, or stand there once for each run.
+_FREE = (
     "description",
     "random_seed",
     "divergence_speed",
@@ -30,12 +33,21 @@ _MAY_DIFFER = (
     "initial_posture",
     "initial_velocity",
     "target_posture",
-    "reference",
     "controllers",
-    "estimator",
     "disturbance",
-    "sensing",
 )
+# Sections in which they may differ in numbers. What is none, zero, chosen by a word or counted may
+# give the diagram another block or port, or make of one block for all runs one for each.
+_OF_ONE_KIND = (
+    "reference",
+    "estimator",
+    "command_filter",
+    "environment",
+    "sensing",
+    "actuation",
+    "blocks",
+)
+# All others are the same: those of the clock, the integrator, the plant and the controller.
 # With fixed steps, these compute each copy of the spacecraft by itself.
 _EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
 _CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
@@ -150,6 +162,39 @@ def _group(scenario: Scenario) -> str | None:
         payload=payload,
         capture=capture,
         duration=scenario.num_control_periods * scenario.sample_time,
-        **{name: getattr(neutral, name) for name in _MAY_DIFFER},
+        model=_without_springs(scenario.model),
+        **{name: getattr(neutral, name) for name in _FREE},
     )
-    return json.dumps(scenario_to_dict(common), sort_keys=True)
+    data = scenario_to_dict(common)
+    return json.dumps(data | {name: _kind(data[name]) for name in _OF_ONE_KIND}, sort_keys=True)
+
+
+def _without_springs(model: Model) -> Model:
+    """A model without the springs and dampers that a context holds."""
+    parts = {
+        name: part
+        if part.kind == "mass"  # its spring's stiffness is the plant's own
+        else dataclasses.replace(
+            part,
+            frequency=None,
+            frequencies=[0.0] * len(part.frequencies),
+            stiffness=None,
+            damping_ratio=0.0,
+        )
+        for name, part in model.flexible.items()
+    }
+    return dataclasses.replace(model, flexible=parts)
+
+
+def _kind(data: Any) -> Any:
+    """Plain data without the values of its numbers other than zero; those by coordinate, and of
+    vectors, as one.
+    """
+    entries = data.values() if isinstance(data, dict) else data if isinstance(data, list) else ()
+    if entries and all(isinstance(each, float) for each in entries):
+        return any(entries)
+    if isinstance(data, dict):
+        return {name: _kind(value) for name, value in data.items()}
+    if isinstance(data, list):
+        return [_kind(value) for value in data]
+    return bool(data) if isinstance(data, float) else data

@@ -7,7 +7,8 @@ import types
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+import yaml
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -18,13 +19,17 @@ from ffsm_drake import (
     ScenarioError,
     load_scenario,
     make_closed_loop,
+    override_scenario,
     simulate,
     simulate_many,
 )
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.batches import batches_of, usual_batch
-from ffsm_drake.runs.capture import CaptureRollout
+from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario import scenario_to_dict
+from ffsm_drake.scenario.layers import flatten
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import is_wide
 from ffsm_drake.systems.controllers.pd_plus import PdPlus
@@ -516,3 +521,102 @@ def test_a_law_that_inherits_a_wide_one_is_not_wide():
     assert PdPlus.wide
     assert not is_wide(object.__new__(Own))
     assert is_wide(object.__new__(PdPlus))
+
+
+DRIVES = (
+    "actuation.limit={joints: 40}",
+    "actuation.drives={rate_limit: {all: 1}, coulomb_friction: {joints: 0.01}}",
+    "actuation.delay=1",
+)
+FLEXIBLE = (
+    "model.flexible.beam={kind: beam, position: [0, 0, 1], direction: [0, 0, 1], mass: 1, "
+    "frequencies: [0.5, 2]}",
+    "model.flexible.slosh={kind: mass, mass: 1, frequency: 0.4}",
+    "model.flexible.tank={kind: pendulum, mass: 1, length: 0.3, frequency: 0.4}",
+)
+FILTERED = ("command_filter={low_pass: 20, notch: 5}", "reference.shaper={frequencies: [3.0]}")
+BEGUN = ("capture.approach.duration=0.05", "duration=0.1", "reference.duration=0.04")
+# Scenarios of which one value is changed, on every kind of block.
+BASES = {
+    "plain": ("postcapture", *FILTERED),
+    "orbit": ("postcapture", ORBIT, *COUPLED),
+    "drives": ("postcapture", "controller=tdc", *DRIVES),
+    "wheels": ("thrusters_and_wheels",),
+    "slow": ("slow_navigation",),
+    "flexible": ("flexible_panels", *FLEXIBLE),
+    "frame": ("free_floating",),
+    "capture": ("tumbling_capture", *CAPTURE, *BEGUN),
+    "user's": ("postcapture", "blocks.forces.own={system: '{lab}:Spring', settings: {pull: 0.5}}"),
+}
+WORDS = {  # of settings that are a choice, by their last name
+    "kind": ("kalman", "one_sample", "coupled", "zvd", "beam", "pendulum", "quintic"),
+    "base_rotation": ("rpy", "eigenaxis"),
+    "controller": ("tdc", "asmc", "pd_plus", "computed_torque"),
+    "integration_scheme": ("runge_kutta2", "explicit_euler"),
+    "modulator": ("pulse_width", "pwpf"),
+    "task": ("position", "attitude"),
+    "servicer": ("rest", "track_all"),
+    "joints": ("braked",),
+}
+# What may be none, as something.
+GIVEN = (0.02, 3, {"all": 30.0}, {}, {"joints": 5.0})
+
+
+class Spring(Drag):
+    """A user's force with a number of its own."""
+
+    def __init__(self, setup):
+        self._pull = setup.settings["pull"]
+        super().__init__(setup)
+
+    def _calc(self, context, output):
+        state = self._state.Eval(context)
+        output.SetFromVector(-self._pull * state[-output.size() :])
+
+
+def others_of(key, value):
+    """Values that may stand in the place of one."""
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, int):
+        return [value + 1, max(value - 1, 0)]
+    if isinstance(value, float):
+        return [1.1 * value, 0.0, 0.01, 1.0]
+    if isinstance(value, list):
+        return [[1.1 * item for item in value], []] if value and value[0] != str(value[0]) else []
+    if value is None:
+        return list(GIVEN)
+    return [*WORDS.get(key.rpartition(".")[2], ()), "another", None]
+
+
+def changes_of(base):
+    """Every value of a scenario with others in its place, as overrides."""
+    for key, value in flatten(scenario_to_dict(base)).items():
+        for other in others_of(key, value):
+            yield f"{key}={yaml.safe_dump(other, default_flow_style=True).partition(chr(10))[0]}"
+
+
+def check_together_or_apart(base, change):
+    """Whether two runs that differ by an override go side by side; then they have their bits."""
+    try:
+        scenarios = [base, override_scenario(base, [change])]
+        own = [make_rollout(each).run() for each in scenarios]
+    except FfsmError:
+        return None
+    if batches_of(scenarios, 2) != [[0, 1]]:
+        return False
+    logs = make_rollout(scenarios).run_all()
+    for log, alone_log, scenario in zip(logs, own, scenarios, strict=True):
+        assert (log is None) == (alone_log.outcome.status != "completed"), change
+        if log is not None:
+            assert set(log.series) == set(alone_log.series), change
+            for name, values in alone_log.series.items():
+                np.testing.assert_array_equal(log.series[name], values, err_msg=change)
+            assert log.scenario == scenario
+    return True
+
+
+def base_of(kind, module):
+    name, *overrides = BASES[kind]
+    given = [each.replace("{lab}", module) for each in overrides]
+    return load_scenario(name, ["duration=0.06", *given])

@@ -15,6 +15,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
+from ffsm_drake.common import products
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
@@ -39,6 +40,7 @@ _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
 _SETTLED_AFTER = 5.0  # s, from which on the rms error counts
 _PUSH = "push"  # the source of what actuators add to the command
+Maps = tuple[np.ndarray, np.ndarray]  # of one control sample, from x and from w
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,8 +114,7 @@ def rehearse(
         mean = np.zeros_like(ideal), ideal
     times = np.arange(scenario.num_control_periods) * scenario.sample_time
     mean = np.nan_to_num(mean[0]), np.nan_to_num(mean[1])
-    runs = [_Run(scenario, loops, motion, mean, law).go(times, seed) for seed in range(seeds)]
-    diverged, shares, largest, square = (np.array(each) for each in zip(*runs, strict=True))
+    diverged, shares, largest, square = _Runs(scenario, loops, motion, mean, law).go(times, seeds)
     return Rehearsal(
         scenario=scenario,
         coordinates=motion.coordinates,
@@ -128,8 +129,10 @@ def rehearse(
     )
 
 
-class _Run:
-    """The loops and the actuators of a scenario."""
+class _Runs:
+    """Runs of the linear loops with the actuators of a scenario, side by side; arrays have a row
+    for each.
+    """
 
     def __init__(
         self,
@@ -140,10 +143,18 @@ class _Run:
         law: ControlLaw | None,
     ) -> None:
         settings, coordinates = scenario.actuation, motion.coordinates
-        self._scenario, self._loops, self._motion, self._law = scenario, loops, motion, law
+        self._scenario, self._motion, self._law = scenario, motion, law
         self._error, self._force = mean
         self._times = [motion.part(share) for share in POSTURES]
-        self._samples = [_from_start(loop) for loop in loops]
+        self._push, self._memory = loops[0].noise[_PUSH], loops[0].memory
+        # by posture, of each sample of a common period: from x and from w to [u; x+]
+        self._maps = [
+            [
+                (np.vstack([each.c, each.a]), np.vstack([each.d, each.b]))
+                for each in _from_start(loop)
+            ]
+            for loop in loops
+        ]
         planned = PlannedDynamics(scenario)
         self._mass = [planned.mass_matrices(time)[1] for time in self._times]
         self._base = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
@@ -156,49 +167,79 @@ class _Run:
             settings.quantization, key="actuation.quantization", default=0.0
         )
 
-    def go(self, times: np.ndarray, seed: int) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """The time of divergence or NaN, the share of saturated samples by actuator, the largest
-        errors (nv) at the end, and the mean square deviations (nv) once settled.
+    def go(
+        self, times: np.ndarray, seeds: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """With each seed: the time of divergence or NaN (seeds,), the share of saturated samples by
+        actuator (seeds, k), the largest errors at the end and the mean square deviations once
+        settled (seeds, nv).
         """
-        scenario, loop = self._scenario, self._loops[0]
-        nv, noise, push = self._force.shape[1], np.random.default_rng(seed), loop.noise[_PUSH]
-        x, memory = np.zeros(len(loop.a)), self._base.initial_memory
-        saturated = np.zeros(len(self._actuators))
-        switching = self._switching_at_start
+        nv, base = self._force.shape[1], self._base
+        generators = [np.random.default_rng(seed) for seed in range(seeds)]
+        x, memory, switching = (
+            np.tile(first, (seeds, 1))
+            for first in (
+                np.zeros(self._maps[0][0][0].shape[1]),
+                base.initial_memory,
+                self._switching_at_start,
+            )
+        )
         # delayed commands, and the linear loop's part of them
-        late = [np.zeros(nv)] * scenario.actuation.delay
-        own, errors = list(late), [np.zeros(nv)]
-        square, settled = np.zeros(nv), times > _SETTLED_AFTER
-        for k, (time, rotation, turning) in enumerate(
-            zip(times.tolist(), *self._base_motion(times), strict=True)
-        ):
+        late = [np.zeros((seeds, nv))] * self._scenario.actuation.delay
+        own = list(late)
+        diverged, samples = np.full(seeds, np.nan), np.full((seeds, 1), times.size)
+        saturated = np.zeros((seeds, len(self._actuators)))
+        square, largest = np.zeros((2, seeds, nv))
+        settled, at_end = times > _SETTLED_AFTER, times >= times[-1] - _LAST
+        motion = zip(times.tolist(), *self._base_motion(times), strict=True)
+        for k, (time, rotation, turning) in enumerate(motion):
             if k % _BLENDED == 0:
-                samples, mass = self._near(time)
-            step = samples[k % len(samples)]
-            w = noise.standard_normal((1, step.b.shape[1]))[0]
-            w[push] = 0.0
-            force, after = self._force[k] + step.c @ x + step.d @ w, step.a @ x + step.b @ w
+                maps, mass = self._near(time)
+                noise = self._noise(generators, maps, k)
+            of_x, of_w = maps[k % len(maps)]
+            force, after = np.split(products.times(of_x, x) + noise[:, k % _BLENDED], [nv], axis=1)
+            force = self._force[k] + force
             own.append(force)
             if self._law is not None and switching.size:
-                s = after[loop.memory["sliding_variable"]]
-                force = force + mass @ (switching * np.sign(s))
+                s = after[:, self._memory["sliding_variable"]]
+                force = force + products.times(mass, switching * np.sign(s))
                 switching = self._law.switching_gain_after(s, switching)
             late.append(quantize(np.clip(force, -self._limit, self._limit), self._resolution))
-            begins = k % self._base.frame == 0
-            stacked = self._base.give(
+            begins = k % base.frame == 0
+            stacked = base.give(
                 late.pop(0), memory, rotation=rotation, turning=turning, begins=begins
             )
-            sample = dict(zip(self._base.sizes, np.split(stacked, self._ends), strict=True))
-            memory = sample["memory"]
-            saturated += [bool(part.saturated(sample)) for part in self._actuators]
-            x = after + step.b[:, push] @ (sample["applied_force"] - own.pop(0))
-            if not np.abs(x[nv : 2 * nv]).max() < scenario.divergence_speed:
-                return time, saturated / (k + 1), np.full(nv, np.inf), np.full(nv, np.inf)
-            square += settled[k] * x[:nv] ** 2
-            if time >= times[-1] - _LAST:
-                errors.append(np.abs(self._error[k] + x[:nv]))
-        share, largest = saturated / times.size, np.max(errors, axis=0)
-        return math.nan, share, largest, square / max(1, int(settled.sum()))
+            sample = dict(zip(base.sizes, np.split(stacked, self._ends, axis=1), strict=True))
+            memory, going = sample["memory"], np.isnan(diverged)
+            for index, part in enumerate(self._actuators):
+                saturated[:, index] += going & part.saturated(sample)
+            pushed = sample["applied_force"] - own.pop(0)
+            x = after + products.applied(of_w[nv:, self._push], pushed)
+            within = np.abs(x[:, nv : 2 * nv]).max(axis=1) < self._scenario.divergence_speed
+            if not within.all():
+                beyond = ~within  # they stay where they started
+                diverged[beyond & going], samples[beyond & going] = time, k + 1
+                x[beyond], memory[beyond] = 0.0, base.initial_memory
+                square[beyond] = largest[beyond] = np.inf
+                if not np.isnan(diverged).any():
+                    break
+            square += settled[k] * x[:, :nv] ** 2
+            if at_end[k]:
+                largest = np.maximum(largest, np.abs(self._error[k] + x[:, :nv]))
+        return diverged, saturated / samples, largest, square / max(1, int(settled.sum()))
+
+    def _noise(
+        self, generators: Sequence[np.random.Generator], maps: Sequence[Maps], first: int
+    ) -> np.ndarray:
+        """What noise adds to [u; x+] (runs, _BLENDED, rows) from a control sample on."""
+        width = maps[0][1].shape[1]
+        w = np.stack([each.standard_normal((_BLENDED, width)) for each in generators])
+        w[..., self._push] = 0.0
+        found = np.empty((*w.shape[:2], len(maps[0][1])))
+        for kind, (_, of_w) in enumerate(maps):
+            own = np.arange(first, first + _BLENDED) % len(maps) == kind
+            found[:, own] = w[:, own] @ of_w.T
+        return found
 
     @property
     def _switching_at_start(self) -> np.ndarray:
@@ -207,7 +248,7 @@ class _Run:
         known = {"sliding_variable", "switching_gain"} <= set(start)
         return np.array(start["switching_gain"]) if known else np.zeros(0)
 
-    def _near(self, time: float) -> tuple[list[SampleMap], np.ndarray]:
+    def _near(self, time: float) -> tuple[list[Maps], np.ndarray]:
         """The loop's maps of one common period and the nominal mass matrix at a time, interpolated
         between postures.
         """
@@ -217,11 +258,8 @@ class _Run:
         def blend(first: np.ndarray, second: np.ndarray) -> np.ndarray:
             return (1.0 - share) * first + share * second
 
-        pairs = zip(self._samples[i], self._samples[i + 1], strict=True)
-        maps = [
-            SampleMap(**{name: blend(getattr(a, name), getattr(b, name)) for name in "abcd"})
-            for a, b in pairs
-        ]
+        pairs = zip(self._maps[i], self._maps[i + 1], strict=True)
+        maps = [(blend(a, b), blend(c, d)) for (a, c), (b, d) in pairs]
         return maps, blend(self._mass[i], self._mass[i + 1])
 
     def _base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,8 +11,10 @@ negative force, it is a solution with six thrusters, f = B^-1 w with a basis B o
 where a thruster cannot give what that asks for is the linear program itself solved.
 """
 
+import functools
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
@@ -110,16 +112,27 @@ class Allocation:
         """As ``solve``: the largest part s with W f = s w - leak at the least cost, in one program
         in which the part outweighs any cost, whatever the size of w.
         """
-        program, count = MathematicalProgram(), self._largest.size
+        program, unknown, bounds, balance = self._program
         scale = max(1.0, float(np.abs(wrench).max() / self._largest.sum()))
-        unknown = program.NewContinuousVariables(count + 1)
-        program.AddLinearCost(np.r_[self._cost, -_PRICE * self._largest.sum()], unknown)
-        program.AddBoundingBoxConstraint(np.zeros(count + 1), np.r_[self._largest, scale], unknown)
-        program.AddLinearEqualityConstraint(
-            np.c_[self._wrenches, -wrench / scale], np.zeros(6) - leak, unknown
-        )
+        bounds.evaluator().UpdateUpperBound([*self._largest, scale])
+        matrix = np.concatenate([self._wrenches, -wrench[:, None] / scale], axis=1)
+        balance.evaluator().UpdateCoefficients(matrix, np.zeros(6) - leak)
         found = ClpSolver().Solve(program).GetSolution(unknown)
         return np.clip(found[:-1], 0.0, self._largest), float(found[-1]) / scale
+
+    @functools.cached_property
+    def _program(self) -> tuple[MathematicalProgram, np.ndarray, Any, Any]:
+        """The linear program, its unknowns, their bounds and the balance of wrenches; of the last
+        two, the numbers that depend on the wrench are still to be set.
+        """
+        program, count = MathematicalProgram(), self._largest.size
+        unknown = program.NewContinuousVariables(count + 1)
+        program.AddLinearCost([*self._cost, -_PRICE * self._largest.sum()], unknown)
+        bounds = program.AddBoundingBoxConstraint(np.zeros(count + 1), np.ones(count + 1), unknown)
+        balance = program.AddLinearEqualityConstraint(
+            np.zeros((6, count + 1)), np.zeros(6), unknown
+        )
+        return program, unknown, bounds, balance
 
 
 def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:
