@@ -2,9 +2,9 @@
 
 Side by side go runs with the same model, blocks, controller, integrator and number of control
 samples; they may differ in the sections ``_FREE``, in numbers of those ``_OF_ONE_KIND``, in the
-payload's mass properties, and in frequency and damping of flexible parts. Those with a capture
-grasp at the same sample, or all begin with the grasp; their captures may differ otherwise. Alone go
-runs with error control, an implicit scheme or a paced clock, and with flexible joints.
+payload's mass properties, and in frequency and damping of panels and pendulums. Those with a
+capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise.
+Alone go runs with error control, an implicit scheme or a paced clock, and with flexible joints.
 """
 
 import dataclasses
@@ -170,17 +170,12 @@ def _group(scenario: Scenario) -> str | None:
 
 
 def _without_springs(model: Model) -> Model:
-    """A model without the springs and dampers that a context holds."""
+    """A model without the springs and dampers that a context holds: those of hinges."""
+    hinged = ("panel", "pendulum")
     parts = {
-        name: part
-        if part.kind == "mass"  # its spring's stiffness is the plant's own
-        else dataclasses.replace(
-            part,
-            frequency=None,
-            frequencies=[0.0] * len(part.frequencies),
-            stiffness=None,
-            damping_ratio=0.0,
-        )
+        name: dataclasses.replace(part, frequency=None, stiffness=None, damping_ratio=0.0)
+        if part.kind in hinged
+        else part
         for name, part in model.flexible.items()
     }
     return dataclasses.replace(model, flexible=parts)

@@ -370,3 +370,18 @@ def test_a_loop_that_would_take_minutes_is_refused_by_its_size(key, samples):
     counts = re.findall(r"(\d+) [a-z ]+\(at most (\d+)", str(caught.value))
     assert len(counts) == 3
     assert any(int(count) > int(bound) for count, bound in counts)
+
+
+@pytest.mark.parametrize("name", ["postcapture", "thrusters_only"])
+def test_gains_do_not_change_the_motion_between_samples(name):
+    """It is differenced once for an instant, at the gains that come first."""
+    scenario = load_scenario(name)
+    with Linearizer(scenario) as both, Linearizer(scenario) as one:
+        gain = {"reaching_gain": 3.0 * both.law.reaching_gain.start}
+        both.at(5.0)
+        for after, alone in zip(
+            both.at(5.0, held=gain).samples, one.at(5.0, held=gain).samples, strict=True
+        ):
+            for part in "abcd":
+                found, expected = getattr(after, part), getattr(alone, part)
+                np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())

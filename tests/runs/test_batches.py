@@ -8,7 +8,7 @@ import types
 import numpy as np
 import pytest
 import yaml
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
@@ -37,6 +37,7 @@ from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.side_by_side import SideBySide
 
 SHORT = "duration=0.3"
+LAB = "lab_of_batches"  # the module of users' blocks
 ORBIT = (
     "environment={altitude: 7.0e5, gravity_gradient: true, tidal: true, hill_rpy: [0.1, 0.2, 0.3],"
     " solar_pressure: {area: 10.0, center_of_pressure: [0.1, 0.2, 0.3], sun: [1, 1, 0]}}"
@@ -354,6 +355,18 @@ class Drag(LeafSystem):
         output.SetFromVector(-0.5 * state[len(state) // 2 + 1 :])
 
 
+class Spring(Drag):
+    """A user's force with a number of its own."""
+
+    def __init__(self, setup):
+        self._pull = setup.settings["pull"]
+        super().__init__(setup)
+
+    def _calc(self, context, output):
+        state = self._state.Eval(context)
+        output.SetFromVector(-self._pull * state[-output.size() :])
+
+
 def noisy_drag(setup):
     """A force that draws numbers and has continuous state."""
     size, builder = len(setup.coordinates.names), DiagramBuilder()
@@ -371,12 +384,13 @@ def noisy_drag(setup):
     return builder.Build()
 
 
-@pytest.fixture
-def lab(monkeypatch):
-    module = types.ModuleType("lab_of_batches")
-    module.Fragile, module.noisy_drag = Fragile, noisy_drag
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    return module.__name__
+@pytest.fixture(scope="module", autouse=True)
+def lab():
+    module = types.ModuleType(LAB)
+    module.Fragile, module.noisy_drag, module.Spring = Fragile, noisy_drag, Spring
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, LAB, module)
+        yield LAB
 
 
 def test_systems_of_a_user_go_side_by_side(lab):
@@ -546,7 +560,10 @@ BASES = {
     "flexible": ("flexible_panels", *FLEXIBLE),
     "frame": ("free_floating",),
     "capture": ("tumbling_capture", *CAPTURE, *BEGUN),
-    "user's": ("postcapture", "blocks.forces.own={system: '{lab}:Spring', settings: {pull: 0.5}}"),
+    "user's": (
+        "postcapture",
+        f"blocks.forces.own={{system: '{LAB}:Spring', settings: {{pull: 0.5}}}}",
+    ),
 }
 WORDS = {  # of settings that are a choice, by their last name
     "kind": ("kalman", "one_sample", "coupled", "zvd", "beam", "pendulum", "quintic"),
@@ -560,18 +577,6 @@ WORDS = {  # of settings that are a choice, by their last name
 }
 # What may be none, as something.
 GIVEN = (0.02, 3, {"all": 30.0}, {}, {"joints": 5.0})
-
-
-class Spring(Drag):
-    """A user's force with a number of its own."""
-
-    def __init__(self, setup):
-        self._pull = setup.settings["pull"]
-        super().__init__(setup)
-
-    def _calc(self, context, output):
-        state = self._state.Eval(context)
-        output.SetFromVector(-self._pull * state[-output.size() :])
 
 
 def others_of(key, value):
@@ -596,27 +601,72 @@ def changes_of(base):
             yield f"{key}={yaml.safe_dump(other, default_flow_style=True).partition(chr(10))[0]}"
 
 
+def run_once(scenarios):
+    """The logs of a new rollout, which is freed: Drake would keep it."""
+    rollout = make_rollout(scenarios)
+    try:
+        return rollout.run_all() if isinstance(scenarios, list) else rollout.run()
+    finally:
+        rollout.release()
+
+
 def check_together_or_apart(base, change):
-    """Whether two runs that differ by an override go side by side; then they have their bits."""
+    """Whether two runs that differ by an override go side by side; then they have their bits. None:
+    the override cannot be used.
+    """
     try:
         scenarios = [base, override_scenario(base, [change])]
-        own = [make_rollout(each).run() for each in scenarios]
+        own = [run_once(each) for each in scenarios]
     except FfsmError:
         return None
     if batches_of(scenarios, 2) != [[0, 1]]:
         return False
-    logs = make_rollout(scenarios).run_all()
-    for log, alone_log, scenario in zip(logs, own, scenarios, strict=True):
+    for log, alone_log in zip(run_once(scenarios), own, strict=True):
         assert (log is None) == (alone_log.outcome.status != "completed"), change
         if log is not None:
+            assert log.scenario == alone_log.scenario
             assert set(log.series) == set(alone_log.series), change
             for name, values in alone_log.series.items():
                 np.testing.assert_array_equal(log.series[name], values, err_msg=change)
-            assert log.scenario == scenario
     return True
 
 
-def base_of(kind, module):
+def base_of(kind):
     name, *overrides = BASES[kind]
-    given = [each.replace("{lab}", module) for each in overrides]
-    return load_scenario(name, ["duration=0.06", *given])
+    return load_scenario(name, ["duration=0.06", *overrides])
+
+
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(kind=st.sampled_from(sorted(BASES)), data=st.data())
+def test_runs_that_differ_in_any_value_go_side_by_side_or_apart(kind, data):
+    base = base_of(kind)
+    change = data.draw(st.sampled_from(list(changes_of(base))))
+    assume(check_together_or_apart(base, change) is not None)
+
+
+# Values of each kind of block that make no other diagram.
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("plain", "command_filter.low_pass=10"),
+        ("orbit", "environment.altitude=6.0e5"),
+        ("drives", "actuation.limit={joints: 30}"),
+        ("drives", "actuation.drives.coulomb_friction={joints: 0.02}"),
+        ("flexible", "model.flexible.port.frequency=0.3"),
+        ("flexible", "model.flexible.tank={frequency: null, stiffness: 1.0}"),
+        ("flexible", "model.flexible.port.damping_ratio=0.01"),
+        pytest.param("wheels", "actuation.wheels.desaturation_time=5", marks=pytest.mark.slow),
+        ("user's", "blocks.forces.own.settings.pull=0.2"),
+    ],
+)
+def test_runs_that_differ_in_numbers_go_side_by_side(kind, change):
+    assert check_together_or_apart(base_of(kind), change)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("kind", BASES)
+def test_every_value_of_a_scenario(kind):
+    base = base_of(kind)
+    found = [check_together_or_apart(base, change) for change in changes_of(base)]
+    assert found.count(True) > 200
+    assert found.count(False) > 30

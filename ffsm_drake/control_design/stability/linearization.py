@@ -104,6 +104,7 @@ class Linearizer:
         self._find_law()
         self._find_memory(leaves)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
+        self._motions = dict[Hashable, np.ndarray]()
         self._loops = dict[Hashable, LinearLoop]()
         self._own_period: int | None = None  # of user-supplied systems, once it is known
 
@@ -366,7 +367,7 @@ class Linearizer:
                     for earlier in range(index, index + (each - index) % own):
                         self._go_on(earlier, held)
                     self._context.SetTime(each * self.scenario.sample_time)
-                    updates[kind] = self._update(each)
+                    updates[kind] = self._update(each, first)
             self._updates[key] = tuple(updates[kind] for kind in kinds)
         return self._updates[key]
 
@@ -443,9 +444,9 @@ class Linearizer:
         self._plant.write(state)
         return found
 
-    def _update(self, index: int) -> "_Update":
+    def _update(self, index: int, first: int) -> "_Update":
         """Difference and make the update at the control sample ``index``, from a context just
-        before it.
+        before it, after a warm-up from the sample ``first``.
         """
         width, memory, state = self._width, self._memory.read(), self._plant.read()
         size = width + memory.size
@@ -486,6 +487,7 @@ class Linearizer:
         kept = [group for group in groups if group.stop <= size]
         return _Update(
             index=index,
+            alike=None if self.user_supplied else (first, self._memory.phases(index)),
             after=self._context.Clone(),
             groups=kept,
             steps=steps[:size],
@@ -501,8 +503,11 @@ class Linearizer:
             controller, self._controller_context, self._memory, index=index, width=self._width
         )
 
-    def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
-        """The map of a control sample: its update and the motion up to the next."""
+    def _motion(self, update: "_Update", truth: MassProperties | None) -> np.ndarray:
+        """Derivative, by the state after an update, of the plant's state at the next control sample
+        and of the controller's force until then. Gains and a measurement that came or did not come
+        make no difference to it: they change what is held, but not what that does.
+        """
         nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
         after = update.after
         self._context.SetTimeStateAndParametersFrom(after)
@@ -530,7 +535,17 @@ class Linearizer:
             reached = move(x)
             return np.concatenate([difference(reached[:-nv], base[:-nv]), reached[-nv:]])
 
-        motion = _jacobian(change, update.groups, update.steps)
+        return _jacobian(change, update.groups, update.steps)
+
+    def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
+        """The map of a control sample: its update and the motion up to the next."""
+        nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
+        if truth is not None or update.alike is None:
+            motion = self._motion(update, truth)
+        else:
+            if update.alike not in self._motions:
+                self._motions[update.alike] = self._motion(update, None)
+            motion = self._motions[update.alike]
         # From [x; w] to [x+; u], by way of the memory after the update.
         whole = motion[:, width:] @ update.jacobian
         whole[:, :width] += motion[:, :width]
@@ -549,6 +564,7 @@ class _Update:
     """First-order map of a control sample's update, from [x; w], and the state after it."""
 
     index: int
+    alike: Hashable | None  # equal for those with the same map of the motion; None: unknown
     after: Context
     groups: Sequence[slice]  # of x: the plant's state, then each group of the memory
     steps: np.ndarray  # of the differences, of x

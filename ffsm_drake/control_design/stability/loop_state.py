@@ -138,7 +138,11 @@ class Memory:
 
     def kind(self, index: int) -> Hashable:
         """A key that is equal for control samples with the same updates."""
-        return self.which(index), tuple(system.phase(index) for system in self._phased)
+        return self.which(index), self.phases(index)
+
+    def phases(self, index: int) -> tuple[int, ...]:
+        """Of the systems that behave differently from sample to sample."""
+        return tuple(system.phase(index) for system in self._phased)
 
     def which(self, index: int) -> tuple[bool, ...]:
         """Which systems update at a control sample."""
