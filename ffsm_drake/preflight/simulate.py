@@ -156,8 +156,8 @@ def simulate_many(
 
     Those that may go together run side by side in one diagram, which takes about a third of the
     time: scenarios with the same model, controller, blocks, integrator and number of samples. They
-    may differ in seed, payload, initial velocity, postures, reference, gains, estimator,
-    disturbance and sensors. The others run alone, as does, once more, a run that diverges.
+    may differ in seed, payload, postures, and in the numbers of all other sections (docs/speed.md).
+    The others run alone, as does, once more, a run that diverges.
 
     Args:
       scenarios: what to run.

@@ -2,8 +2,10 @@
 
 import dataclasses
 import itertools
+import re
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.batches import batches_of, usual_batch
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import scenario_to_dict
+from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.scenario.layers import flatten
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import is_wide
@@ -661,6 +663,13 @@ def test_runs_that_differ_in_any_value_go_side_by_side_or_apart(kind, data):
 )
 def test_runs_that_differ_in_numbers_go_side_by_side(kind, change):
     assert check_together_or_apart(base_of(kind), change)
+
+
+def test_every_section_is_in_the_docs():
+    page = (Path(__file__).parents[2] / "docs" / "speed.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    told = re.findall(r"`(\w+)`", " ".join(rows))
+    assert set(scenario_to_dict(Scenario())) <= set(told)
 
 
 @pytest.mark.exhaustive
