@@ -95,6 +95,16 @@ def test_the_share_of_saturated_samples(with_wheels):
     )
 
 
+@pytest.mark.parametrize("name", ["thrusters_only", "thrusters_and_wheels"])
+def test_each_noise_is_rehearsed_as_it_is_alone(name):
+    scenario = load_scenario(name, ["duration=2", "controller=tde_aismc"])
+    several, alone = rehearse(scenario, seeds=3), rehearse(scenario, seeds=1)
+    assert several.diverged.size == 3
+    np.testing.assert_array_equal(several.diverged[:1], alone.diverged)
+    for actuator, share in alone.saturated.items():
+        np.testing.assert_array_equal(several.saturated[actuator][:1], share)
+
+
 @pytest.mark.smoke
 def test_what_the_actuators_give():
     """Four wheels of 1 N m along the diagonals of a cube: 4/sqrt(3) about its axes, 4/3 about a
