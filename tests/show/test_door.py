@@ -43,13 +43,20 @@ EVENTS = st.fixed_dictionaries(
         "gamepad": VALUES,
     },
 )
-PACKED = (EVENTS | VALUES).map(msgpack.packb)
+OF_THE_PAGE = st.one_of(
+    st.fixed_dictionaries({"type": st.just("button"), "name": NAMES}),
+    st.fixed_dictionaries(
+        {"type": st.just("slider"), "name": NAMES, "value": st.floats() | st.integers(-9, 9)}
+    ),
+)
+PACKED = (EVENTS | VALUES | OF_THE_PAGE).map(msgpack.packb)
 HUGE = st.integers(4000, 200_000).map(bytes)
 FRAMES = st.one_of(
     st.just(b""),
     st.binary(),
     st.text(),
     PACKED,
+    OF_THE_PAGE.map(msgpack.packb),
     st.tuples(PACKED, st.integers(0, 40)).map(lambda drawn: drawn[0][: drawn[1]]),
     PACKED.map(lambda packed: packed + b"\x00"),
     st.integers(1, 3000).map(lambda depth: b"\x91" * depth),  # nested without end
