@@ -238,15 +238,17 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
 
 def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord"]:
     """Run live under an operator's panel; each run is saved into a folder of its own."""
+    from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.show.meshcat.interactive import run_interactive
 
     click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
     folders = (
         folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
     )
-    return run_interactive(
+    saved = run_interactive(
         scenario, open_browser=True, keep=lambda record: record.save(next(folders))
     )
+    return [RunRecord.load(folder) for folder in saved]
 
 
 @contextmanager

@@ -150,6 +150,7 @@ class Door:
                 finally:
                     outward.cancel()
                     drake.transport.abort()  # with a scene unread, a polite end would be waited for
+                    await asyncio.gather(outward, return_exceptions=True)
         except BadFrame:
             await page.close(_REFUSED, "not an event of this page")
         except (OSError, ConnectionClosed, InvalidHandshake):

@@ -15,6 +15,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -96,10 +97,10 @@ def run_interactive(
     meshcat: Meshcat | None = None,
     open_browser: bool = False,
     check_stability: bool = True,
-    keep: Callable[[RunRecord], object] | None = None,
+    keep: Callable[[RunRecord], Any] | None = None,
     tell: Callable[[str], None] = _print,
     wait: Callable[[float], None] = time.sleep,
-) -> list[RunRecord]:
+) -> list[Any]:
     """Run a scenario repeatedly with an operator's panel, until Quit is clicked or Ctrl-C is
     pressed.
 
@@ -116,12 +117,13 @@ def run_interactive(
         whose address is printed.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
-      keep: called with each record as soon as its run has ended, to save it.
+      keep: called with each record as soon as its run has ended, to save it. What it returns, such
+        as the folder, is held for the rest of the session in the record's place.
       tell: called with each line for the person at the terminal, such as the code that unlocks the
         panel; default: print to standard error.
       wait: called to let wall time pass, with seconds.
 
-    Returns: the records of all runs in their order.
+    Returns: the records of all runs in their order, or what ``keep`` returned for each.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -134,27 +136,26 @@ def run_interactive(
 
 
 def _session(
-    operator: "_Operator", *, check_stability: bool, keep: Callable[[RunRecord], object] | None
-) -> list[RunRecord]:
-    """The runs that the operator starts."""
-    records: list[RunRecord] = []
+    operator: "_Operator", *, check_stability: bool, keep: Callable[[RunRecord], Any] | None
+) -> list[Any]:
+    """The runs that the operator starts, each as ``keep`` returns it."""
+    kept = []
     try:
         while (run_scenario := operator.next_scenario()) is not None:
             try:
-                records.append(operator.run(run_scenario, check_stability=check_stability))
+                record = operator.run(run_scenario, check_stability=check_stability)
             except FfsmError as error:  # such as missing gains of the controller
                 operator.show_status(one_line(error))
                 continue
-            if keep is not None:
-                keep(records[-1])
-            operator.show_status(records[-1].outcome.message)
-            if records[-1].outcome.status == "interrupted" and not operator.stopped_run:
+            kept.append(record if keep is None else keep(record))
+            operator.show_status(record.outcome.message)
+            if record.outcome.status == "interrupted" and not operator.stopped_run:
                 break  # from the keyboard
     except KeyboardInterrupt:
         pass  # outside any run
     finally:
         operator.close()
-    return records
+    return kept
 
 
 @dataclasses.dataclass

@@ -1,8 +1,11 @@
 """Meshcat: the server, the stage, and the spacecraft on it."""
 
+import gc
 import logging
 import math
 import secrets
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -64,14 +67,39 @@ def quiet_drake() -> Iterator[None]:
         logger.setLevel(level)
 
 
+class _Started(threading.local):
+    """The servers that a thread has started, for as long as anything else may use them.
+
+    Drake ends the process if another thread frees a server, and Python collects its garbage in
+    whichever thread asks for memory. What is held here is freed by its own thread only.
+    """
+
+    def __init__(self) -> None:
+        self._servers: list[Meshcat] = []
+
+    def keep(self, server: Meshcat) -> None:
+        self._servers.append(server)
+
+    def free_unused(self) -> None:
+        gc.collect()  # the diagrams that drew on them
+        unused = 3  # references: the list, the name below, the argument of getrefcount
+        self._servers = [server for server in self._servers if sys.getrefcount(server) > unused]
+
+
+_STARTED = _Started()
+
+
 def start_meshcat() -> Meshcat:
     """A Meshcat server for this machine only, at a random address and port.
+
+    It lives until nothing uses it and its thread ends, or starts another.
 
     Drake's server obeys every page of this machine's browsers, whatever its origin, and some of
     their frames end it. So it listens on a random loopback address, 127.x.y.z (127.0.0.1 if the
     system has no others), and a random port, which other pages cannot guess; ``door.live_server``
     lets pages in. Raises FfsmError if no port is free.
     """
+    _STARTED.free_unused()
     params = MeshcatParams()
     params.show_stats_plot = False
     for attempt in range(2 * _TRIES):
@@ -81,7 +109,9 @@ def start_meshcat() -> Meshcat:
             params.host = "127.0.0.1"
         params.port = 10_000 + secrets.randbelow(50_000)
         with suppress(RuntimeError):
-            return Meshcat(params)
+            meshcat = Meshcat(params)
+            _STARTED.keep(meshcat)
+            return meshcat
     raise FfsmError("Meshcat cannot start: no port of this machine is free for it")
 
 
