@@ -44,8 +44,15 @@ def base_limits(scenario: Scenario) -> BaseLimits:
             own = most.get("torque", torque)
             torque, force = np.where(np.isfinite(own), own, torque), most.get("force", force)
             names.append(part.title.lower())
-    named = f" or what {' and '.join(names)} give" if names else ""
+    envelope = ", ".join(filter(None, (_span(torque, "N m"), _span(force, "N"))))
+    named = f" or what {' and '.join(names)} give (by direction {envelope})" if names else ""
     return BaseLimits(torque=torque, force=force, named=named)
+
+
+def _span(most: np.ndarray, unit: str) -> str:
+    """The envelope over all directions (n), in words; empty where there is none."""
+    known = most[np.isfinite(most)]
+    return f"{known.min():.3g} to {known.max():.3g} {unit}" if known.size else ""
 
 
 def uneven_remarks(scenario: Scenario) -> Iterator[str]:
@@ -62,11 +69,13 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
             weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
             axis = ", ".join(f"{number:.2g}" for number in directions[weak].round(3) + 0.0)
             unit = "N m" if what == "torque" else "N"
+            by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
+            along = ", ".join(f"{each:.3g}" for each in by_axis)
             yield (
                 f"actuation: {part.title.lower()} nearly degenerate: along [{axis}] of the base's "
                 f"axes they give {most[weak]:.3g} {unit} of {what}, {strong / most[weak]:.3g} "
-                f"times less than the {strong:.3g} {unit} along their strongest direction; turn "
-                "their axes apart"
+                f"times less than the {strong:.3g} {unit} along their strongest direction (x, y, z: "
+                f"{along} {unit}); turn their axes apart"
             )
 
 
