@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
@@ -67,15 +68,15 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
             if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
                 continue
             weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
-            axis = ", ".join(f"{number:.2g}" for number in directions[weak].round(3) + 0.0)
+            axis = ", ".join(f"{each:.2g}" for each in directions[weak].round(3) + 0.0)
             unit = "N m" if what == "torque" else "N"
             by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
-            along = ", ".join(f"{each:.3g}" for each in by_axis)
+            axes = "x, y, z: " + ", ".join(number(each, 3) for each in by_axis)
             yield (
                 f"actuation: {part.title.lower()} nearly degenerate: along [{axis}] of the base's "
                 f"axes they give {most[weak]:.3g} {unit} of {what}, {strong / most[weak]:.3g} "
-                f"times less than the {strong:.3g} {unit} along their strongest direction (x, y, z: "
-                f"{along} {unit}); turn their axes apart"
+                f"times less than the {strong:.3g} {unit} along their strongest direction "
+                f"({axes} {unit}); turn their axes apart"
             )
 
 
