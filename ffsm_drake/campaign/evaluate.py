@@ -56,6 +56,7 @@ OF_FRAME = {
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
+NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot be linearised
 
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
@@ -187,9 +188,11 @@ class Evaluator:
                 if log is None:
                     log = self._run(timed(scenario_of(self._spec, case, controller)))
                 row |= evaluate_run(self._spec, log)
-                # a user-supplied block that cannot be linearised: no prediction
-                with contextlib.suppress(BlockError):
+                try:
                     row |= dict(zip(self._predictions, predict(log.scenario), strict=False))
+                except BlockError as error:
+                    why = f"{NO_PREDICTION}{one_line(error)}"
+                    row["message"] = "; ".join(filter(None, (row["message"], why)))
         except LimitError as error:  # no motion keeps the limits
             refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
             row = dict.fromkeys(row) | error_row(str(error)) | refused

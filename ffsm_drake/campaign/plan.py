@@ -4,7 +4,7 @@ import itertools
 import statistics
 
 from ffsm_drake.campaign.cases import Case, make_cases
-from ffsm_drake.campaign.evaluate import OUTCOMES, Evaluator
+from ffsm_drake.campaign.evaluate import NO_PREDICTION, OUTCOMES, Evaluator
 from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases, duration_text
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
@@ -53,6 +53,11 @@ def plan_text(spec: Spec, *, workers: int) -> str:
         f"case {first[-1].index} with {name}: error: {row['message']}"
         for name, row in rows.items()
         if row["outcome"] == "error"
+    ]
+    lines += [
+        f"{name}: {row['message']}"
+        for name, row in rows.items()
+        if NO_PREDICTION in row["message"] and row["outcome"] != "error"
     ]
     return "\n".join(lines)
 

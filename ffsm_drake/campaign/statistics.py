@@ -15,6 +15,7 @@ from ffsm_drake.campaign.evaluate import (
     FIRST_LIMIT,
     LOAD,
     METRICS,
+    NO_PREDICTION,
     PREDICTIONS,
     metrics_of,
     predictions_of,
@@ -345,6 +346,7 @@ class Findings:
     sensitivities: list[Sensitivity]
     influential: list[str]  # sampled numbers, most influential first
     agreement: list[Agreement]
+    unpredicted: list[str]  # runs whose loop cannot be linearised, and why; a line per controller
     map: StabilityMap | None  # None with fewer than two sampled numbers
     grid: list[GridPoint]  # empty where the sampling is not a grid
 
@@ -378,6 +380,16 @@ def find(
         sensitivities=found,
         influential=influential,
         agreement=[agreement(runs) for runs in table.runs.values()],
+        unpredicted=_unpredicted(store),
         map=None if axes is None else predict_map(spec, axes, table.values, progress=progress),
         grid=grid_points(spec, table),
     )
+
+
+def _unpredicted(store: Store) -> list[str]:
+    select = "SELECT controller, count(*), min(message) FROM results WHERE instr(message, ?)"
+    return [
+        f"{controller}: {count} of {store.spec.cases} runs have {NO_PREDICTION}"
+        f"{message.partition(NO_PREDICTION)[2]}"
+        for controller, count, message in store.query(f"{select} GROUP BY 1", (NO_PREDICTION,))
+    ]

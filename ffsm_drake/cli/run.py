@@ -185,16 +185,21 @@ def compare(
 
 
 def _distances(records: Sequence["RunRecord"]) -> list[float]:
-    """Distance of each run's controller to the LQG limit; NaN if it is not known."""
-    from ffsm_drake.common.errors import FfsmError
+    """Distance of each run's controller to the LQG limit; NaN if it is not known, with a line that
+    says why.
+    """
+    from ffsm_drake.common.errors import FfsmError, one_line
     from ffsm_drake.control_design.limit import find_limit
 
-    distances = []
+    distances, missing = [], dict[str, list[str]]()  # reason -> controllers
     for record in records:
         try:
             distances.append(find_limit(record.scenario).distance)
-        except FfsmError:  # a user-supplied block that cannot be linearised
+        except FfsmError as error:
+            missing.setdefault(one_line(error), []).append(record.scenario.controller)
             distances.append(math.nan)
+    for why, names in missing.items():
+        click.echo(f"warning: {', '.join(names)}: no distance to the LQG limit: {why}", err=True)
     return distances
 
 

@@ -23,6 +23,7 @@ from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 
 Problems = Iterator[tuple[str, str]]  # key and problem
+_HUGE = 1e300
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -63,7 +64,7 @@ class Setting:
         if not low <= len(entries) <= high:
             words = f"{low}" if low == high else f"{low} to {high}" if low else f"at most {high}"
             yield key, f"must hold {words} values, not {len(entries)}"
-        elif self.nonzero and sum(item**2 for item in entries.values()) <= 1e-18:
+        elif self.nonzero and all(abs(item) <= 1e-9 for item in entries.values()):
             yield key, "must not be zero"
         for place, item in entries.items():
             yield from self.problems(item, place)
@@ -78,7 +79,9 @@ class Setting:
         ):
             # a unit that depends on the coordinate, or a bare 1/s, would obscure the range
             plain = " or " not in self.unit and self.unit[:1] != "1"
-            yield key, f"must be {self.range} {self.unit * plain}".strip() + f", not {value:.10g}"
+            is_float = isinstance(value, float) or abs(value) < _HUGE  # or can be made one
+            given = f"{value:.10g}" if is_float else f"a number beyond {_HUGE:g}"
+            yield key, f"must be {self.range} {self.unit * plain}".strip() + f", not {given}"
 
 
 def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> Any:

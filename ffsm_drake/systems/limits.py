@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
@@ -44,8 +45,15 @@ def base_limits(scenario: Scenario) -> BaseLimits:
             own = most.get("torque", torque)
             torque, force = np.where(np.isfinite(own), own, torque), most.get("force", force)
             names.append(part.title.lower())
-    named = f" or what {' and '.join(names)} give" if names else ""
+    envelope = ", ".join(filter(None, (_span(torque, "N m"), _span(force, "N"))))
+    named = f" or what {' and '.join(names)} give (by direction {envelope})" if names else ""
     return BaseLimits(torque=torque, force=force, named=named)
+
+
+def _span(most: np.ndarray, unit: str) -> str:
+    """The envelope over all directions (n), in words; empty where there is none."""
+    known = most[np.isfinite(most)]
+    return f"{known.min():.3g} to {known.max():.3g} {unit}" if known.size else ""
 
 
 def uneven_remarks(scenario: Scenario) -> Iterator[str]:
@@ -60,13 +68,15 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
             if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
                 continue
             weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
-            axis = ", ".join(f"{number:.2g}" for number in directions[weak].round(3) + 0.0)
+            axis = ", ".join(f"{each:.2g}" for each in directions[weak].round(3) + 0.0)
             unit = "N m" if what == "torque" else "N"
+            by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
+            axes = "x, y, z: " + ", ".join(number(each, 3) for each in by_axis)
             yield (
                 f"actuation: {part.title.lower()} nearly degenerate: along [{axis}] of the base's "
                 f"axes they give {most[weak]:.3g} {unit} of {what}, {strong / most[weak]:.3g} "
-                f"times less than the {strong:.3g} {unit} along their strongest direction; turn "
-                "their axes apart"
+                f"times less than the {strong:.3g} {unit} along their strongest direction "
+                f"({axes} {unit}); turn their axes apart"
             )
 
 

@@ -5,6 +5,8 @@ import math
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.settings import Setting, problems, setting, settings_of
@@ -179,3 +181,15 @@ def test_the_schema_has_the_ranges():
     assert by_coordinate == {"type": "number", "exclusiveMinimum": 0}
     position = properties["initial_posture"]["properties"]["base_position"]
     assert (position["minItems"], position["maxItems"]) == (3, 3)
+
+
+@settings(derandomize=True, database=None, max_examples=60)
+@given(
+    st.integers(-(10**400), 10**400) | st.floats(),
+    st.sampled_from([{"above": 0}, {"least": 0, "most": 5}, {"below": 1}, {"nonzero": True}]),
+)
+def test_any_number_is_taken_or_refused_in_words(value, limits):
+    for given_value in (value, [value] * 3):
+        for _, problem in Setting(**limits).problems(given_value, "key"):
+            assert problem.startswith("must ")
+            assert len(problem) < 100

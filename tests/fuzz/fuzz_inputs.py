@@ -125,7 +125,7 @@ def mutated_data(draw, goods):
             holder[draw(st.sampled_from(["x", "all", "joints", "", "1", 5, "joint_1"]))] = draw(
                 HOSTILE
             )
-        elif kind == "scale" and type(holder[last]) in (int, float):
+        elif kind == "scale" and type(holder[last]) in (int, float) and abs(holder[last]) < 1e200:
             holder[last] *= draw(st.sampled_from([-1, 0.5, 3, 1e3, 1e-6, 1e12]))
         else:
             holder[last] = draw(HOSTILE)

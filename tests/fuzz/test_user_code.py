@@ -80,7 +80,7 @@ def problem_of(fault, command):
         return of_simulate(fault)
     words, good = words_of(fault, command)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("always")
         result = CliRunner().invoke(main, words)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         return f"unclean: {result.exception!r}: {last_place(result.exception)}"
@@ -145,10 +145,8 @@ def must_fail(fault, command):
     """Whether a fault that has happened cannot go well."""
     if fault.method in ("held", "resume", "switching_gain_after", "starting_gains", "title"):
         return False
-    if (fault.method, command) == ("linear", "campaign"):
-        return False  # a plan without its prediction
-    # distances, verdicts and predictions go without a loop that cannot be linearised
-    later = command in ("validate", "compare", "campaign", "report") and fault.at > 0
+    # what goes without a loop that cannot be linearised: pages, distances, verdicts, predictions
+    later = command == "validate" and fault.at > 0
     return fault.what in ERRORS and command != "diagram" and not later
 
 
@@ -316,6 +314,12 @@ KNOWN = [
 @pytest.mark.parametrize("fault", KNOWN)
 def test_a_known_fault(fault, tmp_path):
     assert try_all([(fault, "run"), (fault, "simulate")], tmp_path) == []
+
+
+@pytest.mark.slow
+def test_what_lacks_a_linear_loop_says_so(tmp_path):
+    fault = Fault("part forces", "linear", 0, "value")
+    assert try_all([(fault, each) for each in ("report", "compare", "campaign")], tmp_path) == []
 
 
 @pytest.mark.parametrize(

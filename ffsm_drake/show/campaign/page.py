@@ -119,7 +119,7 @@ def summary_text(findings: Findings) -> str:
     outcomes += [
         [f"predicted {name}", *totals[at : at + 2]] for name, at in zip(names, (0, 2), strict=True)
     ]
-    return "\n".join([*aligned(rates), "", *aligned(outcomes)])
+    return "\n".join([*aligned(rates), "", *aligned(outcomes), *findings.unpredicted])
 
 
 def _page(store: Store, findings: Findings) -> str:
@@ -135,6 +135,7 @@ def _page(store: Store, findings: Findings) -> str:
         **_controller_tables(findings),
         **_grid_table(findings),
         **_comparisons(findings),
+        "unpredicted": findings.unpredicted,
         "worst": _worst(store, findings),
         "map": found,
         "fixed": {} if found is None else {key: _plain(x) for key, x in found.fixed.items()},

@@ -230,7 +230,8 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
             "no linear controller "
             "beats, for the same noise, white or correlated, and a demand that walks at random; a "
             "dash where the loop "
-            "is unstable or a user-supplied block senses."
+            "is unstable or has a block that cannot be linearised, where the controller tracks a "
+            "frame, or where a user-supplied block senses."
         )
     if not all(result.comparable for result in results):
         notes.append(

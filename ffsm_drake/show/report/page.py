@@ -5,12 +5,13 @@ them as one file.
 import functools
 import math
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ffsm_drake.analysis import Finding, analyze
-from ffsm_drake.common.errors import FfsmError, RecordError, one_line
+from ffsm_drake.common.errors import BlockError, FfsmError, RecordError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
@@ -89,6 +90,10 @@ T = TypeVar("T")
 Json = dict[str, Any]
 
 
+class MissingWarning(UserWarning):
+    """A section of a page has no content, since a block of the run's loop fails."""
+
+
 def write_report(
     records: Sequence[RunRecord],
     path: Path,
@@ -137,7 +142,10 @@ def render_report(
     """
     results = results_of(records)
     thin = Thinning(points_per_curve(results))
-    margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
+    margins = [
+        _attempt("stability", result, functools.partial(stability, result.record.scenario))
+        for result in results
+    ]
     views = run_views(results, thin)
     of_parts = {
         f"part_{re.sub(r'[^a-z0-9]+', '_', title.lower())}": (title, part.about)
@@ -209,13 +217,19 @@ def _settled_rule(scenario: Scenario) -> str:
     )
 
 
-def _attempt(make: Callable[[], T]) -> tuple[T | None, str]:
+def _attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:
     """What ``make`` returns, or why there is nothing: a section that fails must not take the report
     with it.
+
+    Warns (MissingWarning) where a block fails.
     """
     try:
         return make(), ""
     except FfsmError as error:
+        if isinstance(error, BlockError):
+            name = result.record.scenario.controller
+            text = f"{name}: the report lacks its {section}: {one_line(error)}"
+            warnings.warn(text, MissingWarning, stacklevel=4)
         return None, one_line(error)
     except KeyError as error:  # a variable that the record lacks, a controller that has no law
         return None, (
@@ -253,7 +267,7 @@ def _findings(result: Result) -> Json:
     findings: tuple[Finding, ...] = ()
     excuse = "The record has no sample to analyse."
     if result.record.dataset.sizes.get("time", 0):
-        analysis, problem = _attempt(functools.partial(analyze, result.record))
+        analysis, problem = _attempt("analysis", result, functools.partial(analyze, result.record))
         findings = () if analysis is None else analysis.findings
         excuse = problem and f"The analysis is not available for this run: {problem}."
     counted = {

@@ -23,7 +23,9 @@ from ffsm_drake.common.products import times
 
 _SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
 _SLACK = 1e-9  # relative; by which a bound may be missed
-_PRICE = 1e3  # of the part of a wrench that is given, by which it outweighs the propellant
+# Of the part of a wrench that is given, by which it outweighs the propellant; more where a unit of
+# some wrench costs more than _DEAR, as of thrusters with arms of centimetres.
+_PRICE, _DEAR = 1e3, 10.0
 # By which costs are set apart, so that of equally cheap forces one is chosen.
 _DISTINCT = 1e-7
 _TOUCHES = 1e-10  # relative to the largest cost
@@ -54,7 +56,10 @@ class Allocation:
             return prices, (prices @ wrenches <= cost + _TOUCHES).all(axis=1)
 
         prices, optimal = vertices(cost)
+        if not optimal.any():  # too nearly degenerate
+            raise ValueError(_in_words(np.linalg.svd(wrenches)[0][:, -1]))
         self._prices = np.unique(prices[optimal].round(9), axis=0)
+        self._price = _PRICE * largest.sum() * max(1.0, float(np.abs(self._prices).max()) / _DEAR)
         self._touches = self._prices @ wrenches > cost - 100.0 * _TOUCHES
         # least squares by the thrusters that may fire, as they come up
         self._shares = dict[bytes, np.ndarray]()
@@ -127,7 +132,7 @@ class Allocation:
         """
         program, count = MathematicalProgram(), self._largest.size
         unknown = program.NewContinuousVariables(count + 1)
-        program.AddLinearCost([*self._cost, -_PRICE * self._largest.sum()], unknown)
+        program.AddLinearCost([*self._cost, -self._price], unknown)
         bounds = program.AddBoundingBoxConstraint(np.zeros(count + 1), np.ones(count + 1), unknown)
         balance = program.AddLinearEqualityConstraint(
             np.zeros((6, count + 1)), np.zeros(6), unknown
