@@ -177,7 +177,7 @@ def limits_left(log: RunLog) -> dict[str, float]:
     """
     clearance = _shapes(log.scenario)
     parts = [placed.part for placed in log.parts.values()]
-    limits = limits_of(log.scenario, clearance.plant, parts)
+    limits = limits_of(log.scenario, clearance.plant, parts, helped=True)
     q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
     motion = {FORCE: log.generalized_force, RATE: v, POSITION: q[:, 1:]}
     found = {}

@@ -278,6 +278,11 @@ class Part:
     # Of the scenario's own actuators: a campaign's prediction tries the loop with its limits too.
     rehearsed: ClassVar[bool] = False
 
+    @property
+    def is_helped(self) -> bool:
+        """Of an actuator of the base: whether those before it give the torque that it cannot."""
+        return False
+
     @classmethod
     def of(cls, scenario: Scenario) -> "Part | None":
         """That of a scenario's own section; None where the scenario has none."""

@@ -3,6 +3,7 @@ failures.
 """
 
 import dataclasses
+import functools
 import itertools
 import json
 import re
@@ -28,6 +29,8 @@ from ffsm_drake.show.report.page import render_report
 from ffsm_drake.show.report.part_panels import part_views
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
+from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.modulation import (
@@ -176,6 +179,30 @@ def test_a_wrench_that_is_not_finite_is_a_run_that_diverged(name, torque, modula
     log = Rollout(scenario, blocks={"controller": lambda setup: Failing(torque=torque)}).run()
     assert log.outcome.status == "diverged"
     assert 0.29 < log.outcome.time < 0.35
+
+
+@functools.cache
+def base_actuators(name, modulator):
+    scenario = load_scenario(name, [f"actuation.thrusters.modulator={modulator}"])
+    coordinates = coordinates_of(make_plant(scenario.model))
+    return make_base_actuators(scenario.actuation, coordinates, sample_time=0.01)
+
+
+@given(
+    command=st.lists(st.floats(), min_size=11, max_size=11),
+    name=st.sampled_from(["thrusters_only", "thrusters_and_wheels"]),
+    modulator=st.sampled_from(["sigma_delta", "pulse_width", "pwpf"]),
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_any_command_gives_forces_or_none(command, name, modulator):
+    """Of any size, infinite or no number: two samples of it overflow nowhere."""
+    base = base_actuators(name, modulator)
+    memory, still = base.initial_memory, {"rotation": np.eye(3), "turning": np.zeros(6)}
+    for _ in range(2):
+        sample = base.give(np.array(command), memory, begins=True, **still)
+        memory = sample[-memory.size :]
+    wrench_is_known = (np.abs(command[:6]) < 1e300).all()
+    assert np.isfinite(sample[:6]).all() == wrench_is_known
 
 
 def test_a_lost_direction_is_one_that_no_thruster_helps_along():

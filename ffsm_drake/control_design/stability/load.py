@@ -24,6 +24,7 @@ def predicted_load(linearizer: Linearizer) -> float:
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
     _, ideal = linearizer.planned.perfect_tracking(times)
-    limit = tightest(limits_of(scenario, make_true_plant(scenario).plant), FORCE)
+    plant = make_true_plant(scenario).plant
+    limit = tightest(limits_of(scenario, plant, helped=True), FORCE)
     share = np.abs(np.concatenate([force, ideal])) / limit.upper
     return float(np.nan_to_num(share, nan=np.inf).max())

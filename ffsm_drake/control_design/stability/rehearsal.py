@@ -38,6 +38,7 @@ SEEDS = 4
 _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
 _SETTLED_AFTER = 5.0  # s, from which on the rms error counts
+_CLOSEST = 1.0 / 64.0  # share of the motion between two postures
 _PUSH = "push"  # the source of what actuators add to the command
 
 
@@ -105,7 +106,7 @@ def rehearse(
     Raises: as ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
-        loops = linearizer.along(held=held)
+        loops = _close_loops(linearizer, held)
         scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
     if mean is None:
         ideal = make_demand(scenario).force
@@ -118,7 +119,8 @@ def rehearse(
         scenario=scenario,
         coordinates=motion.coordinates,
         noise_force=np.max(
-            [_without_push(loop).noise_response(times.size)["force"] for loop in loops], axis=0
+            [_without_push(loop).noise_response(times.size)["force"] for loop in loops.values()],
+            axis=0,
         ),
         motion_force=np.abs(mean[1]).max(axis=0),
         diverged=diverged,
@@ -129,21 +131,22 @@ def rehearse(
 
 
 class _Run:
-    """The loops and the actuators of a scenario."""
+    """The loops, by time, and the actuators of a scenario."""
 
     def __init__(
         self,
         scenario: Scenario,
-        loops: Sequence[LinearLoop],
+        loops: Mapping[float, LinearLoop],
         motion: PlannedMotion,
         mean: tuple[np.ndarray, np.ndarray],
         law: ControlLaw | None,
     ) -> None:
         settings, coordinates = scenario.actuation, motion.coordinates
-        self._scenario, self._loops, self._motion, self._law = scenario, loops, motion, law
+        self._scenario, self._motion, self._law = scenario, motion, law
         self._error, self._force = mean
-        self._times = [motion.part(share) for share in POSTURES]
-        self._samples = [_from_start(loop) for loop in loops]
+        self._loop, *_ = loops.values()
+        self._times = list(loops)
+        self._samples = [_from_start(loop) for loop in loops.values()]
         planned = PlannedDynamics(scenario)
         self._mass = [planned.mass_matrices(time)[1] for time in self._times]
         self._base = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
@@ -160,7 +163,7 @@ class _Run:
         """The time of divergence or NaN, the share of saturated samples by actuator, the largest
         errors (nv) at the end, and the mean square deviations (nv) once settled.
         """
-        scenario, loop = self._scenario, self._loops[0]
+        scenario, loop = self._scenario, self._loop
         nv, noise, push = self._force.shape[1], np.random.default_rng(seed), loop.noise[_PUSH]
         x, memory = np.zeros(len(loop.a)), self._base.initial_memory
         saturated = np.zeros(len(self._actuators))
@@ -214,15 +217,8 @@ class _Run:
         i = min(max(int(np.searchsorted(self._times, time)) - 1, 0), len(self._times) - 2)
         share = min(max((time - self._times[i]) / (self._times[i + 1] - self._times[i]), 0.0), 1.0)
 
-        def blend(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-            return (1.0 - share) * first + share * second
-
-        pairs = zip(self._samples[i], self._samples[i + 1], strict=True)
-        maps = [
-            SampleMap(**{name: blend(getattr(a, name), getattr(b, name)) for name in "abcd"})
-            for a, b in pairs
-        ]
-        return maps, blend(self._mass[i], self._mass[i + 1])
+        maps = _between(self._samples[i], self._samples[i + 1], share)
+        return maps, (1.0 - share) * self._mass[i] + share * self._mass[i + 1]
 
     def _base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The planned R_WB (n, 3, 3), and ``turning`` (n, 6) of ``BaseActuators.give``."""
@@ -251,6 +247,45 @@ def _largest_wrench(scenario: Scenario) -> str:
         elif math.isfinite(most):
             spans.append(f"{least:.2g} to {most:.2g} {unit}")
     return " and ".join(spans)
+
+
+def _close_loops(
+    linearizer: Linearizer, held: Mapping[str, np.ndarray] | None
+) -> dict[float, LinearLoop]:
+    """The loops along the planned motion by their times, s, so close that halfway between two
+    stable ones the mean of both is stable, as the loop there is; or a 64th of the motion apart.
+    """
+    shares, i = list(POSTURES), 0
+    while i + 1 < len(shares):
+        near = shares[i : i + 2]
+        first, second = (linearizer.at(linearizer.part(share), held=held) for share in near)
+        if near[1] - near[0] > _CLOSEST and _has_unstable_mean(first, second):
+            shares.insert(i + 1, 0.5 * sum(near))
+        else:
+            i += 1
+    times = [linearizer.part(share) for share in shares]
+    return dict(zip(times, (linearizer.at(time, held=held) for time in times), strict=True))
+
+
+def _has_unstable_mean(first: LinearLoop, second: LinearLoop) -> bool:
+    """Whether the mean of two stable loops is unstable."""
+    if max(first.spectral_radius, second.spectral_radius) >= 1.0:
+        return False
+    samples = tuple(_between(first.samples, second.samples, 0.5))
+    return dataclasses.replace(first, samples=samples).spectral_radius >= 1.0
+
+
+def _between(
+    first: Sequence[SampleMap], second: Sequence[SampleMap], share: float
+) -> list[SampleMap]:
+    """The maps at a share of the way from those of one posture to those of the next."""
+
+    def blend(name: str, a: SampleMap, b: SampleMap) -> np.ndarray:
+        mean: np.ndarray = (1.0 - share) * getattr(a, name) + share * getattr(b, name)
+        return mean
+
+    pairs = zip(first, second, strict=True)
+    return [SampleMap(**{name: blend(name, a, b) for name in "abcd"}) for a, b in pairs]
 
 
 def _from_start(loop: LinearLoop) -> list[SampleMap]:

@@ -437,6 +437,11 @@ class ReactionWheels(Part):
             for name, unit in self.settings.units.items()
         ]  # fmt: skip
 
+    @property
+    def is_helped(self) -> bool:
+        """By thrusters."""
+        return self.settings.assist_above is not None
+
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """Torque."""
         wheels = self.storage(scenario)
