@@ -38,7 +38,7 @@ class BaseLimits:
 def base_limits(scenario: Scenario) -> BaseLimits:
     """The limits of a scenario's base actuators; ScenarioError as for ``make_actuation``."""
     torque = helped = force = np.full(len(_DIRECTIONS), np.inf)
-    names = []
+    names = list[str]()
     for part in own_parts(scenario):
         most = part.most(scenario, _DIRECTIONS)
         if most is not None:  # the torque of the last one counts, where it gives any itself

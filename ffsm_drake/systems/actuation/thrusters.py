@@ -21,8 +21,10 @@ from ffsm_drake.systems.actuation.modulation import (
 )
 from ffsm_drake.systems.part import (
     TIMELINE,
+    Advice,
     Constant,
     Figure,
+    Load,
     Metric,
     Part,
     Signal,
@@ -354,6 +356,17 @@ class FiredThrusters(Part):
     def saturated(self, signals: Signals) -> np.ndarray:
         """Whether they give less than the wanted wrench."""
         return np.squeeze(signals["thruster_given"]) < _WHOLE
+
+    def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
+        """The shortest frame, and what helps any actuator of the groups that are theirs."""
+        shortest = math.ceil(self.settings.minimum_on_time / scenario.sample_time - 1e-9)
+        if self.settings.frame > max(1, shortest):
+            yield Advice(
+                changes={"actuation.thrusters.frame": max(1, shortest)},
+                reason="the shortest that minimum_on_time allows",
+            )
+        alone = scenario.actuation.wheels is None
+        yield from load.advice("base_position", *(("base_rotation",) if alone else ()))
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """What they took and gave."""
