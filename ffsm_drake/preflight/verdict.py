@@ -15,7 +15,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import guarded
-from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.load import advice, predicted_load, saturated_shares
@@ -110,7 +110,7 @@ class Verdict:
             yield f"linear: cannot say: {self.not_linear}"
         if self.load is not None and math.isfinite(self.load):
             saturates = ": it saturates" if self._overloaded else ""
-            share = f"{100.0 * self.load:.3g} %"
+            share = f"{number(100.0 * self.load, 3)} %"
             yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
         if self.not_margins:
             yield f"margins: cannot say: {self.not_margins}"
@@ -183,7 +183,7 @@ class Verdict:
         if self.linear is not None and self.linear.is_alarm:
             yield self.linear.sentence
         if self._overloaded:
-            share = f"{100.0 * (self.load or 0.0):.3g} %"
+            share = f"{number(100.0 * (self.load or 0.0), 3)} %"
             yield f"after the grasp it asks for {share} of the force's limit"
         if self.noises is not None and self.noises.share_diverged > 0.0:
             yield f"with its actuators: {self.noises}"

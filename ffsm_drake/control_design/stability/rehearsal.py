@@ -15,6 +15,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
+from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
@@ -66,7 +67,7 @@ class Rehearsal:
             for force in (self.motion_force, self.noise_force)
         )
         limited = [
-            f"{name} in {100.0 * float(np.median(share)):.2g} %"
+            f"{name} in {percent(float(np.median(share)))}"
             for name, share in self.saturated.items()
             if share.any()
         ]
