@@ -159,8 +159,7 @@ class Verdict:
         """A line where the mission is not expected to go as planned, and one on adaptation."""
         found = [self.adaptation] if self.adaptation else []
         if self.is_alarm:
-            reasons = [*self._reasons(), *([helps(self.advice)] if self.advice else [])]
-            found.insert(0, f"not expected to go as planned: {'; '.join(reasons)}")
+            found.insert(0, f"not expected to go as planned: {'; '.join(self._reasons())}")
         return found
 
     def as_data(self) -> dict[str, Any]:

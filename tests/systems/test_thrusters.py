@@ -18,7 +18,7 @@ from scipy.optimize import linprog
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop
+from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop, simulate
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout
@@ -179,6 +179,24 @@ def test_a_wrench_that_is_not_finite_is_a_run_that_diverged(name, torque, modula
     log = Rollout(scenario, blocks={"controller": lambda setup: Failing(torque=torque)}).run()
     assert log.outcome.status == "diverged"
     assert 0.29 < log.outcome.time < 0.35
+
+
+@pytest.mark.parametrize("force", [100.0, 1e6, 1e12])
+def test_the_commanded_force_takes_what_of_it_is_given(force):
+    """Far beyond the thrusters, too, a lower bound of their propellant."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Pushing(ControlLaw):
+        def step(self, sample, state):
+            wanted = np.zeros_like(sample.v)
+            wanted[3:6] = force, -2.0 * force, 0.0
+            return wanted, state
+
+    scenario = load_scenario("thrusters_only", ["duration=0.6"])
+    record = simulate(scenario, blocks={"controller": lambda setup: Pushing()})
+    figures = record.metrics["thrusters"]
+    assert figures["saturated"] > 0.5
+    assert 0.3 * figures["propellant"] < figures["propellant_of_force"] <= figures["propellant"]
 
 
 @functools.cache
