@@ -54,6 +54,7 @@ class StorageBudget:
     """
 
     name: str  # section of the scenario
+    momentum: float  # N m s; to be held, with what it holds at the start
     capacity: float  # N m s; along the momentum, at the end of the planned motion
     least_capacity: float  # N m s; along the worst direction
     share: float  # of the fullest unit at the end; above 1 the attitude cannot be held
@@ -78,7 +79,7 @@ class MomentumBudget:
     """The momentum after the planned grasp, with the nominal payload; world axes."""
 
     linear: list[float]  # N s
-    angular: list[float]  # N m s; about the centre of mass, stored momentum included
+    angular: list[float]  # N m s; about the centre of mass, of the bodies alone
     mass: float  # kg; of servicer and target
     # s; by driven group of the base: the shortest time in which its force or torque takes the
     # momentum out; 0: no limit
@@ -116,9 +117,10 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
     model = make_nominal_plant(scenario)
     contact = planned_contact(scenario, model)
     name, storage = _storage(scenario)
-    linear, angular = contact.momentum_after[3:], contact.spin_after
+    linear, of_bodies = contact.momentum_after[3:], contact.spin_after
+    angular = of_bodies  # with what is stored
     if storage is not None:
-        angular = angular + _attitude(contact.q) @ storage.initial
+        angular = of_bodies + _attitude(contact.q) @ storage.initial
     times, q, spin = _along(scenario, model, contact.q)
     end = free_floating(model, q[-1])
     mass = float(end.mass_matrix[3, 3])
@@ -134,7 +136,7 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
     limits = tightest(limits_of(scenario, model.plant), FORCE).upper
     least = {
         group: float((np.abs(momentum) / limits[model.coordinates.groups[group]]).max())
-        for group, momentum in (("base_rotation", angular), ("base_position", linear))
+        for group, momentum in (("base_rotation", of_bodies), ("base_position", linear))
         if group in scenario.driven
     }
     used_up: dict[str, float | None] = {}
@@ -147,7 +149,7 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
         )
     return MomentumBudget(
         linear=linear.tolist(),
-        angular=angular.tolist(),
+        angular=of_bodies.tolist(),
         mass=mass,
         least_time=least,
         storage=stored,
@@ -204,6 +206,7 @@ def _storage_budget(
     change = first - storage.initial
     return StorageBudget(
         name=name,
+        momentum=float(np.linalg.norm(angular)),
         capacity=storage.capacity(last) if last.any() else storage.least_capacity,
         least_capacity=storage.least_capacity,
         share=float(storage.filled(last).max()),
@@ -368,7 +371,8 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
             lines.append(f"{what} on the base takes out the {_MOMENTA[group]} momentum{within}")
     if storage is not None:
         lines.append(
-            f"{storage['name']}: the angular momentum fills {storage['fullest']} to "
+            f"{storage['name']}: with their own the {number(storage['momentum'])} N m s of angular "
+            f"momentum fill {storage['fullest']} to "
             f"{percent(storage['share'])}, to {percent(storage['peak_share'])} on the way, in at "
             f"least {number(storage['least_time'], 3)} s; the capacity is "
             f"{number(storage['capacity'], 3)} N m s along it and "
@@ -403,7 +407,7 @@ def storage_remark(budget: MomentumBudget) -> str:
     storage = budget.storage
     if storage is None or storage.peak_share <= 1.0:
         return ""
-    left = number(math.hypot(*budget.angular), 3)
+    left = number(storage.momentum, 3)
     return (
         f"{storage.name}: to hold the attitude after the grasp {storage.fullest} would be filled "
         f"to {percent(storage.peak_share)}; {left} N m s are left in the stack, along which the "

@@ -8,23 +8,26 @@ loop under them with several noises. Where they disagree, that is the finding.
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
-from ffsm_drake.control_design.stability.load import predicted_load
+from ffsm_drake.control_design.stability.load import advice, predicted_load, saturated_shares
 from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.control_design.stability.rehearsal import SEEDS, Rehearsal, rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
 from ffsm_drake.runs.limits import limits_left
+from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, checked, from_grasp
+from ffsm_drake.systems.part import Advice
 
 _FAR = 100.0  # tolerances; a run that ends further off did not do what it was for
 
@@ -66,6 +69,7 @@ class Verdict:
     margins: Margins | None = None
     not_margins: str = ""  # why there are no margins; empty where there are, or none were asked for
     adaptation: str = ""  # ``adaptation_remark``
+    advice: tuple[Advice, ...] = ()  # what helps where actuators of the base saturate
 
     @property
     def is_alarm(self) -> bool:
@@ -106,7 +110,7 @@ class Verdict:
             yield f"linear: cannot say: {self.not_linear}"
         if self.load is not None and math.isfinite(self.load):
             saturates = ": it saturates" if self._overloaded else ""
-            share = f"{100.0 * self.load:.3g} %"
+            share = f"{number(100.0 * self.load, 3)} %"
             yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
         if self.not_margins:
             yield f"margins: cannot say: {self.not_margins}"
@@ -123,6 +127,8 @@ class Verdict:
                     "they disagree: the linear loop is stable, so limits, noise or the transient "
                     "at the start are the cause"
                 )
+        if self.advice:
+            yield helps(self.advice)
 
     @property
     def conclusion(self) -> str:
@@ -165,6 +171,7 @@ class Verdict:
             "lines": self.lines,
             "linear": None if linear is None else [dataclasses.asdict(leg) for leg in linear.legs],
             "load": self.load,
+            "advice": [dict(each.changes) for each in self.advice],
             "share_diverged": None if self.noises is None else self.noises.share_diverged,
             "run": None
             if run is None
@@ -175,7 +182,7 @@ class Verdict:
         if self.linear is not None and self.linear.is_alarm:
             yield self.linear.sentence
         if self._overloaded:
-            share = f"{100.0 * (self.load or 0.0):.3g} %"
+            share = f"{number(100.0 * (self.load or 0.0), 3)} %"
             yield f"after the grasp it asks for {share} of the force's limit"
         if self.noises is not None and self.noises.share_diverged > 0.0:
             yield f"with its actuators: {self.noises}"
@@ -207,8 +214,28 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False
             found["not_margins"] = found["not_linear"]
         if isinstance(error, NotLinear) and found["linear"] is None:
             found["linear"] = linear_verdict(scenario)  # which says so of its leg
-    run = _rehearsed(scenario) if rehearsal else None
-    return Verdict(run=run, **{"not_linear": "", **found})
+    found["run"], saturated = _rehearsed(scenario) if rehearsal else (None, {})
+    expected = Verdict(**{"not_linear": "", **found})
+    if expected.noises is not None:
+        for name, shares in expected.noises.saturated.items():
+            saturated[name] = max(saturated.get(name, 0.0), float(np.median(shares)))
+    settles = not expected.is_alarm and (expected.run is None or expected.run.ending.is_settled)
+    return dataclasses.replace(expected, advice=advice(scenario, saturated, settles=settles))
+
+
+def helps(found: Iterable[Advice]) -> str:
+    """What helps where actuators saturate, in one line."""
+    return f"what helps: {'; '.join(map(str, found))}"
+
+
+def saturation_remark(record: RunRecord) -> str:
+    """A line where actuators of the base saturated in a run, with what helps; else empty."""
+    scenario = record.scenario
+    values = {str(name): each.values for name, each in record.dataset.data_vars.items()}
+    saturated = saturated_shares(scenario, values)
+    found = advice(scenario, saturated, settles=record.ending.is_settled)
+    told = ", ".join(f"{name} in {percent(share)}" for name, share in saturated.items() if share)
+    return f"saturated: {told} of the samples; {helps(found)}" if found else ""
 
 
 def _without_a_run(
@@ -226,10 +253,12 @@ def _without_a_run(
         found["noises"] = rehearse(scenario, seeds=SEEDS)
 
 
-def _rehearsed(scenario: Scenario) -> RehearsedRun:
+def _rehearsed(scenario: Scenario) -> tuple[RehearsedRun, dict[str, float]]:
+    """A run, and the shares of its samples in which actuators saturated."""
     rollout = make_rollout(scenario)
     try:
         log = rollout.run()
     finally:
         rollout.release()
-    return RehearsedRun(ending=log.ending, limits=limits_left(log))
+    run = RehearsedRun(ending=log.ending, limits=limits_left(log))
+    return run, saturated_shares(scenario, log)

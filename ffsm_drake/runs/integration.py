@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
@@ -44,6 +45,6 @@ def integration_remarks(record: RunRecord) -> Iterator[str]:
         share = residual / np.sqrt(2.0 * largest * weight)
         if share > MOMENTUM_TOLERANCE:
             yield (
-                f"{name} momentum is off by {residual:.3g} {unit}, {100.0 * share:.2g} % of what "
-                f"moves: the integrator does not follow this motion; {remedy}"
+                f"{name} momentum is off by {residual:.3g} {unit}, {number(100.0 * share, 2)} % of "
+                f"what moves: the integrator does not follow this motion; {remedy}"
             )

@@ -12,6 +12,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.numbers import percent
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
@@ -50,7 +51,7 @@ def run_remarks(record: RunRecord) -> list[str]:
     remarks += clearance_remarks(
         lambda: run_clearance(record), record.scenario.clearance, "the run"
     )
-    shares = [f"{name} in {100.0 * share:.3g} %" for name, share in saturation(record).items()]
+    shares = [f"{name} in {percent(share)}" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
     return [*remarks, *integration_remarks(record)]
@@ -177,7 +178,7 @@ def limits_left(log: RunLog) -> dict[str, float]:
     """
     clearance = _shapes(log.scenario)
     parts = [placed.part for placed in log.parts.values()]
-    limits = limits_of(log.scenario, clearance.plant, parts)
+    limits = limits_of(log.scenario, clearance.plant, parts, helped=True)
     q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
     motion = {FORCE: log.generalized_force, RATE: v, POSITION: q[:, 1:]}
     found = {}

@@ -294,7 +294,8 @@ def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
     for mode in data["hidden_modes"]:
         moves = ", ".join(f"{name} {value:+.2g}" for name, value in list(mode["shape"].items())[:3])
         carries = ", ".join(
-            f"{name} {100 * share:.2g} %" for name, share in list(mode["share"].items())[:2]
+            f"{name} {number(100.0 * share, 2)} %"
+            for name, share in list(mode["share"].items())[:2]
         )
         rows.append([
             moves, *(f"{mode[key]:.4g}" for key in ("frequency", "clamped_frequency")),

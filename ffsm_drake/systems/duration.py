@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ffsm_drake.common.errors import LimitError, ScenarioError
+from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -82,7 +83,8 @@ def shortest_duration(
             key,
             f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} "
             "s, in which the "
-            f"{name} takes {100.0 * share:.3g} % of what reference.reserve leaves of its limit",
+            f"{name} takes {number(100.0 * share, 3)} % of what reference.reserve leaves of its "
+            "limit",
             limit=name,
         )
     while samples - before > 1:  # between the last that is too short and the first that is not

@@ -31,23 +31,26 @@ class BaseLimits:
     """
 
     torque: np.ndarray  # by direction (n)
+    helped: np.ndarray  # torque with what thrusters add for a while, where they help wheels
     force: np.ndarray
     named: str  # the actuators, in words that follow actuation.limit
 
 
 def base_limits(scenario: Scenario) -> BaseLimits:
     """The limits of a scenario's base actuators; ScenarioError as for ``make_actuation``."""
-    torque = force = np.full(len(_DIRECTIONS), np.inf)
-    names = []
+    torque = helped = force = np.full(len(_DIRECTIONS), np.inf)
+    names = list[str]()
     for part in own_parts(scenario):
         most = part.most(scenario, _DIRECTIONS)
         if most is not None:  # the torque of the last one counts, where it gives any itself
             own = most.get("torque", torque)
-            torque, force = np.where(np.isfinite(own), own, torque), most.get("force", force)
+            own = np.where(np.isfinite(own), own, torque)
+            helped = own + torque if part.is_helped and names else own
+            torque, force = own, most.get("force", force)
             names.append(part.title.lower())
     envelope = ", ".join(filter(None, (_span(torque, "N m"), _span(force, "N"))))
     named = f" or what {' and '.join(names)} give (by direction {envelope})" if names else ""
-    return BaseLimits(torque=torque, force=force, named=named)
+    return BaseLimits(torque=torque, helped=helped, force=force, named=named)
 
 
 def _span(most: np.ndarray, unit: str) -> str:
@@ -81,16 +84,20 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
 
 
 def limits_of(
-    scenario: Scenario, plant: MultibodyPlant, parts: Iterable[Part] | None = None
+    scenario: Scenario,
+    plant: MultibodyPlant,
+    parts: Iterable[Part] | None = None,
+    *,
+    helped: bool = False,
 ) -> list[Limit]:
     """The limits of a scenario, each by who sets it; ``tightest`` joins those of a quantity.
 
-    ``parts`` default to the scenario's own actuators.
+    ``parts`` default to the scenario's own actuators; ``helped``: as for ``actuation_limit``.
 
     Raises ScenarioError, ModelError: a limit names an unknown coordinate, or a URDF cannot be
     read.
     """
-    force = actuation_limit(scenario, coordinates_of(plant))
+    force = actuation_limit(scenario, coordinates_of(plant), helped=helped)
     return [*joint_limits(scenario, plant, parts), force]
 
 
@@ -104,11 +111,13 @@ def joint_limits(
     return [*urdf_limits(scenario.model, plant), *own]
 
 
-def actuation_limit(scenario: Scenario, coordinates: Coordinates) -> Limit:
+def actuation_limit(scenario: Scenario, coordinates: Coordinates, *, helped: bool = False) -> Limit:
     """The largest forces that ``actuation.limit`` leaves and the base's actuators give in any
-    direction; errors as for ``limits_of``.
+    direction; ``helped``: for a while, wheels with the thrusters' help. Errors as for
+    ``limits_of``.
     """
     key, base = "actuation.limit", base_limits(scenario)
     force = coordinates.vector(scenario.actuation.limit or {}, key=key, default=np.inf)
-    force[:6] = np.minimum(force[:6], np.repeat([base.torque.min(), base.force.min()], 3))
+    torque = base.helped if helped else base.torque
+    force[:6] = np.minimum(force[:6], np.repeat([torque.min(), base.force.min()], 3))
     return Limit.of_coordinates(FORCE, key + base.named, coordinates, force)

@@ -10,6 +10,7 @@ linearisation wires in its place.
 import dataclasses
 import itertools
 import math
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -269,6 +270,47 @@ class MomentumStorage(Protocol):
         """The largest multiple of a torque (3), N m, that they give."""
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Advice:
+    """Changes of a scenario against saturation."""
+
+    changes: Mapping[str, Any]  # by dotted key
+    reason: str
+
+    def __str__(self) -> str:
+        """As options of the command line, and why."""
+        given = (f"{key}={_as_yaml(value)}" for key, value in self.changes.items())
+        return f"{' '.join(f'--set {shlex.quote(each)}' for each in given)} ({self.reason})"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GroupLoad:
+    """What a mission and its loop ask of a group's actuators, and what those give."""
+
+    limit: float  # N m or N; in any direction
+    inertia: float  # kg m^2 or kg; the largest about or along an axis, all else free to react
+    noise: float  # rad or m; largest standard deviation of a measured position
+    motion: float  # N m or N; peak of the planned motion, of a capture after its first seconds
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Load:
+    """What helps base actuators that saturate, whichever they are."""
+
+    groups: Mapping[str, GroupLoad]  # by group, of those with a limit
+    slower: Advice | None  # a longer motion, where that takes less of the limit
+    softer: Mapping[str, Advice]  # by group: smaller gains, where they are too large
+    other_law: Advice | None  # without an integral, where the law has one
+
+    def advice(self, *groups: str) -> Iterator[Advice]:
+        """What helps actuators of some groups."""
+        if self.slower is not None:
+            yield self.slower
+        yield from (self.softer[group] for group in groups if group in self.softer)
+        if self.other_law is not None:
+            yield self.other_law
+
+
 class Part:
     """What fills a block; derive a frozen, keyword-only dataclass from it."""
 
@@ -277,6 +319,11 @@ class Part:
     about: ClassVar[str] = "Signals of the user-supplied parts."  # "": what ``sentence`` says
     # Of the scenario's own actuators: a campaign's prediction tries the loop with its limits too.
     rehearsed: ClassVar[bool] = False
+
+    @property
+    def is_helped(self) -> bool:
+        """Of an actuator of the base: whether those before it give the torque that it cannot."""
+        return False
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Part | None":
@@ -344,6 +391,10 @@ class Part:
         (n, components), or a single truth value from those of one sample (components).
         """
         return np.zeros((), dtype=bool)
+
+    def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
+        """What helps where an actuator of the base saturates."""
+        yield from ()
 
     def storage(self, scenario: Scenario) -> "MomentumStorage | None":
         """The angular momentum that it can hold in the base; None for a part that holds none."""
@@ -522,6 +573,13 @@ def by_key(figures: Sequence[Figure]) -> dict[str, Any]:
         return math.nan if value is None else value
 
     return {figure.key or figure.column_name: known(figure.value) for figure in figures}
+
+
+def _as_yaml(value: Any) -> str:
+    """A number, text, or numbers by name, as an override has it."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{name}: {_as_yaml(each)}' for name, each in value.items())}}}"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _listed(title: str, figures: Sequence[Figure]) -> str:

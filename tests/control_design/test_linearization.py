@@ -179,6 +179,21 @@ def test_the_run_without_noise_has_none(force):
     assert np.abs(followed - error).max() < 1e-6 * np.abs(error).max()
 
 
+@settings(max_examples=8, deadline=None)
+@given(power=st.floats(0.0, 18.0))
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_run_without_noise_ends_where_it_diverges(power):
+    """However large the gains: nothing overflows, and what follows is unknown."""
+    gains = [f"controllers.tdc.{name}={40.0 * 10.0**power}" for name in ("k_d", "k_p")]
+    scenario = load_scenario("flight_sensors", ["controller=tdc", "duration=1", *gains])
+    with Linearizer(scenario) as linearizer:
+        error, _ = linearizer.follow()
+    unknown = np.isnan(error).any(axis=1)
+    assert unknown[-1] == unknown.any()
+    assert unknown.any() or power < 1.0
+    assert not unknown.any() or unknown[np.argmax(unknown) :].all()
+
+
 def test_another_payload_is_that_of_another_scenario():
     """At rest, where the plant is as near to the plan with one payload as with another."""
     light = ["payload.truth.mass=48", "payload.truth.inertia=[8, 8, 8]"]

@@ -1,5 +1,6 @@
 """Thrusters off after a grasp: what is told of the momentum, and the runs that show it."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import RunRecord, ScenarioError, load_scenario, simulate
+from ffsm_drake.common.numbers import number
 from ffsm_drake.control_design import momentum
 from ffsm_drake.control_design.momentum import MomentumBudget, momentum_budget, momentum_lines
 from ffsm_drake.preflight.remarks import plan_remarks
@@ -132,7 +134,16 @@ def test_wheels_take_the_angular_momentum() -> None:
     assert np.linalg.norm(last(record, "velocity")[:3]) < 1e-6
     assert budget.rate is None
     held = last(record, "stored_momentum")
-    assert_allclose(held, budget.angular, rtol=1e-3, atol=1e-3 * np.linalg.norm(budget.angular))
+    total = np.array(budget.angular) + data["stored_momentum"].values[0]
+    assert_allclose(held, total, rtol=1e-3, atol=1e-3 * np.linalg.norm(total))
+    assert budget.storage.momentum == pytest.approx(np.linalg.norm(total))
+    assert record.grasp is not None
+    stored = np.array(record.grasp["stored_momentum"])
+    spin = np.array(record.grasp["after"]["spin"]) - stored  # of the bodies, not of the wheels
+    assert np.linalg.norm(stored) > 0.1
+    assert_allclose(budget.angular, spin, rtol=1e-12)
+    after, *_ = momentum_lines(dataclasses.asdict(budget))
+    assert f"{number(float(np.linalg.norm(spin)))} N m s about the centre of mass" in after
     shares = np.abs(data["wheel_speed"].values) / 60.0
     assert budget.storage.share == pytest.approx(shares[-1].max(), rel=1e-3)
     assert budget.storage.peak_share == pytest.approx(shares.max(), rel=2e-2)  # sensor noise, too
@@ -145,7 +156,7 @@ def test_wheels_that_are_too_small_are_told_of_and_saturate() -> None:
     scenario = known(wheels(speed_limit=4.0), "duration=2")
     budget = told(scenario)
     assert budget.storage is not None
-    assert budget.storage.least_capacity <= budget.storage.capacity < np.linalg.norm(budget.angular)
+    assert budget.storage.least_capacity <= budget.storage.capacity < budget.storage.momentum
     assert budget.storage.peak_share >= budget.storage.share > 1.0
     assert budget.rate is not None
     assert any(line.startswith("actuation.wheels: ") for line in plan_remarks(scenario))

@@ -1,14 +1,18 @@
 """Stability with thrusters and wheels as they are, against simulation from both sides."""
 
 import dataclasses
+import functools
+import re
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.control_design.stability import stability
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.rehearsal import rehearse
+from ffsm_drake.control_design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.preflight.verdict import verdict
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import actuation_limit, base_limits
@@ -103,6 +107,33 @@ def test_each_noise_is_rehearsed_as_it_is_alone(name):
     np.testing.assert_array_equal(several.diverged[:1], alone.diverged)
     for actuator, share in alone.saturated.items():
         np.testing.assert_array_equal(several.saturated[actuator][:1], share)
+
+
+@functools.cache
+def own_actuators():
+    scenario = load_scenario("thrusters_and_wheels")
+    return scenario, coordinates_of(make_plant(scenario.model))
+
+
+@settings(max_examples=10, deadline=None)
+@example(share=0.996)
+@example(share=1e-5)
+@given(share=st.floats(0.0, 1.0))
+def test_a_share_of_the_samples_is_told_in_percent(share):
+    scenario, coordinates = own_actuators()
+    zero = np.zeros(len(coordinates.names))
+    told = Rehearsal(
+        scenario=scenario,
+        coordinates=coordinates,
+        noise_force=zero,
+        motion_force=zero,
+        diverged=np.array([np.nan]),
+        saturated={"wheels": np.array([share])},
+        largest_error=zero,
+        rms_error=zero,
+    )
+    found = re.search(r"wheels in ([\d.]+) % of the samples|none saturates", str(told))
+    assert float(found[1] or 0.0) == pytest.approx(100.0 * share, abs=0.051)
 
 
 @pytest.mark.smoke

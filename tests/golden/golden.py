@@ -37,13 +37,12 @@ EVERY = 20  # control samples
 WITH_EVERY_LAW = ("postcapture", "flight_sensors", "tumbling_capture", "free_floating")
 DURATION = "duration=2"
 # A short approach, mild enough to be followed.
-_SHORTENED = {
-    "tumbling_capture": (
-        "capture.approach.duration=1",
-        "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: "
-        "0.58, joint_5: -0.69}",
-    )
-}
+_SHORT_APPROACH = (
+    "capture.approach.duration=1",
+    "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: "
+    "0.58, joint_5: -0.69}",
+)
+_SHORTENED = dict.fromkeys(("tumbling_capture", "capture_on_thrusters"), _SHORT_APPROACH)
 RELATIVE = 1e-10  # of the largest number of a variable, or of a single figure
 ROUNDING = 1e-15  # what is smaller is what computers leave of numbers of order one
 _SMALLEST_CAMPAIGN = {

@@ -3,6 +3,7 @@ failures.
 """
 
 import dataclasses
+import functools
 import itertools
 import json
 import re
@@ -17,7 +18,7 @@ from scipy.optimize import linprog
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop
+from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop, simulate
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout
@@ -28,6 +29,8 @@ from ffsm_drake.show.report.page import render_report
 from ffsm_drake.show.report.part_panels import part_views
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
+from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.modulation import (
@@ -200,6 +203,48 @@ def test_a_wrench_that_is_not_finite_is_a_run_that_diverged(name, torque, modula
     log = Rollout(scenario, blocks={"controller": lambda setup: Failing(torque=torque)}).run()
     assert log.outcome.status == "diverged"
     assert 0.29 < log.outcome.time < 0.35
+
+
+@pytest.mark.parametrize("force", [100.0, 1e6, 1e12])
+def test_the_commanded_force_takes_what_of_it_is_given(force):
+    """Far beyond the thrusters, too, a lower bound of their propellant."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Pushing(ControlLaw):
+        def step(self, sample, state):
+            wanted = np.zeros_like(sample.v)
+            wanted[3:6] = force, -2.0 * force, 0.0
+            return wanted, state
+
+    scenario = load_scenario("thrusters_only", ["duration=0.6"])
+    record = simulate(scenario, blocks={"controller": lambda setup: Pushing()})
+    figures = record.metrics["thrusters"]
+    assert figures["saturated"] > 0.5
+    assert 0.3 * figures["propellant"] < figures["propellant_of_force"] <= figures["propellant"]
+
+
+@functools.cache
+def base_actuators(name, modulator):
+    scenario = load_scenario(name, [f"actuation.thrusters.modulator={modulator}"])
+    coordinates = coordinates_of(make_plant(scenario.model))
+    return make_base_actuators(scenario.actuation, coordinates, sample_time=0.01)
+
+
+@given(
+    command=st.lists(st.floats(), min_size=11, max_size=11),
+    name=st.sampled_from(["thrusters_only", "thrusters_and_wheels"]),
+    modulator=st.sampled_from(["sigma_delta", "pulse_width", "pwpf"]),
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_any_command_gives_forces_or_none(command, name, modulator):
+    """Of any size, infinite or no number: two samples of it overflow nowhere."""
+    base = base_actuators(name, modulator)
+    memory, still = base.initial_memory, {"rotation": np.eye(3), "turning": np.zeros(6)}
+    for _ in range(2):
+        sample = base.give(np.array(command), memory, begins=True, **still)
+        memory = sample[-memory.size :]
+    wrench_is_known = (np.abs(command[:6]) < 1e300).all()
+    assert np.isfinite(sample[:6]).all() == wrench_is_known
 
 
 def test_a_lost_direction_is_one_that_no_thruster_helps_along():

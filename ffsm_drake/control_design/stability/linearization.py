@@ -273,7 +273,7 @@ class Linearizer:
         self, *, held: Mapping[str, np.ndarray] | None = None, samples: int | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """The run without noise: true error at the samples and force from each to the next (n, nv),
-        NaN once it fails.
+        NaN once it fails or diverges, as a run does.
 
         Args:
           held: as for ``at``.
@@ -299,7 +299,10 @@ class Linearizer:
             controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
         with self._until_divergence(plant), guarded, np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
-                states[index] = plant.known()[: nv + 1]
+                states[index], velocity = np.split(plant.known(), [nv + 1])
+                if not np.abs(velocity).max() <= self.scenario.divergence_speed:
+                    states[index] = np.nan
+                    break
                 self._hold(controller_context, held or {})
                 if silent:
                     simulator.AdvanceTo((index + 1) * period)

@@ -16,6 +16,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
+from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
@@ -39,6 +40,7 @@ SEEDS = 4
 _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
 _SETTLED_AFTER = 5.0  # s, from which on the rms error counts
+_CLOSEST = 1.0 / 64.0  # share of the motion between two postures
 _PUSH = "push"  # the source of what actuators add to the command
 Maps = tuple[np.ndarray, np.ndarray]  # of one control sample, from x and from w
 
@@ -67,7 +69,7 @@ class Rehearsal:
             for force in (self.motion_force, self.noise_force)
         )
         limited = [
-            f"{name} in {100.0 * float(np.median(share)):.2g} %"
+            f"{name} in {percent(float(np.median(share)))}"
             for name, share in self.saturated.items()
             if share.any()
         ]
@@ -107,7 +109,7 @@ def rehearse(
     Raises: as ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
-        loops = linearizer.along(held=held)
+        loops = _close_loops(linearizer, held)
         scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
     if mean is None:
         ideal = make_demand(scenario).force
@@ -119,7 +121,8 @@ def rehearse(
         scenario=scenario,
         coordinates=motion.coordinates,
         noise_force=np.max(
-            [_without_push(loop).noise_response(times.size)["force"] for loop in loops], axis=0
+            [_without_push(loop).noise_response(times.size)["force"] for loop in loops.values()],
+            axis=0,
         ),
         motion_force=np.abs(mean[1]).max(axis=0),
         diverged=diverged,
@@ -130,14 +133,14 @@ def rehearse(
 
 
 class _Runs:
-    """Runs of the linear loops with the actuators of a scenario, side by side; arrays have a row
-    for each.
+    """Runs of the linear loops, by time, with the actuators of a scenario, side by side; arrays
+    have a row for each.
     """
 
     def __init__(
         self,
         scenario: Scenario,
-        loops: Sequence[LinearLoop],
+        loops: Mapping[float, LinearLoop],
         motion: PlannedMotion,
         mean: tuple[np.ndarray, np.ndarray],
         law: ControlLaw | None,
@@ -145,15 +148,15 @@ class _Runs:
         settings, coordinates = scenario.actuation, motion.coordinates
         self._scenario, self._motion, self._law = scenario, motion, law
         self._error, self._force = mean
-        self._times = [motion.part(share) for share in POSTURES]
-        self._push, self._memory = loops[0].noise[_PUSH], loops[0].memory
+        self._times, (first, *_) = list(loops), loops.values()
+        self._push, self._memory = first.noise[_PUSH], first.memory
         # by posture, of each sample of a common period: from x and from w to [u; x+]
         self._maps = [
             [
                 (np.vstack([each.c, each.a]), np.vstack([each.d, each.b]))
                 for each in _from_start(loop)
             ]
-            for loop in loops
+            for loop in loops.values()
         ]
         planned = PlannedDynamics(scenario)
         self._mass = [planned.mass_matrices(time)[1] for time in self._times]
@@ -289,6 +292,45 @@ def _largest_wrench(scenario: Scenario) -> str:
         elif math.isfinite(most):
             spans.append(f"{least:.2g} to {most:.2g} {unit}")
     return " and ".join(spans)
+
+
+def _close_loops(
+    linearizer: Linearizer, held: Mapping[str, np.ndarray] | None
+) -> dict[float, LinearLoop]:
+    """The loops along the planned motion by their times, s, so close that halfway between two
+    stable ones the mean of both is stable, as the loop there is; or a 64th of the motion apart.
+    """
+    shares, i = list(POSTURES), 0
+    while i + 1 < len(shares):
+        near = shares[i : i + 2]
+        first, second = (linearizer.at(linearizer.part(share), held=held) for share in near)
+        if near[1] - near[0] > _CLOSEST and _has_unstable_mean(first, second):
+            shares.insert(i + 1, 0.5 * sum(near))
+        else:
+            i += 1
+    times = [linearizer.part(share) for share in shares]
+    return dict(zip(times, (linearizer.at(time, held=held) for time in times), strict=True))
+
+
+def _has_unstable_mean(first: LinearLoop, second: LinearLoop) -> bool:
+    """Whether the mean of two stable loops is unstable."""
+    if max(first.spectral_radius, second.spectral_radius) >= 1.0:
+        return False
+    samples = tuple(_between(first.samples, second.samples, 0.5))
+    return dataclasses.replace(first, samples=samples).spectral_radius >= 1.0
+
+
+def _between(
+    first: Sequence[SampleMap], second: Sequence[SampleMap], share: float
+) -> list[SampleMap]:
+    """The maps at a share of the way from those of one posture to those of the next."""
+
+    def blend(name: str, a: SampleMap, b: SampleMap) -> np.ndarray:
+        mean: np.ndarray = (1.0 - share) * getattr(a, name) + share * getattr(b, name)
+        return mean
+
+    pairs = zip(first, second, strict=True)
+    return [SampleMap(**{name: blend(name, a, b) for name in "abcd"}) for a, b in pairs]
 
 
 def _from_start(loop: LinearLoop) -> list[SampleMap]:

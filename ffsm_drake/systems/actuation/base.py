@@ -23,6 +23,7 @@ from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 # Control samples in which wheels recover an impulse of pulses that they could not counter at once.
 # Commands beyond their limits are not: the controller reads applied_force and repeats them.
 _RECOVERY = 10
+_LARGEST = 1e300  # N m and N; products of larger numbers overflow
 
 
 class BaseActuators(LeafSystem):
@@ -122,9 +123,10 @@ class BaseActuators(LeafSystem):
         (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
         ``turning`` (..., 6), ``begins``.
 
-        An infinite command is none: what it gives is NaN, and such a run has diverged.
+        A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
+        such a run has diverged.
         """
-        commanded = np.where(np.isinf(commanded), np.nan, commanded)
+        commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
         thrusters, wheels = self._thrusters, self.wheels
         back = rotation.swapaxes(-1, -2)
         pairs = (*commanded.shape[:-1], 2, 3)

@@ -21,8 +21,10 @@ from ffsm_drake.systems.actuation.modulation import (
 )
 from ffsm_drake.systems.part import (
     TIMELINE,
+    Advice,
     Constant,
     Figure,
+    Load,
     Metric,
     Part,
     Signal,
@@ -267,9 +269,9 @@ class FiredThrusters(Part):
     def metrics(self) -> Sequence[Metric]:
         """Propellant; impulse, pulses and open time by thruster and of all; what was not given.
 
-        ``propellant_of_force`` is what the commanded base force alone would take of thrusters that
-        push exactly its way, the integral of its size over the largest specific impulse: no layout
-        takes less for it.
+        ``propellant_of_force`` is what the part of the commanded base force that could be given
+        would take of thrusters that push exactly its way, the integral of its size over the largest
+        specific impulse: no layout takes less for it.
         """
 
         return (
@@ -355,6 +357,17 @@ class FiredThrusters(Part):
         """Whether they give less than the wanted wrench."""
         return np.squeeze(signals["thruster_given"]) < _WHOLE
 
+    def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
+        """The shortest frame, and what helps any actuator of the groups that are theirs."""
+        shortest = math.ceil(self.settings.minimum_on_time / scenario.sample_time - 1e-9)
+        if self.settings.frame > max(1, shortest):
+            yield Advice(
+                changes={"actuation.thrusters.frame": max(1, shortest)},
+                reason="the shortest that minimum_on_time allows",
+            )
+        alone = scenario.actuation.wheels is None
+        yield from load.advice("base_position", *(("base_rotation",) if alone else ()))
+
     def sentence(self, figures: Sequence[Figure]) -> str:
         """What they took and gave."""
         found = by_key(figures)
@@ -362,9 +375,14 @@ class FiredThrusters(Part):
             1e3 * found[f"thrusters.{name}"]
             for name in ("propellant", "propellant_of_force", "shortest_pulse")
         )
+        bound = (
+            ""
+            if not least <= propellant
+            else (f" (the commanded force alone: at least {least:.3g} g)")
+        )
         return (
-            f"thrusters: {propellant:.3g} g of propellant (the commanded force alone: at least "
-            f"{least:.3g} g), impulse {found['thruster_impulse']:.4g} N s in "
+            f"thrusters: {propellant:.3g} g of propellant{bound}, impulse "
+            f"{found['thruster_impulse']:.4g} N s in "
             f"{found['thruster_pulses']} pulses"
             + ("" if math.isnan(shortest) else f", the shortest {shortest:.3g} ms")
             + f"; not all of the wanted wrench in {percent(found['thrusters.saturated'])} of the "
@@ -394,7 +412,7 @@ class FiredThrusters(Part):
 
     def _least_propellant(self, run: View) -> float:
         members = [group == "base_position" for group in run.coordinates.group_of]
-        force = run["generalized_force"][:-1, members]
+        force = run["generalized_force"][:-1, members] * run["thruster_given"][:-1].reshape(-1, 1)
         wanted = float(np.linalg.norm(force, axis=1).sum() * _period(run))
         return wanted / float(self._exhaust.max())
 

@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import itertools
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable
@@ -29,8 +29,10 @@ from ffsm_drake.systems.part import (
     INTERNAL_TORQUE,
     STEPS,
     STORED_MOMENTUM,
+    Advice,
     Constant,
     Figure,
+    Load,
     Metric,
     Part,
     Signal,
@@ -437,6 +439,11 @@ class ReactionWheels(Part):
             for name, unit in self.settings.units.items()
         ]  # fmt: skip
 
+    @property
+    def is_helped(self) -> bool:
+        """By thrusters."""
+        return self.settings.assist_above is not None
+
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """Torque."""
         wheels = self.storage(scenario)
@@ -454,6 +461,16 @@ class ReactionWheels(Part):
     def saturated(self, signals: Signals) -> np.ndarray:
         """Whether a motor is at its limit."""
         return np.asarray((self._torque_used(signals) > 1.0 - 1e-9).any(axis=-1))
+
+    def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
+        """The thrusters' help, and what helps any actuator of the base's rotation."""
+        if scenario.actuation.thrusters is not None and not self.is_helped:
+            most = load.groups["base_rotation"].limit
+            yield Advice(
+                changes={"actuation.wheels.assist_above": 1.0},
+                reason=f"thrusters give the torque beyond the wheels' {most:.3g} N m",
+            )
+        yield from load.advice("base_rotation")
 
     def storage(self, scenario: Scenario) -> WheelSet:
         """Themselves."""

@@ -36,6 +36,7 @@ __all__ = [
     "SampledController",
     "State",
     "complete_gains",
+    "controller_factory",
     "controller_names",
     "controller_setup",
     "declared_gains",
@@ -117,7 +118,7 @@ def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]
     Empty for a controller that declares none. Raises ScenarioError and BlockError as
     ``make_controller`` does.
     """
-    factory, name = _factory(scenario), controller_key(scenario.controller)
+    factory, name = controller_factory(scenario), controller_key(scenario.controller)
     return (
         gain_values(factory, scenario.controllers.get(name, {}), coordinates, name=name)
         if gains_of(factory)
@@ -127,7 +128,7 @@ def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]
 
 def declared_gains(scenario: Scenario) -> dict[str, Gain]:
     """Declared gains of the scenario's controller, by name; empty if it declares none."""
-    return gains_of(_factory(scenario))
+    return gains_of(controller_factory(scenario))
 
 
 def complete_gains(scenario: Scenario) -> Scenario:
@@ -179,8 +180,11 @@ def _check_other_gains(scenario: Scenario, coordinates: Coordinates) -> None:
 
 def _make(setup: BlockSetup, factory: Factory | None) -> Any:
     place = f"controller '{setup.scenario.controller}'"
-    return call_factory(factory or _factory(setup.scenario), setup, place=place)
+    return call_factory(factory or controller_factory(setup.scenario), setup, place=place)
 
 
-def _factory(scenario: Scenario) -> Factory:
+def controller_factory(scenario: Scenario) -> Factory:
+    """What makes the scenario's controller, such as the class of its law; errors as
+    ``make_controller``.
+    """
     return find_factory("controller", scenario.controller, python_path=scenario.python_path)
