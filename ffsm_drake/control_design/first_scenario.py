@@ -80,7 +80,7 @@ _COMMENTS = {
     "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
     "sensing": "Standard deviation per sample; 1.0e-06 of velocities alone is near perfect, as in "
     "the paper. For real sensors see the scenario flight_sensors and 'ffsm design'.",
-    "actuation": "Largest force of each joint: the effort limits of the URDF. Without thrusters and "
+    "actuation": "Largest force of each joint: the effort limits of the URDF. Without thrusters or "
     "wheels the base's force is not limited.",
     "estimator": "Of the disturbance, for these sensors.",
     "tolerance": "A run has settled when over its last second every error stays within this, rad "
