@@ -1,7 +1,7 @@
 """Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
 
-The shapes are the model's collision geometry, or its visual geometry if it has none; a mesh counts
-by its convex hull. Left out are parts fixed to each other (the target and the gripper), parts
+The shapes are collision geometry, or visual geometry of a model (servicer, target) that has none; a
+mesh counts by its convex hull. Left out are parts fixed to each other (the target and the gripper), parts
 connected by a joint, and parts with few joints between them that are always near each other, as
 the links of a wrist. Before a grasp the target is a separate body, which the gripper may touch over
 the last decimetre.
@@ -78,11 +78,17 @@ class Clearance:
         scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
         source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
         try:
-            if not list(inspector.GetAllGeometryIds(Role.kProximity)):
-                for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
-                    shape = inspector.GetShape(geometry)
-                    if not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED:
-                        scene_graph.AssignRole(source, geometry, ProximityProperties())
+            instance = {
+                shape: self.plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).model_instance()
+                for role in (Role.kProximity, Role.kIllustration)
+                for shape in inspector.GetAllGeometryIds(role)
+            }
+            collide = {instance[s] for s in inspector.GetAllGeometryIds(Role.kProximity)}
+            for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
+                shape = inspector.GetShape(geometry)
+                measured = not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED
+                if measured and instance[geometry] not in collide:
+                    scene_graph.AssignRole(source, geometry, ProximityProperties())
             self._diagram = builder.Build()
         except DRAKE_ERRORS as error:
             raise ModelError(f"model: shapes without a distance: {cause_of(error)}") from error
