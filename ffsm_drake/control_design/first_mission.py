@@ -33,6 +33,7 @@ _RETURN = 2.5e-3  # rad or m; a saturated integral returns from errors as large 
 _K_S = (0.05, 0.3)  # of omega; below the first K_s is 0, the second is the largest
 _SWITCHING = 2e-4  # bound of G
 _PULSES = 0.4  # of the thrusters' largest torque, that wheels give beside them
+_LEAST_WHEEL, _LARGEST_WHEEL = 0.05, 5.0  # N m; a motion that takes more is made longer
 _LONGEST = 120.0  # s
 _SHRINK, _TRIES = 0.7, 4
 _INSTANTS = 60
@@ -54,7 +55,7 @@ class Fitting:
         if self.asked.has_approach:
             self._approach(motion)
         peaks, after_grasp = self._paced()
-        self._assist(after_grasp)
+        self._assist(peaks, after_grasp)
         scenario = self.scenario
         limit, inertia = self._limit(scenario), self._inertia(scenario)
         omega = self._bandwidth(scenario, limit - peaks, inertia)
@@ -87,7 +88,7 @@ class Fitting:
         if best < Scenario().clearance:
             self.remarks.append(
                 f"no approach keeps clear of the target: {chosen} come within {best:.3g} m "
-                "(below 0 they overlap); a smaller target, or a slower tumble"
+                "(below 0 they overlap); a smaller target, a slower tumble, or another --tip"
             )
 
     def _approached(self, posture: Posture, axis: np.ndarray, length: float) -> Nearest:
@@ -138,9 +139,11 @@ class Fitting:
             _, force = planned.perfect_tracking(np.linspace(first, end, _INSTANTS))
             _, early = planned.perfect_tracking(np.linspace(0.0, max(first, 0.1), 10))
             peaks, after_grasp = np.abs(force).max(axis=0), np.abs(early).max(axis=0)
-            if self.asked.wheels is not None and self.asked.wheels[1] is None:
-                self._size_wheels(float(np.linalg.norm(peaks[:3])))
-                scenario = self.scenario
+            if self.asked.wheels is not None:
+                needed = self._wheel_torque(float(np.linalg.norm(peaks[:3])))
+                if self.asked.wheels[1] is None:
+                    self._wheels["units"] = wheel_units(self.asked.wheels[0], needed)
+                    scenario = self.scenario
             limit = self._limit(scenario)
             driven = np.array([self.asked.drives(group) for group in self.coordinates.group_of])
             share = driven * peaks / limit
@@ -169,35 +172,47 @@ class Fitting:
         self.data["reference"]["duration"] = duration
         self.data["duration"] += duration - before
 
-    def _size_wheels(self, torque: float) -> None:
-        """Motors that give a motion's torque, and what thrusters' pulses take, in any direction."""
-        wheels = self.data["actuation"]["wheels"]
-        count = len(wheels["units"])
-        wheels["units"] = wheel_units(count, 1.0)
-        # Without the thrusters, whose torque would stand in for theirs.
-        scenario = self.scenario
-        least = float(self._limit(scenario)[0])
-        pulses = 0.0
-        if self.asked.thrusters is not None:
-            alone = {**self.data["actuation"], "wheels": None}
-            thrusters = scenario_from_dict({**self.data, "actuation": alone}, source=self.source)
-            pulses = _PULSES * float(self._limit(thrusters)[0])
-        needed = max(torque / _MOTION, pulses)
-        wheels["units"] = wheel_units(count, rounded(max(needed / least, 0.01)))
+    @property
+    def _wheels(self) -> dict[str, Any]:
+        wheels: dict[str, Any] = self.data["actuation"]["wheels"]
+        return wheels
 
-    def _assist(self, after_grasp: np.ndarray) -> None:
-        """Thrusters beside the wheels where the grasp takes more torque than those give."""
-        limit = self._limit(self.scenario)
-        torque = float(np.linalg.norm(after_grasp[:3]))
-        if self.asked.capture is None or torque <= limit[0]:
-            return
-        if self.asked.wheels is not None and self.asked.thrusters is not None:
-            self.data["actuation"]["wheels"]["assist_above"] = 1.0
-        elif np.isfinite(limit[0]) and self.asked.drives("base_rotation"):
+    def _wheel_torque(self, motion: float) -> float:
+        """The motors' torque, N m, for a motion's torque and, beside thrusters, their pulses."""
+        actuation, asked = self.data["actuation"], self.asked
+        assert asked.wheels is not None
+        unit = {**actuation, "wheels": {"units": wheel_units(asked.wheels[0], 1.0)}}
+        least, pulses = self._torque(unit), 0.0
+        if asked.thrusters is not None:
+            pulses = _PULSES * self._torque({**actuation, "wheels": None}) / least
+        largest = max(_LARGEST_WHEEL, pulses)
+        return rounded(max(min(motion / _MOTION / least, largest), pulses, _LEAST_WHEEL))
+
+    def _torque(self, actuation: dict[str, Any]) -> float:
+        """What the base's actuators of a section give in any direction, N m."""
+        data = {**self.data, "actuation": actuation}
+        return float(self._limit(scenario_from_dict(data, source=self.source))[0])
+
+    def _assist(self, peaks: np.ndarray, after_grasp: np.ndarray) -> None:
+        """Thrusters beside the wheels where those are too weak; a line that says so."""
+        asked, limit = self.asked, float(self._limit(self.scenario)[0])
+        weak, (count, torque) = False, asked.wheels or (0, None)
+        if torque is not None:
+            needed = self._wheel_torque(float(np.linalg.norm(peaks[:3])))
+            if weak := torque < needed:
+                self.remarks.append(
+                    f"wheels of {torque:.3g} N m are too weak for the motion and the thrusters' "
+                    f"pulses: --wheels {count}x{needed:g}Nm"
+                )
+        jerk = float(np.linalg.norm(after_grasp[:3]))
+        if asked.capture is not None and asked.drives("base_rotation") and jerk > limit:
+            weak = True
             self.remarks.append(
-                f"the grasp takes up to {torque:.3g} N m of the base, and its actuators give "
-                f"{limit[0]:.3g} N m: a slower tumble, or stronger ones"
+                f"the grasp takes up to {jerk:.3g} N m of the base, and its actuators give "
+                f"{limit:.3g} N m in any direction: a slower tumble, or stronger ones"
             )
+        if weak and asked.wheels is not None and asked.thrusters is not None:
+            self._wheels["assist_above"] = 1.0
 
     def _bandwidth(self, scenario: Scenario, left: np.ndarray, inertia: np.ndarray) -> np.ndarray:
         """Natural frequencies (nv), rad/s: those of the sensors' scenario, or less where noise

@@ -17,7 +17,7 @@ from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
-from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.planned_dynamics import (
     PlannedDynamics,
     make_demand,
@@ -35,6 +35,9 @@ from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 
 SEEDS = 4
+# Fractions of the motion whose loops are blended; fewer make a loop unstable that is not, where an
+# arm passes near a singular posture.
+_SHARES = tuple(k / 12 for k in range(13))
 _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
 _SETTLED_AFTER = 5.0  # s, from which on the rms error counts
@@ -105,7 +108,7 @@ def rehearse(
     Raises: as ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
-        loops = linearizer.along(held=held)
+        loops = linearizer.along(_SHARES, held=held)
         scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
     if mean is None:
         ideal = make_demand(scenario).force
@@ -142,7 +145,7 @@ class _Run:
         settings, coordinates = scenario.actuation, motion.coordinates
         self._scenario, self._loops, self._motion, self._law = scenario, loops, motion, law
         self._error, self._force = mean
-        self._times = [motion.part(share) for share in POSTURES]
+        self._times = [motion.part(share) for share in _SHARES]
         self._samples = [_from_start(loop) for loop in loops]
         planned = PlannedDynamics(scenario)
         self._mass = [planned.mass_matrices(time)[1] for time in self._times]
