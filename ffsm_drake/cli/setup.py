@@ -100,6 +100,28 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
     metavar="M|X,Y,Z",
     help="Sides of that box (default: a cube of 50 kg/m^3).",
 )
+@click.option(
+    "--sensors",
+    metavar="NAME",
+    help="Sensors of a shipped scenario: flight, slow, ... (default: the paper's, near perfect).",
+)
+@click.option("--thrusters", metavar="LAYOUT", help="On/off thrusters: 12x1N, 12x5N or 16x22N.")
+@click.option(
+    "--wheels",
+    metavar="N[xTORQUENm]",
+    help="Reaction wheels, sized for the load unless a torque is given: 4, or 4x0.5Nm.",
+)
+@click.option("--panels", metavar="NxMASSkg", help="Flexible solar panels: 2x5kg.")
+@click.option(
+    "--capture",
+    metavar="RATE",
+    help="Grasp a target that tumbles at 3deg/s, or 0.05rad/s, after an approach.",
+)
+@click.option(
+    "--driven",
+    metavar="GROUPS",
+    help="What actuators move: all (default), base_rotation,joints, or joints.",
+)
 @json_option
 def new(
     directory: Path,
@@ -110,6 +132,7 @@ def new(
     bus_mass: float | None,
     bus_size: tuple[float, ...] | None,
     as_json: bool,
+    **words: str | None,
 ) -> None:
     """Start a scenario for your own servicer from its URDF.
 
@@ -122,9 +145,12 @@ def new(
       ffsm new mine --urdf my_robot.urdf
       ffsm new mine --urdf my_robot.urdf --tip left_tool --target 30
       ffsm new mine --urdf ur5.urdf --bus-mass 400 --bus-size 1.2,1.2,1.5 --target stage.urdf
+      ffsm new mine --urdf my_robot.urdf --sensors flight --thrusters 12x5N --wheels 4
+          --panels 2x5kg --capture 3deg/s
       ffsm new mine --urdf my_robot.urdf --package
       my_robot_description=~/ws/src/my_robot_description
     """
+    from ffsm_drake.control_design.asked import Asked
     from ffsm_drake.control_design.first_scenario import new_scenario
     from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import load_scenario
@@ -139,6 +165,7 @@ def new(
         target=file,
         bus_mass=bus_mass,
         bus_size=bus_size,
+        asked=Asked.parsed(**words),
     )
     mission = verdict(load_scenario(str(made.scenario_file)))
     text = "\n".join([made.summary(), "", *mission.lines, mission.conclusion])

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from ffsm_drake.control_design.rounding import rounded, rounded_by_group
-from ffsm_drake.scenario import Posture, Reference
+from ffsm_drake.scenario import Model, Posture, Reference
+from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     NUM_BASE_POSITIONS,
@@ -29,6 +31,8 @@ _TURN = 2.2  # rad, the largest joint angle in the search
 _PEAK_RATE = {"rad": 0.1, "m": 0.05}  # rad/s, m/s
 _SHARE_OF_VELOCITY, _SHARE_OF_EFFORT = 0.2, 0.3  # of the URDF's limits
 _PEAK_BASE_ACCELERATION = 0.01  # force on the base per mass of the spacecraft, m/s^2
+_CLEAR = 0.05  # m, that parts keep to each other in a posture
+_LOOKED_AT, _STARTS, _WAY = 300, 6, 6  # candidates, initial postures kept, instants of a way
 _SHORTEST, _LONGEST = 20.0, 120.0  # s
 # The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or
 # m/s^2.
@@ -47,22 +51,27 @@ class Motion:
     duration: float  # s
     peak_force: Mapping[str, float]  # by coordinate, of perfect tracking, N m or N
     mass_matrices: np.ndarray  # (m, nv, nv) along the motion
+    # initial postures in order of preference, each with the axis (3, world) into the target
+    starts: tuple[tuple[Posture, np.ndarray], ...] = ()
+    distance: float = math.inf  # m, least of the spacecraft's parts; below 0 they overlap
 
 
-def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
+def plan_motion(
+    true: PlantModel, servicer: Servicer, *, body: str, model: Model | None = None
+) -> Motion:
     """Choose postures and duration for a spacecraft that holds the payload with the scoped name
     ``body``.
 
     The target posture is the best of many drawn from the inner part of the joint limits: far from
     singular, the target clear of the spacecraft. The initial posture is the best of many near it.
+    With the ``model`` both, and the way between them, are clear of contact, or as clear as found.
     Seeded, so that the same URDF gets the same motion.
     """
-    search = _Search(true, servicer, body)
+    search = _Search(true, servicer, body, None if model is None else Clearance(model))
     rng = np.random.default_rng(0)
     low, high = search.inner_limits.T
-    target = search.best(
-        [search.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))]
-    )
+    drawn = [search.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))]
+    target = search.clear(search.ranked(drawn), count=1)[0]
     step = np.where(search.units == "m", 0.35 * (high - low), np.minimum(0.6, 0.5 * (high - low)))
     draws = rng.uniform(0.35, 1.0, (_SAMPLES // 2, low.size)) * rng.choice(
         [-1.0, 1.0], (_SAMPLES // 2, low.size)
@@ -70,21 +79,34 @@ def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
     near = [
         start for start in target + draws * step if np.all(start >= low) and np.all(start <= high)
     ]
-    initial = search.best([*near, 0.5 * (target + search.rest)])
-    scale = min(max(servicer.tip.reach, 0.2), 10.0)
-    start = Posture(
-        base_position=[float(f"{0.05 * scale * x:.1g}") for x in (1, 2, -1)],
-        base_rpy=[0.1, 0.08, -0.1],
-        joints=search.by_name(initial),
+    starts = search.clear(
+        search.ranked([*near, 0.5 * (target + search.rest)]), to=target, count=_STARTS
     )
+    scale = min(max(servicer.tip.reach, 0.2), 10.0)
+    first = [
+        Posture(
+            base_position=[float(f"{0.05 * scale * x:.1g}") for x in (1, 2, -1)],
+            base_rpy=[0.1, 0.08, -0.1],
+            joints=search.by_name(initial),
+        )
+        for initial in starts
+    ]
     end = Posture(base_position=[0.0] * 3, base_rpy=[0.0] * 3, joints=search.by_name(target))
-    return _timed(true, servicer, start, end)
+    turn = RollPitchYaw(first[0].base_rpy).ToRotationMatrix().matrix()
+    return dataclasses.replace(
+        _timed(true, servicer, first[0], end),
+        starts=tuple((p, turn @ search.pointing(q)) for p, q in zip(first, starts, strict=True)),
+        distance=search.distance(starts[0], target),
+    )
 
 
 class _Search:
     """Rates postures of the joints that move the tip; the other joints are at rest."""
 
-    def __init__(self, true: PlantModel, servicer: Servicer, body: str) -> None:
+    def __init__(
+        self, true: PlantModel, servicer: Servicer, body: str, clearance: Clearance | None
+    ) -> None:
+        self.clearance = clearance
         self.true, self.reach = true, max(servicer.tip.reach, 0.05)
         self.plant = true.plant
         by_name = {joint.name: joint for joint in servicer.joints}
@@ -128,17 +150,54 @@ class _Search:
             for joint, value in zip(self.joints, self.all_joints(values), strict=True)
         }
 
-    def best(self, candidates: list[np.ndarray]) -> np.ndarray:
-        """The best of several (m), rounded to three digits after the point."""
-        return np.round(candidates[int(np.argmax([self.rate(values) for values in candidates]))], 3)
+    def ranked(self, candidates: list[np.ndarray]) -> list[np.ndarray]:
+        """Candidates (m), the best first, rounded to three digits after the point."""
+        order = np.argsort([-self.rate(values) for values in candidates], kind="stable")
+        return [np.round(candidates[int(i)], 3) for i in order]
+
+    def clear(
+        self, ranked: list[np.ndarray], *, count: int, to: np.ndarray | None = None
+    ) -> list[np.ndarray]:
+        """The first ``count`` that are clear of contact, also on the way ``to`` another; where none
+        is, the one with the largest distance.
+        """
+        distances = {}
+        for k, values in enumerate(ranked[:_LOOKED_AT]):
+            distances[k] = self.distance(values, values if to is None else to)
+            if sum(each >= _CLEAR for each in distances.values()) == count:
+                break
+        free = [ranked[k] for k, each in distances.items() if each >= _CLEAR]
+        return free or [ranked[max(distances, key=lambda k: distances[k])]]
+
+    def distance(self, start: np.ndarray, end: np.ndarray) -> float:
+        """The least distance of parts on the straight way between two postures (m), m; as far as
+        ``_CLEAR`` of interest.
+        """
+        if self.clearance is None or not self.clearance.pairs:
+            return math.inf
+        least = math.inf
+        for share in np.linspace(0.0, 1.0, 1 if np.array_equal(start, end) else _WAY):
+            q = self.configuration(start + share * (end - start))
+            least = min(least, self.clearance.nearest(q, below=_CLEAR).distance)
+        return least
+
+    def pointing(self, values: np.ndarray) -> np.ndarray:
+        """The axis (3, base's axes) along which the tip points into the target."""
+        self.plant.SetPositions(self.true.context, self.configuration(values))
+        axis: np.ndarray = self.tip.CalcPoseInWorld(self.true.context).rotation().matrix()[:, 2]
+        return axis
+
+    def configuration(self, values: np.ndarray) -> np.ndarray:
+        """Positions (nq), the base at the origin."""
+        q = self.plant.GetPositions(self.true.context)
+        q[:NUM_BASE_POSITIONS] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        q[NUM_BASE_POSITIONS:] = self.all_joints(values)
+        return q
 
     def rate(self, values: np.ndarray) -> float:
         """Higher is better: dexterity times clearance, each between 0 and 1."""
         plant, context = self.plant, self.true.context
-        q = plant.GetPositions(context)
-        q[:NUM_BASE_POSITIONS] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        q[NUM_BASE_POSITIONS:] = self.all_joints(values)
-        plant.SetPositions(context, q)
+        plant.SetPositions(context, self.configuration(values))
         jacobian = plant.CalcJacobianSpatialVelocity(
             context,
             JacobianWrtVariable.kV,

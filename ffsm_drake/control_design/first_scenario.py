@@ -17,6 +17,8 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.common.files import check_writable, published, write_text
 from ffsm_drake.common.interrupts import unfinished
+from ffsm_drake.control_design.asked import Asked
+from ffsm_drake.control_design.first_mission import Fitting
 from ffsm_drake.control_design.first_motion import (
     OMEGA,
     Motion,
@@ -48,7 +50,8 @@ _PAYLOAD_SHARE = 0.25  # of the base's mass
 _NOMINAL_SHARE = 0.8  # of the payload's true mass and inertia
 _SIDE = 1.0  # m, of the shipped target
 _SAMPLE_TIME = 0.01  # s
-_HOLD = 5.0  # s, the target posture is held
+_HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
+_APPROACH = 20.0  # s
 _SHRINK, _TRIES = 0.7, 6  # of the natural frequencies, until the margins are comfortable
 _MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
 
@@ -75,11 +78,15 @@ _COMMENTS = {
     "are not here have their defaults. With the sample time L and a known inertia, the sampled "
     "loop of a time-delay law is stable for (K_D + K_s) L < 2.",
     "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
-    "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors "
-    "see the scenario "
-    "flight_sensors and 'ffsm design'.",
-    "actuation": "Largest force of each joint: the effort limits of the URDF. The base's force is "
-    "not limited.",
+    "sensing": "Standard deviation per sample; 1.0e-06 of velocities alone is near perfect, as in "
+    "the paper. For real sensors see the scenario flight_sensors and 'ffsm design'.",
+    "actuation": "Largest force of each joint: the effort limits of the URDF. Without thrusters or "
+    "wheels the base's force is not limited.",
+    "estimator": "Of the disturbance, for these sensors.",
+    "tolerance": "A run has settled when over its last second every error stays within this, rad "
+    "or m.",
+    "capture": "The grasp, in the initial posture, of a target that tumbles at rate (rad/s, its "
+    "own axes); before it the approach, from rest and along the grasp axis.",
 }
 
 
@@ -137,14 +144,14 @@ class NewScenario:
             lines.append(
                 f"{joint.name:<28}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}"
             )
-        lines += [
-            "",
-            f"planned motion of {self.motion.duration:g} s; sampled-loop margins, worst "
-            "coordinate and posture:",
-            f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}"
-            f"{'largest L, ms':>15}{'eta met':>14}"
-            f"{'tolerated':>14}  verdict",
-        ]
+        lines += ["", f"planned motion of {self.motion.duration:g} s"]
+        if self.margins:
+            lines[-1] += "; sampled-loop margins, worst coordinate and posture:"
+            lines.append(
+                f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}"
+                f"{'largest L, ms':>15}{'eta met':>14}"
+                f"{'tolerated':>14}  verdict"
+            )
         for name, worst in self.margins.items():
             gains = f"{worst['k_s_bound']:>10.3g}{worst['k_s_limit']:>12.4g}".replace("nan", "  -")
             met, tolerated = (
@@ -178,6 +185,7 @@ def new_scenario(
     target: str | Path | None = None,
     bus_mass: float | None = None,
     bus_size: tuple[float, ...] | None = None,
+    asked: Asked | None = None,
 ) -> NewScenario:
     """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and
     its meshes.
@@ -196,6 +204,7 @@ def new_scenario(
       bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world``
         says where. The box is the base then.
       bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
+      asked: sensors, actuators, panels and a grasp; None for the paper's mission.
 
     Raises:
       ModelError: the URDF is not that of a free base with an arm; the message says what to change.
@@ -217,7 +226,9 @@ def new_scenario(
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name
             folder.mkdir()
-            made = _make(servicer, folder, target=held, mass=mass, packages=folders)
+            made = _make(
+                servicer, folder, asked or Asked(), target=held, mass=mass, packages=folders
+            )
             with published(directory) as new:
                 shutil.copytree(folder, new, dirs_exist_ok=True)
     except OSError as error:
@@ -247,27 +258,42 @@ def _check_arguments(
 def _make(
     servicer: Servicer,
     folder: Path,
+    asked: Asked,
     *,
     target: Target | None,
     mass: float,
     packages: Mapping[str, Path],
 ) -> NewScenario:
     """Make everything in a folder that is still temporary."""
-    file = folder / f"{folder.name}.yaml"
+    file, margins, remarks = folder / f"{folder.name}.yaml", {}, list(servicer.remarks)
     try:
         draft, left_out = _write_models(servicer, folder, target, mass=mass, packages=packages)
         scenario = scenario_from_dict(draft, source=str(file))
         check_pictures(scenario.model)
         true = make_true_plant(scenario)
-        motion = plan_motion(true, servicer, body=draft["payload"]["body"])
-        data = _scenario_data(servicer, motion, true.coordinates, draft)
-        margins = _choose_gains(data, motion, true.coordinates, file)
+        body = draft["payload"]["body"]
+        motion = plan_motion(true, servicer, body=body, model=scenario.model)
+        if flexible := asked.flexible(servicer, true.plant):
+            draft["model"]["flexible"] = flexible
+        data = _scenario_data(servicer, motion, true.coordinates, draft, asked)
+        remarks += left_out
+        if asked.is_paper:
+            margins = _choose_gains(data, motion, true.coordinates, file)
+        else:
+            fitting = Fitting(data, asked, true.coordinates, str(file))
+            fitting.fit(motion)
+            motion = dataclasses.replace(motion, duration=data["reference"]["duration"])
+            remarks += fitting.remarks
     except FfsmError as error:
         # The line numbers in Drake's messages are those of the copy, not of the user's file.
         told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
     write_text(file, _commented_yaml(data, servicer.joints))
-    remarks = [*servicer.remarks, *left_out]
+    if motion.distance < 0.0:
+        remarks.append(
+            f"no posture free of contact was found: parts overlap by {-motion.distance:.3g} m in "
+            "the best; a smaller target, or another --tip"
+        )
     if not all(each["stable"] for each in margins.values()):
         remarks.append("no gains tried are stable for all controllers; see 'ffsm stability'")
     weak = [joint.name for joint in servicer.joints if motion.peak_force[joint.name] > joint.effort]
@@ -386,27 +412,50 @@ def _scenario_data(
     motion: Motion,
     coordinates: Coordinates,
     draft: Mapping[str, Any],
+    asked: Asked,
 ) -> dict[str, Any]:
     """The scenario as plain data, in the file's order; without gains."""
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
+    sections = asked.sections()
+    actuation = {**({"limit": efforts} if efforts else {}), **sections.pop("actuation", {})}
+    initial, target = (dataclasses.asdict(each) for each in (motion.initial, motion.target))
+    for group, field in (("base_position", "base_position"), ("base_rotation", "base_rpy")):
+        if not asked.drives(group):
+            target[field] = initial[field]
+    harmonics = {
+        name: harmonic
+        for (name, harmonic), group in zip(
+            scaled_disturbance(motion, coordinates).items(), coordinates.group_of, strict=True
+        )
+        if asked.drives(group)
+    }
+    before = 0.0
+    if asked.has_approach:
+        before = _APPROACH
+        sections["capture"]["approach"] = {
+            "duration": before,
+            "posture": dict(initial),
+        }
+    sensing = sections.pop("sensing", {"velocity_noise": 1e-6, "position_noise": 0.0})
     return {
-        "description": f"Post-capture stabilization with {servicer.source.stem}",
+        "description": f"{asked.mission} with {servicer.source.stem}",
         "random_seed": 0,
-        "duration": motion.duration + _HOLD,
+        "duration": before + motion.duration + (_HOLD if asked.is_paper else _LONG_HOLD),
         "sample_time": _SAMPLE_TIME,
         "simulator_config": {"integration_scheme": "runge_kutta3", "max_step_size": _SAMPLE_TIME},
         **draft,
-        "initial_posture": dataclasses.asdict(motion.initial),
-        "target_posture": dataclasses.asdict(motion.target),
+        "initial_posture": initial,
+        "target_posture": target,
         "reference": {"duration": motion.duration},
-        "controller": Scenario.controller,
+        "controller": Scenario.controller if asked.is_paper else "tdc",
         "controllers": {},
         "disturbance": {
             "amplitude_scale": 1.0,
-            "harmonics": scaled_disturbance(motion, coordinates),
+            "harmonics": harmonics,
         },
-        "sensing": {"velocity_noise": 1e-6, "position_noise": 0.0},
-        **({"actuation": {"limit": efforts}} if efforts else {}),
+        "sensing": sensing,
+        **({"actuation": actuation} if actuation else {}),
+        **sections,
     }
 
 

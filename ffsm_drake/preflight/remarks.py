@@ -13,7 +13,6 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.momentum import momentum_budget, storage_remark
-from ffsm_drake.runs.capture import target_path
 from ffsm_drake.runs.limits import (
     INSTANTS,
     Closest,
@@ -22,7 +21,12 @@ from ffsm_drake.runs.limits import (
     remarks_on,
 )
 from ffsm_drake.scenario import Scenario, planned_part
-from ffsm_drake.spacecraft.capture import NOTHING, planned_contact, velocity_at_start
+from ffsm_drake.spacecraft.capture import (
+    NOTHING,
+    planned_contact,
+    target_path,
+    velocity_at_start,
+)
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.mass_properties import set_payload

@@ -14,10 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -25,8 +22,13 @@ from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
-from ffsm_drake.spacecraft.capture import Contact, contact_at, planned_contact, target_body
-from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
+from ffsm_drake.spacecraft.capture import (
+    contact_at,
+    planned_contact,
+    target_body,
+    target_path,
+)
+from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.part import STORED_MOMENTUM
@@ -336,58 +338,6 @@ class _Handovers:
         loop.resume(root_context, self._before, self._context_before, references)
         # to the blocks, which resume with nothing in the gripper
         loop.set_payloads(root_context, payloads)
-
-
-def target_path(
-    scenario: Scenario, model: PlantModel, planned: Contact
-) -> tuple[RigidTransform, np.ndarray]:
-    """X_WP of the target at the planned grasp, and its motion before, as ``coast`` returns it."""
-    model.plant.SetPositions(model.context, planned.q)
-    X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
-    samples = round(scenario.grasp_time / scenario.sample_time)
-    twist, sample_time = planned.target_velocity, scenario.sample_time
-    return X_WP, coast(
-        scenario.payload.truth, X_WP, twist, samples=samples, sample_time=sample_time
-    )
-
-
-def coast(
-    properties: MassProperties,
-    X_WP: RigidTransform,
-    twist: np.ndarray,
-    *,
-    samples: int,
-    sample_time: float,
-) -> np.ndarray:
-    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given pose
-    and velocity.
-
-    Free motion is reversible: it is simulated from that pose with the velocity reversed.
-
-    Args:
-      properties: the target's, in its frame P.
-      X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last.
-      samples: how many, ``sample_time`` (s) apart.
-    """
-    builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("target", MultibodyPlant(time_step=0.0))
-    body = plant.AddRigidBody("target", spatial_inertia(properties))
-    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
-    plant.Finalize()
-    logger = LogVectorOutput(plant.get_state_output_port(), builder, sample_time)
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    config = SimulatorConfig(
-        integration_scheme="runge_kutta3", max_step_size=sample_time, use_error_control=False
-    )
-    ApplySimulatorConfig(config, simulator)
-    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    plant.SetFreeBodyPose(context, body, X_WP)
-    plant.SetVelocities(context, -twist)
-    simulator.AdvanceTo(samples * sample_time)
-    states: np.ndarray = logger.FindLog(simulator.get_context()).data().T[samples:0:-1].copy()
-    states[:, 7:] *= -1.0
-    return states
 
 
 def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassProperties:

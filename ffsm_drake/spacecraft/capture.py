@@ -4,7 +4,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, MassProperties, Scenario
@@ -17,6 +22,7 @@ from ffsm_drake.spacecraft.grasp import (
     plastic_grasp,
     shift_moment,
 )
+from ffsm_drake.spacecraft.mass_properties import spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
 
@@ -226,3 +232,55 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
         velocity=model.split.whole_velocities(servicer_velocity(scenario, capture, model, q)),
         target_velocity=target_twist(scenario, capture, model, q),
     )
+
+
+def target_path(
+    scenario: Scenario, model: PlantModel, planned: Contact
+) -> tuple[RigidTransform, np.ndarray]:
+    """X_WP of the target at the planned grasp, and its motion before, as ``coast`` returns it."""
+    model.plant.SetPositions(model.context, planned.q)
+    X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
+    samples = round(scenario.grasp_time / scenario.sample_time)
+    twist, sample_time = planned.target_velocity, scenario.sample_time
+    return X_WP, coast(
+        scenario.payload.truth, X_WP, twist, samples=samples, sample_time=sample_time
+    )
+
+
+def coast(
+    properties: MassProperties,
+    X_WP: RigidTransform,
+    twist: np.ndarray,
+    *,
+    samples: int,
+    sample_time: float,
+) -> np.ndarray:
+    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given pose
+    and velocity.
+
+    Free motion is reversible: it is simulated from that pose with the velocity reversed.
+
+    Args:
+      properties: the target's, in its frame P.
+      X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last.
+      samples: how many, ``sample_time`` (s) apart.
+    """
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("target", MultibodyPlant(time_step=0.0))
+    body = plant.AddRigidBody("target", spatial_inertia(properties))
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.Finalize()
+    logger = LogVectorOutput(plant.get_state_output_port(), builder, sample_time)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    config = SimulatorConfig(
+        integration_scheme="runge_kutta3", max_step_size=sample_time, use_error_control=False
+    )
+    ApplySimulatorConfig(config, simulator)
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant.SetFreeBodyPose(context, body, X_WP)
+    plant.SetVelocities(context, -twist)
+    simulator.AdvanceTo(samples * sample_time)
+    states: np.ndarray = logger.FindLog(simulator.get_context()).data().T[samples:0:-1].copy()
+    states[:, 7:] *= -1.0
+    return states

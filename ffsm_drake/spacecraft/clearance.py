@@ -1,10 +1,10 @@
 """Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
 
-The shapes are the model's collision geometry, or its visual geometry if it has none; a mesh counts
-by its convex hull. Left out are parts fixed to each other (the target and the gripper), parts
-connected by a joint, and parts with few joints between them that are always near each other, as
-the links of a wrist. Before a grasp the target is a separate body, which the gripper may touch over
-the last decimetre.
+The shapes are collision geometry, or visual geometry of a model (servicer, target) that has none; a
+mesh counts by its convex hull. Left out are parts fixed to each other (the target and the gripper),
+parts connected by a joint, and parts with few joints between them that are always near each other,
+as the links of a wrist. Before a grasp the target is a separate body, which over the last decimetre
+may touch the gripper and what is left out once it is held.
 """
 
 import dataclasses
@@ -78,11 +78,17 @@ class Clearance:
         scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
         source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
         try:
-            if not list(inspector.GetAllGeometryIds(Role.kProximity)):
-                for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
-                    shape = inspector.GetShape(geometry)
-                    if not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED:
-                        scene_graph.AssignRole(source, geometry, ProximityProperties())
+            instance = {
+                shape: self.plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).model_instance()
+                for role in (Role.kProximity, Role.kIllustration)
+                for shape in inspector.GetAllGeometryIds(role)
+            }
+            collide = {instance[s] for s in inspector.GetAllGeometryIds(Role.kProximity)}
+            for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
+                shape = inspector.GetShape(geometry)
+                measured = not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED
+                if measured and instance[geometry] not in collide:
+                    scene_graph.AssignRole(source, geometry, ProximityProperties())
             self._diagram = builder.Build()
         except DRAKE_ERRORS as error:
             raise ModelError(f"model: shapes without a distance: {cause_of(error)}") from error
@@ -123,7 +129,7 @@ class Clearance:
             found = [
                 pair
                 for pair in found
-                if not {self._body_of[s].index() for s in (pair.id_A, pair.id_B)} <= met
+                if frozenset(self._body_of[s].index() for s in (pair.id_A, pair.id_B)) not in met
             ]
         if not found:
             return Nearest(distance=np.inf, first="", second="")
@@ -144,8 +150,8 @@ class Clearance:
             raise ValueError("no configuration is finite")
         return best
 
-    def _may_touch(self) -> set[BodyIndex]:
-        """Bodies that may touch each other in the present configuration."""
+    def _may_touch(self) -> set[frozenset[BodyIndex]]:
+        """Pairs of bodies that may touch in the present configuration."""
         return set()
 
     def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
@@ -231,10 +237,22 @@ class ApproachClearance(Clearance):
         self._X_PE = frame.CalcPose(held.CreateDefaultContext(), body.body_frame())  # in the grasp
         self._effector = find_frame(self.plant, model.end_effector, key="model.end_effector")
         self._target = find_body(self.plant, target, key="payload.body")
-        gripper = self.plant.GetBodiesWeldedTo(self._effector.body())
-        self._gripping = {self._target.index(), *(each.index() for each in gripper)}
+        # Near the grasp counts what counts once the target is held: not the gripper, nor links
+        # that are always near it.
+        apart = {
+            each.scoped_name().get_full()
+            for pair in Clearance(model).pairs
+            if target in (names := [body.scoped_name().get_full() for body in pair])
+            for each, name in zip(pair, names, strict=True)
+            if name != target
+        }
+        self._gripping = {
+            frozenset((self._target.index(), body.index()))
+            for body in self._bodies
+            if body.scoped_name().get_full() not in apart
+        }
 
-    def _may_touch(self) -> set[BodyIndex]:
+    def _may_touch(self) -> set[frozenset[BodyIndex]]:
         context = self.plant_context
         place = (self._target.EvalPoseInWorld(context) @ self._X_PE).translation()
         gap = np.linalg.norm(place - self._effector.CalcPoseInWorld(context).translation())

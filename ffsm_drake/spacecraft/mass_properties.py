@@ -34,21 +34,24 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
 
 
 def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -> None:
-    """Subtract the wheels' axial inertia, which does not turn with the base, in one context.
+    """Subtract the wheels' axial inertia, which does not turn with the base, in one context, from
+    the heaviest of the base's bodies.
 
     Call it once for a context. Raises ScenarioError if the base has less inertia than the wheels.
     """
     if wheels is None:
         return
     base = base_body(plant)
-    M_BBo_B = base.CalcSpatialInertiaInBodyFrame(context)
-    inertia = M_BBo_B.CalcRotationalInertia().CopyToFullMatrix3()
+    body = max(plant.GetBodiesWeldedTo(base), key=lambda each: float(each.get_mass(context)))
+    R_CB = base.body_frame().CalcRotationMatrix(context, body.body_frame()).matrix()
+    M_CCo_C = body.CalcSpatialInertiaInBodyFrame(context)
+    inertia = M_CCo_C.CalcRotationalInertia().CopyToFullMatrix3()
     for unit in wheels.units.values():
-        axis = np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis)
+        axis = R_CB @ (np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis))
         inertia -= unit.inertia * np.outer(axis, axis)
     try:
-        rest = spatial_inertia_about(M_BBo_B.get_mass(), M_BBo_B.get_com(), inertia)
-        base.SetSpatialInertiaInBodyFrame(context, rest)
+        rest = spatial_inertia_about(M_CCo_C.get_mass(), M_CCo_C.get_com(), inertia)
+        body.SetSpatialInertiaInBodyFrame(context, rest)
     except DRAKE_ERRORS as error:
         raise ScenarioError(
             "actuation.wheels",
