@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pydrake.systems.framework import LeafSystem
 
-from ffsm_drake import BlockError, ScenarioError, load_scenario
+from ffsm_drake import BlockError, load_scenario
 from ffsm_drake.control_design.gains import design
 from ffsm_drake.control_design.stability.boundaries import with_gains
 from ffsm_drake.control_design.stability.linearization import Linearizer
@@ -292,17 +292,30 @@ def test_the_kalman_filter_of_a_frame():
         for kind in ("one_sample", "kalman")
     }
     assert effort["kalman"] < 0.5 * effort["one_sample"]
-    with pytest.raises(
-        ScenarioError, match="estimator: of a frame must be one_sample, or kalman of sensors"
-    ):
-        make_law(
-            load_scenario("slow_navigation", ["controller=task_time_delay"]),
-            *_plants("slow_navigation"),
-        )
 
 
-def _plants(name):
-    return (make_nominal_plant(load_scenario(name)),)
+LATE = ("sensing.delay=3", "sensing.position_period={base_position: 5}")
+
+
+@pytest.mark.parametrize("estimator", [("kind=coupled",), ("kind=kalman", *LATE)])
+def test_an_estimator_of_the_coordinates_serves_a_frame(estimator):
+    """Coordinates together, and late and slow sensors: the frame is that of the estimated state."""
+    kind, *late = estimator
+    noise = [
+        "sensing.velocity_noise=1e-5",
+        "sensing.position_noise=1e-6",
+        "duration=4",
+        "actuation.driven=[all]",
+        "controllers.task_time_delay={k_p_rotation: 25, k_p_position: 25, k_d_rotation: 10, "
+        "k_d_position: 10}",
+        "estimator.walk=0.03",
+        *late,
+    ]
+    log = followed("task_time_delay", *noise, f"estimator.{kind}")
+    assert log.ending.status != "diverged"
+    assert 1e-9 < np.abs(log.frame_error).max() < 2e-3
+    if late:  # the estimate is what makes it work
+        assert followed("task_time_delay", *noise).ending.status == "diverged"
 
 
 def at_zero_momentum(scenario):

@@ -240,7 +240,6 @@ class LateKalmanEstimator(Estimator):
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> Self:
-        _refuse_frame(jacobian)
         axes, solve = _axes(scenario, coordinates), functools.cache(late_gains)
         gains = [solve(axis, sample_time=scenario.sample_time) for axis in axes]
         delays = np.array([axis.delay for axis in axes])
@@ -362,7 +361,6 @@ class CoupledEstimator(Estimator):
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> Self:
-        _refuse_frame(jacobian)
         separate = KalmanEstimator.make(scenario, coordinates, None)
         if not isinstance(separate, KalmanEstimator):
             raise ScenarioError(
@@ -468,7 +466,8 @@ def make_estimator(
     J v, with the Jacobian J (m, nv).
 
     A Kalman filter of those takes what it assumes of noise and walk from the spacecraft's,
-    independent of each other, through J.
+    independent of each other, through J. An estimator that is not ``by_axis`` is of the
+    spacecraft's coordinates in any case.
 
     Raises ScenarioError: unknown or missing coordinates, sensors that it cannot take, or no
     stationary filter.
@@ -482,15 +481,6 @@ def make_estimator(
         raise ScenarioError(
             "estimator", f"has no stationary filter ({one_line(error)}); {remedy}"
         ) from error
-
-
-def _refuse_frame(jacobian: np.ndarray | None) -> None:
-    if jacobian is not None:
-        problem = (
-            "of a frame must be one_sample, or kalman of sensors that are neither slow nor "
-            "late and have no bias"
-        )
-        raise ScenarioError("estimator", problem)
 
 
 def _axes(scenario: Scenario, coordinates: Coordinates) -> list[SensedAxis]:

@@ -160,9 +160,8 @@ class TimeDelayControl(ControlLaw):
         """See ControlLaw: accelerations in the memory continue as the forces that they took."""
         if not isinstance(before, TimeDelayControl):
             return state
-        q = reference[: (reference.size + 1) // 2]
-        ratio = np.linalg.solve(self.model.calc_mass_matrix(q), before.model.calc_mass_matrix(q))
-        changed = self.estimator.resume(state, ratio, reference[q.size :])
+        ratio, v_d = after_grasp(self.model, before.model, reference)
+        changed = self.estimator.resume(state, ratio, v_d)
         return {**state, **changed, **self.dynamics.resume(state, ratio)}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
@@ -181,6 +180,14 @@ class TimeDelayControl(ControlLaw):
             u=u,
         )
         return force, {**estimator_state, **dynamics_state}
+
+
+def after_grasp(
+    model: PlantModel, before: PlantModel, reference: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Hhat^-1 of after times Hhat of before a grasp (nv, nv), and v_d (nv), from [q_d; v_d]."""
+    q, v_d = np.split(reference, [(reference.size + 1) // 2])
+    return np.linalg.solve(model.calc_mass_matrix(q), before.calc_mass_matrix(q)), v_d
 
 
 def time_delay_force(

@@ -5,6 +5,10 @@ the force on the frame; N holds everything unknown, and C* and A_0 too. An estim
 frame's acceleration from the force, Lambda^-1 F = J* H*^-1 tau_a. So the estimators get this (m
 rows of the task) as the force, with a unit mass matrix, and no matrix is inverted that becomes
 singular at a singularity.
+
+An estimator that takes coordinates together, or late or slow sensors of some of them, is of the
+coordinates instead: q and v are estimated with their accelerations' lumped uncertainty, and the
+frame is that of the estimated state.
 """
 
 import dataclasses
@@ -14,12 +18,21 @@ from typing import Self
 import numpy as np
 
 from ffsm_drake.common.products import applied, product
+from ffsm_drake.common.so3 import turned_by
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.controllers.estimators import Estimator, make_estimator
-from ffsm_drake.systems.controllers.law import State, field_values, gain, is_wide
+from ffsm_drake.systems.controllers.estimators import Estimate, Estimator, make_estimator
+from ffsm_drake.systems.controllers.law import (
+    ControlLaw,
+    Sample,
+    State,
+    field_values,
+    gain,
+    is_wide,
+)
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint, TaskSpace
-from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
+from ffsm_drake.systems.controllers.time_delay import InjectedDynamics, after_grasp
 from ffsm_drake.systems.setup import BlockSetup
 
 _PREFIX = "frame_"  # prefix of the memory that belongs to the frame
@@ -31,9 +44,13 @@ class TaskTimeDelay(AccelerationLaw):
     acceleration.
 
     f is the frame's acceleration from tau_a, u that of TDC, z the acceleration of the plan.
+
+    With an estimator of the coordinates tau_a = H* (z + [0; J+ (u - A_0 - J* z)] - base
+    acceleration) + base force, at the estimated state.
     """
 
-    estimator: Estimator  # for m coordinates
+    model: PlantModel  # reduced to H* where the spacecraft is underactuated
+    estimator: Estimator  # of the frame's m rows if it is ``by_axis``, else of the coordinates
     k_p_rotation: float = gain(
         100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True
     )
@@ -50,22 +67,56 @@ class TaskTimeDelay(AccelerationLaw):
 
     @property
     def wide(self) -> bool:  # type: ignore[override]
-        """As its estimator."""
-        return is_wide(self.estimator)
+        """As an estimator of the frame; with one of the coordinates, one run after the other."""
+        return self._of_frame and is_wide(self.estimator)
+
+    @property
+    def _of_frame(self) -> bool:
+        return self.estimator.by_axis
 
     def initial_state(self) -> State:
-        memory = _named({**self.estimator.initial_state(), **self.dynamics.initial_state()})
-        return {**super().initial_state(), **memory}
+        estimator, dynamics = self.estimator.initial_state(), self.dynamics.initial_state()
+        if self._of_frame:
+            return {**super().initial_state(), **_named({**estimator, **dynamics})}
+        return {**super().initial_state(), **estimator, **_named(dynamics)}
 
     def held(self) -> Mapping[str, float | None]:
         return {_PREFIX + name: value for name, value in self.dynamics.held().items()}
 
+    def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
+        """See ControlLaw: an estimate of the coordinates continues as ``TimeDelayControl``'s."""
+        if self._of_frame or not isinstance(before, TaskTimeDelay):
+            return state
+        ratio, v_d = after_grasp(self.model, before.model, reference)
+        return {**state, **self.estimator.resume(state, ratio, v_d)}
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        if self._of_frame or sample.v.ndim > 1:
+            return super().step(sample, state)
+        mass_matrix = self.model.calc_mass_matrix(sample.q)
+        estimate, estimator_memory = self.estimator.step(sample, mass_matrix, state)
+        driven = self.task_space.driven
+        point = self.task_space.at(_at_estimate(sample, estimate, driven), damping=self.damping)
+        u, dynamics_memory = self._limited(point.e, point.e_dot, point, _own(state))
+        acceleration = point.served(self.planned(point.sample), u - point.bias_acceleration)
+        force = estimate.base_force.copy()
+        force[driven] += applied(
+            point.mass_matrix, acceleration - estimate.base_acceleration[driven]
+        )
+        singular = point.smallest_singular_value
+        memory = {**estimator_memory, **_named(dynamics_memory)}
+        return force, {**memory, "smallest_singular_value": singular}
+
+    def _limited(
+        self, e: np.ndarray, e_dot: np.ndarray, point: TaskPoint, state: State
+    ) -> tuple[np.ndarray, State]:
+        """u (..., m) within the limits on what an error asks for, and the dynamics' memory."""
+        wanted = point.desired_acceleration
+        u, memory = self.dynamics.step(self.limited(e), e_dot, wanted, state)
+        return wanted + self.feedback(u - wanted), memory
+
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        own = {
-            name.removeprefix(_PREFIX): value
-            for name, value in state.items()
-            if name.startswith(_PREFIX)
-        }
+        own = _own(state)
         force = point.sample.applied_force[..., self.task_space.driven]
         both = np.stack([force, point.bias], axis=-1)
         given = product(point.jacobian, np.linalg.solve(point.mass_matrix, both))
@@ -79,10 +130,7 @@ class TaskTimeDelay(AccelerationLaw):
             is_new=None,
         )
         estimate, estimator_memory = self.estimator.step(sample, np.eye(given.shape[-2]), own)
-        u, dynamics_memory = self.dynamics.step(
-            self.limited(estimate.e), estimate.e_dot, sample.a_d, own
-        )
-        u = sample.a_d + self.feedback(u - sample.a_d)
+        u, dynamics_memory = self._limited(estimate.e, estimate.e_dot, point, own)
         wanted = estimate.base_force + u - estimate.base_acceleration
         acceleration = point.served(self.planned(point.sample), wanted - given[..., 1])
         force = applied(point.mass_matrix, acceleration) + point.bias
@@ -90,9 +138,7 @@ class TaskTimeDelay(AccelerationLaw):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
-        """See ControlLaw. Raises ScenarioError also for an estimator that needs measurements by
-        coordinate.
-        """
+        """See ControlLaw."""
         task_space = TaskSpace.from_setup(setup)
         q = configuration(
             task_space.model.plant, setup.scenario.initial_posture, key="initial_posture"
@@ -100,6 +146,26 @@ class TaskTimeDelay(AccelerationLaw):
         jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
         estimator = make_estimator(setup.scenario, setup.coordinates, jacobian)
         return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
+
+
+def _at_estimate(sample: Sample, estimate: Estimate, driven: np.ndarray) -> Sample:
+    """A sample (nv) with the estimated state of the driven coordinates in place of the measured
+    one, to first order in the attitude's error.
+    """
+    q, v, e, e_dot = (of.copy() for of in (sample.q, sample.v, sample.e, sample.e_dot))
+    e[driven], e_dot[driven] = estimate.e[driven], estimate.e_dot[driven]
+    q[:4] = turned_by((sample.e - e)[None, :3], q[:4])[0]
+    q[4:] += (sample.e - e)[3:]
+    v += sample.e_dot - e_dot
+    return sample._replace(q=q, v=v, e=e, e_dot=e_dot)
+
+
+def _own(state: State) -> State:
+    return {
+        name.removeprefix(_PREFIX): value
+        for name, value in state.items()
+        if name.startswith(_PREFIX)
+    }
 
 
 def _named(memory: State) -> State:
