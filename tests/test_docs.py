@@ -8,7 +8,9 @@ import importlib
 import importlib.util
 import json
 import re
+import runpy
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +19,7 @@ from types import ModuleType
 import click
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.optimize import brentq
 
 from ffsm_drake import FfsmError, simulate
@@ -134,6 +137,46 @@ def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
     elif words[:2] == ("python", "-c"):
         exec(compile(words[2], page, "exec"), {})
         assert capsys.readouterr().out.strip()
+
+
+TASKS = ("bring_your_arm", "real_sensors", "catch", "put_on_thrusters", "compare_laws")
+TASKS += ("run_thousands",)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_task_pages_are_short(name):
+    assert len((DOCS / f"{name}.md").read_text().split()) < 600
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TASKS)
+def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
+    """In the page's order, in a folder with the files that it says to save. Campaigns have one
+    case where the page asks for all; pictures, most prices of a design and a report's stability
+    section have tests of their own.
+    """
+    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
+    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    shutil.copy(ROOT / "examples/own_sensor.py", tmp_path)
+    text = (DOCS / f"{name}.md").read_text()
+    for file, content in re.findall(r"^```\w+\n# (\w+\.\w+)\n(.*?)^```", text, re.M | re.S):
+        (tmp_path / file).write_text(content)
+    commands = [words for page, words in shell_commands() if page == f"{name}.md"]
+    assert len(commands) > 3
+    for words in commands:
+        if words[0] == "python":
+            runpy.run_path(words[1], run_name="__main__")
+            continue
+        if words[:3] == ("ffsm", "campaign", "run") and "--cases" not in words:
+            words = (*words, "--cases", "1")
+        result = CliRunner().invoke(main, words[1:], catch_exceptions=False)
+        assert result.exit_code == 0, f"{shlex.join(words)}: {result.output}"
+        if words[1] == "run":
+            assert "Settled: " in result.output, shlex.join(words)
 
 
 def absent(_):

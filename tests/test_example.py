@@ -14,7 +14,7 @@ from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-OWN_TESTS = ("postcapture.py", "small_campaign.py", "free_floating.py")
+OWN_TESTS = ("postcapture.py", "campaign.py", "free_floating.py")
 OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in OWN_TESTS)
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -131,12 +131,18 @@ def test_bad_input_gets_one_line(main, capfd):
 @pytest.mark.slow
 def test_the_campaign(tmp_path):
     """In a process of its own, since its workers import the file."""
-    command = [sys.executable, EXAMPLES / "small_campaign.py"]
+    command = [sys.executable, EXAMPLES / "campaign.py"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     assert "tdc: 8 settled" in done.stdout
-    assert len((tmp_path / "out/small_campaign/runs.csv").read_text().splitlines()) == 17
+    assert len((tmp_path / "out/campaign/runs.csv").read_text().splitlines()) == 17
+
+
+def test_examples_are_short():
+    assert {"own_arm.py", "own_law.py", "own_sensor.py", "own_mission.py"} < set(OTHERS)
+    lines = {name: len((EXAMPLES / name).read_text().splitlines()) for name in OTHERS}
+    assert max(lines.values()) < 60, lines
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.show.meshcat import (
@@ -195,7 +196,15 @@ def test_the_legend_names_colour_magnification_and_peak(meshcat, record):
     force = record.dataset["disturbance_force"].values[:, 3:6]
     text = legend(shown.arrows)[2]
     assert text.startswith(f"red: disturbance force x {shown.arrows.magnifications[2]}, peak ")
-    assert f"{np.linalg.norm(force, axis=1).max():.3g} N" in text
+    assert f"peak {number(np.abs(force).max())} N" in text
+
+
+def test_its_peaks_are_those_of_the_table(meshcat, record):
+    applied = record.dataset["applied_force"]
+    of = {"base_position": "control force", "base_rotation": "control torque"}
+    for group, line in zip(of, legend(view(meshcat, record, forces=True).arrows), strict=False):
+        peak = np.abs(applied.where(applied["group"] == group, drop=True).values).max()
+        assert f"{of[group]}, peak {number(peak)} N" in line
 
 
 def test_a_run_without_disturbance_has_arrows(meshcat, run):

@@ -39,12 +39,12 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 @pytest.fixture(scope="module")
 def example():
-    spec = importlib.util.spec_from_file_location("own_controller", EXAMPLES / "own_controller.py")
+    spec = importlib.util.spec_from_file_location("own_law", EXAMPLES / "own_law.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules["own_controller"] = module
+    sys.modules["own_law"] = module
     spec.loader.exec_module(module)
     yield module
-    del sys.modules["own_controller"]
+    del sys.modules["own_law"]
 
 
 def test_the_example_is_short_and_conforms(example):
@@ -67,7 +67,7 @@ def test_the_example_agrees_with_the_shipped_one(example):
             ),
             check_stability=False,
         )
-        for key, name in (("pd_plus", "pd_plus"), ("MyPdPlus", "own_controller:MyPdPlus"))
+        for key, name in (("pd_plus", "pd_plus"), ("MyPdPlus", "own_law:MyPdPlus"))
     )
     assert np.array_equal(ours.dataset["generalized_force"], theirs.dataset["generalized_force"])
     assert np.abs(ours.dataset["generalized_force"]).max() > 0

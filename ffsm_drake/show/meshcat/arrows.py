@@ -9,6 +9,7 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, SceneGraphIns
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.common.numbers import number
 from ffsm_drake.show.meshcat.stage import base_bounding_box
 
 if TYPE_CHECKING:
@@ -141,16 +142,18 @@ class ForceArrows:
             )
             for kind in ARROW_KINDS
         ]
-        self.peaks = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
+        # the largest of any axis, as tables have it; the longest arrow is of the largest vector
+        self.peaks = [float(np.abs(vectors).max()) for vectors in self._vectors]
+        longest = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
         self._box_pose, self._box_half_width = base_bounding_box(plant, inspector)
         self._longest = 2.0 * float(self._box_half_width.max())
         self.magnifications: list[int] = []
         self._scales: list[float] = []  # m per N or N m
         # control force and torque; the disturbance's arrows share their scales
-        control = self.peaks[:2] * 2
-        for peak, largest in zip(self.peaks, control, strict=True):
-            reference = largest or peak or 1.0
-            self.magnifications.append(magnification(peak / reference))
+        control = longest[:2] * 2
+        for norm, largest in zip(longest, control, strict=True):
+            reference = largest or norm or 1.0
+            self.magnifications.append(magnification(norm / reference))
             self._scales.append(self._longest / reference * self.magnifications[-1])
         self._arrows = [
             Arrow(
@@ -188,10 +191,10 @@ class ForceArrows:
 
 
 def legend(arrows: ForceArrows) -> list[str]:
-    """One line per arrow: colour, vector, magnification, and the run's peak."""
+    """One line per arrow: colour, vector, magnification, and the run's peak along an axis."""
     times = [f" x {factor}" if factor > 1 else "" for factor in arrows.magnifications]
     return [
-        f"{kind.color_name}: {kind.label}{factor}, peak {peak:.3g} {kind.unit}"
+        f"{kind.color_name}: {kind.label}{factor}, peak {number(peak)} {kind.unit}"
         for kind, factor, peak in zip(ARROW_KINDS, times, arrows.peaks, strict=True)
     ]
 

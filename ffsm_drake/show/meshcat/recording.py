@@ -10,6 +10,13 @@ from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
 from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
+# Covers the empty scene until the motion is in; before the scripts, to show while they load.
+_LOADING = """<style>
+#loading { position: fixed; inset: 0; z-index: 20; display: grid; place-items: center;
+  background: #0a0d16; color: #9fb0cc; font: 15px sans-serif; }
+</style>
+<div id="loading">Loading the motion \u2026</div>
+"""
 # ``viewer`` is a global name of Drake's page. The page plays at once, but embedded in another it
 # shows its first frame.
 _CAPTION = """<style>
@@ -26,10 +33,19 @@ _CAPTION = """<style>
 <button id="play" type="button">\u25b6 Play</button>
 <script>
   (() => {{
-    const button = document.getElementById("play");
-    let begun = window !== window.parent;
+    const button = document.getElementById("play"), cover = document.getElementById("loading");
+    let begun = window !== window.parent, frames = 0;
     button.onclick = () => viewer.animator.play();
+    const fit = () => {{
+      viewer.camera.zoom = Math.min(1, 0.75 * innerWidth / innerHeight);
+      viewer.camera.updateProjectionMatrix();
+    }};
+    addEventListener("resize", fit);
     (function watch() {{
+      if (viewer.animator.actions.length || ++frames > 600) {{
+        if (cover.style.display !== "none") fit();
+        cover.style.display = "none";
+      }}
       if (!begun && viewer.animator.actions.length) {{ begun = true; viewer.animator.play(); }}
       button.style.display = viewer.animator.playing ? "none" : "";
       requestAnimationFrame(watch);
@@ -132,5 +148,6 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     if drawn := view.switched.legend + view.spacecraft.legend:
         lines.append(html.escape("; ".join(drawn)))
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
+    page = page.replace("<body>", f"<body>{_LOADING}", 1)
     head, end, tail = page.rpartition("</body>")
     return head + _CAPTION.format(lines="<br>".join(lines)) + end + tail

@@ -46,13 +46,14 @@ from ffsm_drake.systems.reference import make_motion
 _VIEW = np.array([0.5843, -0.7176, 0.3793])
 # Meshcat's vertical half angle is 37.5 degrees; this leaves a margin
 _TANGENT = 0.85 * math.tan(math.radians(37.5))
+_ASPECT = 4.0 / 3.0  # width over height of the views; a narrower page zooms out (recording.py)
 _TRIES = 4  # at random addresses, then at 127.0.0.1
 _TO_TARGET = (
     "quintic",
     "target_posture",
 )  # kind and goal of a motion to the target posture
 _WITHIN = ("mass", "pendulum")  # flexible parts inside their carrying bodies
-_GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
+_GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.22)
 
 
 @contextmanager
@@ -117,11 +118,11 @@ def start_meshcat() -> Meshcat:
 
 def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:
     """Set a dark background, the camera and the translucent ghost of the target posture."""
-    meshcat.SetProperty("/Background/<object>", "top_color", [0.02, 0.03, 0.08])
-    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.07, 0.09, 0.16])
+    meshcat.SetProperty("/Background/<object>", "top_color", [0.06, 0.08, 0.14])
+    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.16, 0.20, 0.29])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
-    meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.2)
+    meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.6)
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model, flexible=True)
     scene_graph = builder.GetSubsystemByName("scene_graph")
@@ -192,10 +193,13 @@ def camera_pose(
             _outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())
         ]
     p_WP = np.concatenate(points)
-    center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
     right = np.cross([0.0, 0.0, 1.0], _VIEW) / np.linalg.norm(_VIEW[:2])
-    seen = (p_WP - center) @ np.array([right, np.cross(_VIEW, right), _VIEW]).T
-    distance = float((seen[:, 2] + np.abs(seen[:, :2]).max(axis=1) / _TANGENT).max())
+    axes = np.array([right, np.cross(_VIEW, right), _VIEW])
+    seen = p_WP @ axes.T
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    seen, center = seen - middle, middle @ axes
+    across = np.maximum(np.abs(seen[:, 0]) / _ASPECT, np.abs(seen[:, 1]))
+    distance = float((seen[:, 2] + across / _TANGENT).max())
     return center + distance * _VIEW, center
 
 

@@ -1,7 +1,7 @@
-"""A user-supplied controller, checked, run and compared with the paper's; the same from the shell:
+"""A control law of one's own, checked, run and compared with the paper's. From the shell, in the
+folder of this file:
 
-ffsm compare postcapture -c own_controller:MyPdPlus -c tde_aismc          (in the folder of this
-file)
+ffsm compare -c own_law:MyPdPlus -c tde_aismc
 """
 
 import dataclasses
@@ -35,15 +35,15 @@ class MyPdPlus(ffsm_drake.ControlLaw):
 
 def main():
     print(check_controller(MyPdPlus))
-    mine = ["controller=own_controller:MyPdPlus", "controllers.MyPdPlus.k_p.joints=20"]
+    mine = ["controller=own_law:MyPdPlus", "controllers.MyPdPlus.k_p.joints=20"]
     scenarios = [
         ffsm_drake.load_scenario("postcapture", overrides)
         for overrides in (mine, ["controller=tde_aismc"])
     ]
     records = [ffsm_drake.simulate(scenario) for scenario in scenarios]
     print(results_table(records))
-    ffsm_drake.write_outputs(records, "out/own_controller", figures=False)
-    print("Open out/own_controller/report.html.")
+    ffsm_drake.write_outputs(records, "out/own_law", figures=False)
+    print("Open out/own_law/report.html.")
 
 
 if __name__ == "__main__":

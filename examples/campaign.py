@@ -1,8 +1,8 @@
-"""A few dispersed cases, the same for two controllers; from the shell, with the specification in a
+"""A few dispersed cases, the same for two controllers. From the shell, with the specification in a
 file:
 
-ffsm campaign run small.yaml --database out/small_campaign/small.db
-ffsm campaign report out/small_campaign/small.db
+ffsm campaign run spec.yaml --database out/campaign/runs.db
+ffsm campaign report out/campaign/runs.db
 """
 
 import shutil
@@ -29,11 +29,11 @@ derive:
 
 
 def main():
-    folder = Path("out/small_campaign")
+    folder = Path("out/campaign")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    (folder / "small.yaml").write_text(SPEC)
-    database = ffsm_drake.run_campaign(folder / "small.yaml", folder / "small.db", workers=2)
+    (folder / "spec.yaml").write_text(SPEC)
+    database = ffsm_drake.run_campaign(folder / "spec.yaml", folder / "runs.db", workers=2)
     with open_store(database) as store:
         for controller, outcome, number in store.query(
             "SELECT controller, outcome, count(*) FROM results GROUP BY controller, outcome"
