@@ -2,6 +2,7 @@
 stages of sensing.
 """
 
+import numpy as np
 from pydrake.systems.framework import LeafSystem
 
 
@@ -70,4 +71,5 @@ class Irregular(Counting):
     """One without a period."""
 
     def _is_due(self, context):
-        return context.get_discrete_state(self._samples).value()[0] in (1, 3, 7, 15, 20, 26)
+        sample = int(context.get_discrete_state(self._samples).value()[0])
+        return np.random.default_rng(sample).random() < 0.3
