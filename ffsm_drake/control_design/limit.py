@@ -18,7 +18,7 @@ import dataclasses
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.linear_loop import STATIONARY, covariance_after
 from ffsm_drake.control_design.stability.linear_settings import smooth_sensing
@@ -72,9 +72,11 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
       demand: that of the scenario; None: it is computed.
 
     Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a
-    frame.
+    frame; FfsmError for a run of one control period, whose demand has no rate.
     """
     scenario = from_grasp(scenario)
+    if scenario.num_control_periods < 2:
+        raise FfsmError("the limit needs two control periods; lengthen duration")
     demand = make_demand(scenario) if demand is None else demand
     planned, step = PlannedDynamics(scenario), scenario.sample_time
     count = scenario.num_control_periods

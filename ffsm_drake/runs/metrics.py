@@ -190,7 +190,7 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     linear, angular = (dataset[f"{name}_momentum"].values for name in ("linear", "angular"))
     change = {"linear": linear - linear[0], "angular": angular - angular[0]}
     period = np.diff(dataset["time"].values)[:, None]
-    if len(period) < len(_RATE[0]) - 1:  # too short for the rates: the impulses are negligible
+    if not period.size:
         return change
     position = _of_base(dataset, "position", "position", along="position_name")
     velocity = _of_base(dataset, "velocity", "position")
@@ -247,7 +247,9 @@ def _integrals(values: np.ndarray, rates: np.ndarray, period: np.ndarray) -> np.
 
 
 def _rates(values: np.ndarray, period: np.ndarray) -> np.ndarray:
-    """Rates (n, 3) of values at equal periods (n - 1, 1), to fourth order."""
+    """Rates (n, 3) of values at equal periods (n - 1, 1), to fourth order if n permits."""
+    if len(values) < len(_RATE[0]):
+        return np.asarray(np.gradient(values, period[0, 0], axis=0))
     rates = np.empty_like(values)
     rates[2:-2] = values[:-4] - 8.0 * values[1:-3] + 8.0 * values[3:-1] - values[4:]
     for i, weights in enumerate(_RATE):

@@ -16,14 +16,16 @@ import msgpack
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from meshcat_page import resident
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.sync.client import connect
 
-from ffsm_drake import RunRecord
+from ffsm_drake import RunRecord, load_scenario
 from ffsm_drake.show.meshcat.controls import CODE, UNLOCK
 from ffsm_drake.show.meshcat.door import BadFrame, live_server, page_event
 from ffsm_drake.show.meshcat.interactive import PAUSE, start_button
 from ffsm_drake.show.meshcat.live import QUIT
+from ffsm_drake.show.meshcat.stage import set_stage
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text()
@@ -325,3 +327,34 @@ def test_a_page_of_ours_is_served_shown_and_heard(served):
         page.send(b"")
         with pytest.raises(ConnectionClosed, match="1008"):
             until_closed(page)
+
+
+PAGES = """
+import sys, msgpack
+from websockets.sync.client import connect
+
+url, count = sys.argv[1], int(sys.argv[2])
+for k in range(count):
+    with connect(
+        url.replace("http", "ws"), origin=url, compression=None, max_size=None, max_queue=None,
+        close_timeout=1.0,
+    ) as page:
+        page.recv(timeout=30.0)
+        if k % 5 == 0:
+            page.send(b"")
+        else:
+            page.send(msgpack.packb({"type": "button", "name": "nobody"}))
+            assert page.ping().wait(30.0)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
+def test_a_thousand_pages_need_no_more_memory_than_a_hundred(served):
+    meshcat, url = served
+    set_stage(meshcat, load_scenario("postcapture"))
+    sizes = []
+    for count in (100, 500, 500):
+        subprocess.run([sys.executable, "-c", PAGES, url, str(count)], check=True)
+        sizes.append(resident())
+    assert max(sizes) - sizes[0] < 5.0, sizes

@@ -7,13 +7,15 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
+import weakref
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from meshcat_page import ForeignPage, click, click_message, slider_message
+from meshcat_page import ForeignPage, click, click_message, resident, slider_message
 
 from ffsm_drake import RunRecord, load_scenario, make_true_plant, override_scenario, simulate
 from ffsm_drake.cli import main
@@ -351,6 +353,28 @@ def test_ctrl_c_between_two_controls_keeps_the_records(meshcat, scenario, monkey
 def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario, plain):
     (record,) = operate(meshcat, scenario, press(push_button("x")), press(PAUSE), start())
     assert record.dataset.identical(plain.dataset)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
+def test_a_hundred_restarts_need_no_more_memory_than_twenty(meshcat, scenario):
+    told, sizes, records = [], [], []
+
+    def keep(record):
+        sizes.append(resident())
+        assert not any(earlier() for earlier in records[:-1])  # the last one is still at hand
+        records.append(weakref.ref(record))
+
+    steps = [lambda _: dial(meshcat, told), *[start(), let_pass(25)] * 101]
+    meshcat.Delete()
+    hands = Hands(meshcat, *steps)
+    hands.latest += 300.0
+    kept = run_interactive(
+        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands,
+        keep=keep,
+    )  # fmt: skip
+    assert len(kept) == 101
+    assert max(sizes[20:]) - sizes[20] < 5.0, sizes
 
 
 def test_a_controller_that_cannot_be_loaded_is_one_line_on_the_panel(meshcat, scenario):

@@ -45,6 +45,7 @@ class Prediction:
         if not np.isfinite(force).all():  # it diverges without noise, too
             error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
         settled = np.arange(len(error)) * period > settled_after
+        settled[-1] = True  # of a shorter run, its last error
         of_noise = len(force) * self.noise_force**2
         return dataclasses.replace(
             self,

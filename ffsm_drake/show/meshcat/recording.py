@@ -131,13 +131,13 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     title = record.scenario.description or "Run"
     lines = [
         f"<b>{html.escape(title)}</b>",
-        f"{record.scenario.controller}: {html.escape(record.outcome.message)}",
+        html.escape(f"{record.scenario.controller}: {record.outcome.message}"),
     ]
     if record.grasp is not None and record.grasp["time"] > 0.0:
         lines.append(f"grasp at t = {record.grasp['time']:g} s")
     if view.deflections.legend:
         lines.append(view.deflections.legend)
-    lines += view.legend
+    lines += map(html.escape, view.legend)  # with names of the model
     if speed != 1.0:
         lines.append(f"{speed:g} times real time")
     if view.arrows is not None:
