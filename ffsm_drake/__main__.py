@@ -20,16 +20,22 @@ def main() -> None:
     except FileNotFoundError:  # Python itself may fail to import what follows
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
         os._exit(2)
+    import threading
+
     from ffsm_drake.cli import main as ffsm
-    from ffsm_drake.cli.common import end_threads, forgiving_stderr
+    from ffsm_drake.cli.common import end_threads, forgiving_stderr, show_life
 
     forgiving_stderr()
+    over = threading.Event()
+    threading.Thread(target=show_life, args=(over,), daemon=True).start()
     try:
         ffsm(prog_name="ffsm")
     except SystemExit as ending:
         end_threads(ending.code)
         ignore_signals()
         raise
+    finally:
+        over.set()
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import yaml
+from alone import CONTEXT
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.run import start_campaign
@@ -58,9 +58,9 @@ HERE = Workers(open=InThisProcess, in_flight=lambda: 1, renewable=False)
 
 
 def forked(count: int, *, in_flight: int) -> Workers:
-    """Processes that are copies of this one, which has loaded everything."""
+    """Processes that start with everything loaded."""
     return Workers(
-        open=lambda: ProcessPoolExecutor(count, mp_context=get_context("fork")),
+        open=lambda: ProcessPoolExecutor(count, mp_context=CONTEXT),
         in_flight=lambda: in_flight,
         renewable=True,
     )

@@ -12,6 +12,8 @@ from ffsm_drake.common.workers import ONE_THREAD
 
 os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
 
+from alone import rough_drawing
+
 from ffsm_drake import RunRecord, load_scenario, simulate
 
 EXAMPLES = str(Path(__file__).parents[1] / "examples")
@@ -57,19 +59,10 @@ def _run(name: str, *overrides: str) -> RunRecord:
 
 
 @pytest.fixture
-def rough_pictures(monkeypatch):
-    """Pictures of few pixels, whose layout is not computed: where only that they are drawn
-    counts.
-    """
-    from matplotlib.figure import Figure
-
-    save = Figure.savefig
-
-    def roughly(figure, path, **options):
-        figure.set_layout_engine("none")  # half the cost
-        save(figure, path, **{**options, "dpi": 20, "bbox_inches": None})
-
-    monkeypatch.setattr(Figure, "savefig", roughly)
+def rough_pictures():
+    """Pictures of few pixels: where only that they are drawn counts."""
+    with rough_drawing():
+        yield
 
 
 @pytest.fixture(autouse=True)

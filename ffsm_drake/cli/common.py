@@ -66,12 +66,13 @@ class _ForgivingStream:
     """A text stream that drops lines it cannot write: a full disk must not end a run."""
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+        self._stream, self.written = stream, time.monotonic()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
+        self.written = time.monotonic()
         with suppress(OSError):
             self._stream.write(text)
         return len(text)
@@ -87,6 +88,23 @@ def forgiving_stderr() -> None:
         # for the process's life
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = cast("TextIO", _ForgivingStream(sys.stderr))
+
+
+_LIVE = {"--live", "--controls", "--meshcat"}  # options of commands that wait for their user
+
+
+def show_life(over: threading.Event, *, first: float | None = None, then: float = 10.0) -> None:
+    """Say on standard error that the command goes on, whenever it was silent there for ``first`` s
+    (default: 2 on a terminal, elsewhere 10), from the second time on for ``then`` s; until it is
+    ``over``.
+    """
+    stream, begun = sys.stderr, time.monotonic()
+    silence = first or (2.0 if stream.isatty() else then)
+    while not _LIVE.intersection(sys.argv) and not over.wait(0.2 * silence):
+        now = time.monotonic()
+        if now - getattr(stream, "written", now) >= silence:
+            click.echo(f"{now - begun:4.0f} s: still at work", file=stream)
+            silence = then
 
 
 def end_threads(code: Any) -> None:

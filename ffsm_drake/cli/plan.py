@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ffsm_drake.cli.common import (
+    FiniteFloat,
     json_option,
     out_option,
     print_result,
@@ -22,14 +23,23 @@ if TYPE_CHECKING:
 @click.command()
 @scenario_options
 @out_option(help="Folder for plan.yaml and plan.png (default: out/<scenario>_plan).")
+@click.option(
+    "--time",
+    "time_limit",
+    type=FiniteFloat(min=0.0, min_open=True),
+    default=300.0,
+    show_default=True,
+    help="Seconds for the search; then the best so far counts, if it keeps every limit.",
+)
 @json_option
-def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
+def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: bool) -> None:
     """Plan the least-time or least-effort motion to rest within every limit.
 
-    'planning' in SCENARIO sets the goal. Takes seconds. Prints the plan's duration and effort, and
-    how near it comes to each limit. With reference.kind 'optimal' the plan is also written to the
-    file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps every
-    limit, and names the one in the way. Last stands what is expected of a run that follows it.
+    'planning' in SCENARIO sets the goal. Takes seconds to minutes. Prints the plan's duration and
+    effort, and how near it comes to each limit. With reference.kind 'optimal' the plan is also
+    written to the file that reference.plan names, and 'run' follows it. Exits with 2 when no motion
+    keeps every limit, and names the one in the way. Last stands what is expected of a run that
+    follows it.
 
     \b
     Examples:
@@ -48,7 +58,9 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     directory = out or Path("out") / f"{scenario_stem()}_plan"
     check_writable(directory)
     declared_gains(scenario)  # an unknown controller is refused before the search
-    found = plan_motion(scenario, progress=lambda line: click.echo(line, err=True))
+    found = plan_motion(
+        scenario, progress=lambda line: click.echo(line, err=True), time_limit=time_limit
+    )
     title = f"{scenario.description}\nMade by 'ffsm plan'; read by reference.plan."
     files = [directory / "plan.yaml"]
     named = scenario.reference.plan

@@ -14,10 +14,10 @@ import subprocess
 import sys
 import threading
 import time
-from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
+from alone import CONTEXT
 from campaign_tools import (
     HERE,
     count,
@@ -547,13 +547,13 @@ def test_an_address_that_is_none_is_refused_at_once(address, spec, tmp_path):
 def _never_ends():
     """Code that no Python exception can interrupt."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    pytest.MonkeyPatch().setattr("ffsm_drake.common.time_limit.GRACE", 0.1)
     with time_limit(0.1):
         time.sleep(1000.0)
 
 
-def test_a_worker_that_cannot_be_interrupted_is_ended(monkeypatch):
-    process = get_context("fork").Process(target=_never_ends)
-    monkeypatch.setattr("ffsm_drake.common.time_limit.GRACE", 0.1)
+def test_a_worker_that_cannot_be_interrupted_is_ended():
+    process = CONTEXT.Process(target=_never_ends)
     process.start()
     process.join(timeout=20.0)
     assert process.exitcode == 1

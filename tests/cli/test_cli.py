@@ -5,6 +5,8 @@ import json
 import re
 import subprocess
 import sys
+import threading
+import time
 from importlib.metadata import version
 
 import pytest
@@ -14,6 +16,7 @@ from matplotlib.image import imread
 
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.cli import main
+from ffsm_drake.cli.common import forgiving_stderr, show_life
 from ffsm_drake.control_design.stability import boundaries
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.scenario import shipped_scenarios
@@ -323,3 +326,19 @@ def test_stability_with_disk_margins():
     data = json.loads(ffsm("stability", *options, "--json").stdout)["disk"]
     assert data["names"][-1] == "joint_5"
     assert 0.0 < data["together"] <= min(data["alone"])
+
+
+@pytest.mark.parametrize(("first", "least"), [(0.1, 1), (60.0, 0)])
+def test_a_silent_command_says_that_it_goes_on(first, least, capsys, monkeypatch):
+    over = threading.Event()
+    monkeypatch.setattr(sys, "stderr", sys.stderr)
+    forgiving_stderr()
+    settings = {"first": first, "then": 60.0}
+    watcher = threading.Thread(target=show_life, args=(over,), kwargs=settings)
+    watcher.start()
+    time.sleep(0.5)
+    over.set()
+    watcher.join()
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == least
+    assert all(line.endswith("s: still at work") for line in lines)

@@ -3,9 +3,12 @@ planned.
 """
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.control_design.planning import PlanningError, plan_motion
@@ -226,6 +229,16 @@ def test_the_limit_in_the_way_is_named():
         plan_motion(
             load_scenario("planar_detumble", ["reference.duration=1.5", "planning.segments=5"])
         )
+
+
+@settings(derandomize=True, database=None, deadline=None, max_examples=3)
+@given(st.integers(8, 24), st.floats(0.01, 0.1))
+def test_a_search_ends_when_its_time_is_over(segments, seconds):
+    scenario = load_scenario("planar_detumble", [f"planning.segments={segments}"])
+    begun = time.process_time()
+    with pytest.raises(PlanningError, match=f"within {seconds:g} s of search; in the way: "):
+        plan_motion(scenario, time_limit=seconds)
+    assert time.process_time() - begun < seconds + 3.0
 
 
 def test_a_refused_plan_says_what_to_try():

@@ -1,4 +1,5 @@
-"""Hostile inputs tried in forked batches, so that an abort or a hang of one is seen and attributed.
+"""Hostile inputs tried in batches forked from a process with one thread (``alone``), so that an
+abort or a hang of one is seen and attributed.
 
 An input ends cleanly with a result or with an ``FfsmError`` of one line.
 """

@@ -1,9 +1,11 @@
 """Scenarios and URDFs made at random from good ones load, or are refused in one line."""
 
 import collections
+from pathlib import Path
 
 import pytest
 import yaml
+from alone import run_alone
 from fuzz.forked import drawn, unclean
 from fuzz.fuzz_inputs import mutated_bytes, mutated_data, mutated_urdf
 from hypothesis import strategies as st
@@ -81,8 +83,12 @@ HOSTILE_YAML = st.one_of(
 @pytest.mark.parametrize("area", ["urdf", "scenario"])
 def test_hostile_inputs_end_cleanly(area, count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    run_alone(inputs_end_cleanly, area, count)
+
+
+def inputs_end_cleanly(area, count):
     strategy, check = {
-        "urdf": (hostile_urdf(), load_urdf(tmp_path / "r.urdf")),
+        "urdf": (hostile_urdf(), load_urdf(Path("r.urdf").resolve())),
         "scenario": (HOSTILE_YAML, load_yaml),
     }[area]
     inputs = drawn(strategy, count)
@@ -92,15 +98,15 @@ def test_hostile_inputs_end_cleanly(area, count, tmp_path, monkeypatch):
     assert not found, f"{len(found)} of {len(inputs)}: {counts}; such as {examples}"
 
 
+def executed(given):
+    exec(given)
+
+
 @pytest.mark.smoke
 def test_what_is_unclean_is_seen():
     """An abort, a traceback, too much memory and a text of no line, each with its input."""
-
-    def check(given):
-        exec(given)
-
     inputs = ["1", "import os; os.abort()", "1 / 0", "bytearray(2**40)", "2"]
-    found = unclean(inputs, check)
+    found = run_alone(unclean, inputs, executed)
     assert found.keys() == {1, 2, 3}
     assert found[1] == "ended by SIGABRT"
     assert found[2].startswith("ZeroDivisionError")

@@ -1,6 +1,7 @@
 """From a scenario to a plan: first guess, solution, and how near the plan comes to every limit."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Iterator
 
@@ -73,19 +74,24 @@ class PlannedMotionReport:
 
 
 def plan_motion(
-    scenario: Scenario, *, progress: Callable[[str], None] = lambda line: None
+    scenario: Scenario,
+    *,
+    progress: Callable[[str], None] = lambda line: None,
+    time_limit: float = math.inf,
 ) -> PlannedMotionReport:
     """Plan the motion that ``scenario.planning`` asks for, with the nominal payload.
 
     Args:
       scenario: posture and velocity at the start, limits, goal.
       progress: called with a line about once a second.
+      time_limit: s of wall time for the search, after which the best so far counts if it keeps
+        every limit.
 
     Raises:
       PlanningError: no motion keeps every limit, or none was found; names the limit in the way.
       ModelError, ScenarioError: the model or a value cannot be used.
     """
-    planner = _Planner(scenario, progress)
+    planner = _Planner(scenario, progress, time_limit)
     planner.check_momentum()
     planner.check_ends()
     return planner.plan()
@@ -94,8 +100,11 @@ def plan_motion(
 class _Planner:
     """The steps of planning one motion."""
 
-    def __init__(self, scenario: Scenario, progress: Callable[[str], None]) -> None:
+    def __init__(
+        self, scenario: Scenario, progress: Callable[[str], None], time_limit: float
+    ) -> None:
         self._begun, self._evaluations = time.perf_counter(), 0
+        self._time_limit = time_limit
         self._scenario, self._progress = scenario, progress
         model = self._model = make_nominal_plant(scenario)
         self._limits = motion_limits(scenario, model)
@@ -173,8 +182,14 @@ class _Planner:
             if not found.exceeded:
                 return self._settled(found)
             failures.append((said, found))
+            if self._is_over:
+                break
             self._progress(f"first guess {len(failures)}: {said}")
         raise PlanningError(self._why_not(failures))
+
+    @property
+    def _is_over(self) -> bool:
+        return time.perf_counter() - self._begun > self._time_limit
 
     def _problem(self, dynamics: InverseDynamics | FreeDynamics) -> PlanningProgram:
         scenario, driven = self._scenario, self._model.coordinates.driven
@@ -190,7 +205,7 @@ class _Planner:
             dynamics=dynamics, planning=scenario.planning, limits=self._limits.of(driven),
             start=start, rate=self._rate[driven], goal=goal, shortest=scenario.sample_time,
             longest=self._longest, clearance=self._clearance if scenario.clearance > 0.0 else None,
-            distance=scenario.clearance, report=report,
+            distance=scenario.clearance, report=report, is_over=lambda: self._is_over,
         )  # fmt: skip
 
     def _driven_ends(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -250,7 +265,8 @@ class _Planner:
             unknowns, said = problem.solve(unknowns, moving=attempt == 0)
             self._evaluations = before + problem.evaluations
             found = self._evaluated(self._plan_of(unknowns))
-            if not found.exceeded or said == "InfeasibleConstraints" or attempt == _ATTEMPTS - 1:
+            is_last = attempt == _ATTEMPTS - 1 or self._is_over
+            if not found.exceeded or said == "InfeasibleConstraints" or is_last:
                 break
             driven = self._model.coordinates.driven
             used = {margin.quantity: margin for margin in found.margins}
@@ -388,6 +404,11 @@ class _Planner:
             (margin for _, found in failures for margin in found.exceeded),
             key=lambda margin: margin.excess / max(abs(margin.limit), 1e-3),
         )
+        if self._is_over:
+            return (
+                f"no plan that keeps every limit within {self._time_limit:g} s of search; in the "
+                f"way: {worst}; give it more time, or fewer planning.segments"
+            )
         segments = self._scenario.planning.segments
         more = min(2 * segments, _MOST_SEGMENTS)
         segments = more if more > segments else segments // 2

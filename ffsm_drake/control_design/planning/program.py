@@ -47,7 +47,7 @@ _OPTIONS = {"Major iterations limit": 1000, "Iterations limit": 100_000, "Hessia
 
 
 class _NoGainError(Exception):
-    """The solver has stopped gaining."""
+    """The solver has stopped gaining, or its time is over."""
 
 
 class PlanningProgram:
@@ -67,13 +67,16 @@ class PlanningProgram:
         clearance: Clearance | None,
         distance: float,
         report: Callable[[int, float, float], None],
+        is_over: Callable[[], bool],
     ) -> None:
         """Args: dynamics and limits of z alone; z and its rate at the start, z at the end (None:
         anywhere); least length of a segment and largest duration, s; distance to keep, m;
-        ``report`` is called with evaluations, duration and the largest share of a force limit.
+        ``report`` is called with evaluations, duration and the largest share of a force limit;
+        ``is_over`` says when a search is to end with its best.
         """
         self._dynamics, self._planning, self._limits = dynamics, planning, limits
         self._report, self._reported = report, time.monotonic()
+        self._is_over = is_over
         self.evaluations = 0
         self._size, self._count = start.size, planning.segments + DEGREE
         self._cache: tuple[bytes, np.ndarray, np.ndarray] = (b"", np.empty(0), np.empty(0))
@@ -486,7 +489,8 @@ class PlanningProgram:
             self._best, self._least = x.copy(), merit
         if merit < self._mark * (1.0 - _GAIN):
             self._mark, self._gained = merit, self.evaluations
-        if self.evaluations > min(self._gained + _PATIENCE, self._begun + _MOST):
+        is_stuck = self.evaluations > min(self._gained + _PATIENCE, self._begun + _MOST)
+        if is_stuck or self._is_over():
             raise _NoGainError
 
 

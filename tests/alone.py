@@ -1,0 +1,43 @@
+"""Processes with one thread, from which a test may fork: forks of a process with several may
+deadlock.
+"""
+
+import contextlib
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+import pytest
+
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(
+    ["ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
+     "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
+     "ffsm_drake.show.meshcat", "hypothesis", "pytest"]
+)  # fmt: skip
+
+
+@contextlib.contextmanager
+def rough_drawing():
+    """Pictures of few pixels, whose layout is not computed."""
+    from matplotlib.figure import Figure
+
+    save = Figure.savefig
+
+    def roughly(figure, path, **options):
+        figure.set_layout_engine("none")  # half the cost
+        save(figure, path, **{**options, "dpi": 20, "bbox_inches": None})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", roughly)
+        yield
+
+
+def run_alone(function, *arguments):
+    """What a function of a module returns, or raises, in such a process, in this folder."""
+    with ProcessPoolExecutor(1, mp_context=CONTEXT) as pool:
+        return pool.submit(_drawn_roughly, function, *arguments).result()
+
+
+def _drawn_roughly(function, *arguments):
+    with rough_drawing():
+        return function(*arguments)
