@@ -97,11 +97,11 @@ class GraspLog:
         velocity: np.ndarray,
     ) -> dict[str, Any]:
         """Servicer and target together, and the servicer's velocity, on one side of the grasp."""
-        stored = np.zeros(3) if self.stored is None else self.stored
         return {
             "linear_momentum": momentum[3:].tolist(),  # N s
-            "angular_momentum": (momentum[:3] + stored).tolist(),  # about the origin, N m s
-            "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
+            # of the bodies, without what actuators store, N m s
+            "angular_momentum": momentum[:3].tolist(),  # about the origin
+            "spin": spin.tolist(),  # about the centre of mass
             "kinetic_energy": energy,  # J
             "velocity": dict(zip(coordinates.names, velocity.tolist(), strict=True)),
         }

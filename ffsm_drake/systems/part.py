@@ -300,7 +300,7 @@ class Load:
     groups: Mapping[str, GroupLoad]  # by group, of those with a limit
     slower: Advice | None  # a longer motion, where that takes less of the limit
     softer: Mapping[str, Advice]  # by group: smaller gains, where they are too large
-    other_law: Advice | None  # without an integral, where the law has one
+    other_law: Advice | None  # one without an integral, where the law has one
 
     def advice(self, *groups: str) -> Iterator[Advice]:
         """What helps actuators of some groups."""

@@ -55,9 +55,8 @@ def test_it_settles_at_every_rate_with_either_law():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [3.0, 8.0])
-def test_no_false_alarm(rate):
-    found = verdict(mission(rate), margins=True)
+def test_no_false_alarm():
+    found = verdict(mission(8.0), margins=True)
     assert found.conclusion.startswith("expected to go as planned")
     assert found.margins.verdict.startswith("stable with its actuators: ")
 
@@ -132,7 +131,7 @@ def test_nothing_is_said_of_actuators_that_have_room():
 
 
 @pytest.mark.slow
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=4, deadline=None, derandomize=True)
 @given(numbers=crafts)
 def test_following_what_helps_makes_a_craft_settle(numbers):
     record = simulate(scenario := craft(**numbers), check_stability=False)

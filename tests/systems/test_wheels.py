@@ -249,7 +249,7 @@ def test_any_torque_is_given_within_the_limits_or_is_none(torque, size):
         zip(base.sizes, np.split(found, np.cumsum([*base.sizes.values()])[:-1]), strict=True)
     )
     limit = max(unit.torque_limit for unit in scenario.wheels.units.values())
-    if np.isfinite(commanded).all():
+    if (np.abs(commanded) < 1e300).all():
         assert np.abs(parts["wheel_torque"]).max() <= limit
     else:
         assert not np.isfinite(parts["applied_force"]).all()

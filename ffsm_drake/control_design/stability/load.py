@@ -72,7 +72,7 @@ def advice(
     if not parts or scenario.blocks.reference is not None:
         return ()
     load = _base_load(timed(scenario))
-    found = {str(each): each for part in parts for each in part.advice(scenario, load)}
+    found = {str(each): each for part in parts[::-1] for each in part.advice(scenario, load)}
     return tuple(sorted(found.values(), key=lambda each: "controller" in each.changes))
 
 
@@ -158,7 +158,7 @@ def _softer(
     """
     law: Any = controller_factory(scenario)
     unit = law.gains_for(1.0, 1.0) if hasattr(law, "gains_for") else {}
-    if not unit:
+    if "k_d" not in unit or (law.chooses_k_s and "k_s_max" not in unit):
         return
     given = gain_vectors(scenario, coordinates)
     for group, load in groups.items():
@@ -184,7 +184,11 @@ def _softer(
                 )
         if reasons:
             values = law.gains_for(omega, _rounded(k_s))
-            changes = [_changed_gain(scenario, name, group, x) for name, x in values.items()]
+            changes = [
+                _changed_gain(scenario, name, group, value)
+                for name, value in values.items()
+                if not np.allclose(given[name][own], value, rtol=1e-3)
+            ]
             yield group, Advice(changes=dict(changes), reason="; ".join(reasons))
 
 

@@ -32,7 +32,9 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
             [f"{title} [{unit}]", _vector(before[key]), _vector(after[key]), number(change, 2)]
         )
     if stored := grasp.get("stored_momentum"):
-        rows.append(["of which stored in actuators [N m s]", _vector(stored), _vector(stored), "0"])
+        rows.append(
+            ["Beside it, stored in actuators [N m s]", _vector(stored), _vector(stored), "0"]
+        )
     lost = before["kinetic_energy"] - after["kinetic_energy"]
     rows.append(
         [

@@ -464,11 +464,11 @@ class ReactionWheels(Part):
 
     def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
         """The thrusters' help, and what helps any actuator of the base's rotation."""
-        if scenario.actuation.thrusters is not None and not self.is_helped:
-            most = load.groups["base_rotation"].limit
+        given = load.groups.get("base_rotation")
+        if given is not None and scenario.actuation.thrusters is not None and not self.is_helped:
             yield Advice(
                 changes={"actuation.wheels.assist_above": 1.0},
-                reason=f"thrusters give the torque beyond the wheels' {most:.3g} N m",
+                reason=f"thrusters give the torque beyond the wheels' {given.limit:.3g} N m",
             )
         yield from load.advice("base_rotation")
 
