@@ -91,23 +91,32 @@ def run_clearance(record: RunRecord) -> list[Closest]:
             np.unique(np.linspace(0, samples.size - 1, 2 * INSTANTS - 1).round().astype(int))
         ]
         part, target = data.isel(time=chosen), None
+        hidden = part["hidden_position"].values if "hidden_position" in part else None
         if phase == "approach":
             target = np.hstack([part["target_quaternion"].values, part["target_position"].values])
         found += closest_of(
-            record.scenario, part["time"].values, part["position"].values, target=target
+            record.scenario,
+            part["time"].values,
+            part["position"].values,
+            target=target,
+            hidden=hidden,
         )
     return found
 
 
 def closest_of(
-    scenario: Scenario, times: np.ndarray, q: np.ndarray, *, target: np.ndarray | None = None
+    scenario: Scenario,
+    times: np.ndarray,
+    q: np.ndarray,
+    *,
+    target: np.ndarray | None = None,
+    hidden: np.ndarray | None = None,
 ) -> Iterator[Closest]:
     """The smallest distance in configurations (n, nq), before a grasp with the target at poses
-    (n, 7); nothing if no parts can meet.
+    (n, 7), with deflections (n, nh), by default none; nothing if no parts can meet.
     """
     clearance = _shapes(scenario, apart=None if target is None else scenario.payload.body)
-    if target is not None:
-        q = np.hstack([q, target])
+    q = np.hstack([q, *(part for part in (target, hidden) if part is not None)])
     if clearance.pairs and np.isfinite(q).all(axis=1).any():
         approach = clearance.along(q)
         nearest, time = approach.nearest, float(times[approach.index])
@@ -125,7 +134,9 @@ def _shapes(scenario: Scenario, *, apart: str | None = None) -> Clearance:
 @memoized(maxsize=4)  # a campaign asks after every run, and loading takes longer than looking
 def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
     """The shapes of a model; ``files`` are part of the key."""
-    return Clearance(model) if apart is None else ApproachClearance(model, apart)
+    if apart is None:
+        return Clearance(model, flexible=True)
+    return ApproachClearance(model, apart, flexible=True)
 
 
 def clearance_remarks(
@@ -196,12 +207,14 @@ def limits_left(log: RunLog) -> dict[str, float]:
 
 
 def _first_too_near(log: RunLog, clearance: Clearance, q: np.ndarray) -> float | None:
-    """When parts in configurations (n, nq) first came nearer to each other than the scenario's
-    clearance, s.
+    """When parts in configurations (n, nq), deflected as logged, first came nearer to each other
+    than the scenario's clearance, s.
     """
     first = 0 if log.grasp is None else log.grasp.sample
     if not clearance.pairs or log.time.size <= first:
         return None
+    if "hidden_state" in log.series:
+        q = np.hstack([q, np.split(log.series["hidden_state"], 2, axis=1)[0]])
     for sample in np.unique(np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)):
         near = np.isfinite(log.series["state"][sample]).all() and (
             clearance.nearest(q[sample]).distance < log.scenario.clearance

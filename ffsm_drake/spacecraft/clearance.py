@@ -4,7 +4,9 @@ The shapes are collision geometry, or visual geometry of a model (servicer, targ
 mesh counts by its convex hull. Left out are parts fixed to each other (the target and the gripper),
 parts connected by a joint, and parts with few joints between them that are always near each other,
 as the links of a wrist. Before a grasp the target is a separate body, which over the last decimetre
-may touch the gripper and what is left out once it is held.
+may touch the gripper and what is left out once it is held. A flexible panel counts by its plates,
+with their deflections, but not against the body that carries it; what the model draws of it on that
+body counts where it is at rest.
 """
 
 import dataclasses
@@ -25,6 +27,7 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import joints_of
+from ffsm_drake.spacecraft.flexible import HIDDEN, flexible_bodies
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     add_combined_plant,
@@ -61,20 +64,28 @@ class Approach:
 
 
 class Clearance:
-    """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad."""
+    """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad.
 
-    def __init__(self, model: Model, *, apart: str | None = None) -> None:
+    Configurations are the spacecraft's, then the pose of a body that is apart, then deflections;
+    without the last, flexible parts are at rest.
+    """
+
+    def __init__(self, model: Model, *, apart: str | None = None, flexible: bool = False) -> None:
         """Load the model.
 
         Args:
           model: the model.
           apart: body (scoped name) not grasped yet, whose pose then follows the configuration.
+          flexible: with the plates of flexible panels.
 
         Raises:
           ModelError: the model does not load, or Drake cannot measure one of its shapes.
         """
         builder = DiagramBuilder()
-        self.plant: MultibodyPlant = add_combined_plant(builder, model, apart=apart)
+        self.plant: MultibodyPlant = add_combined_plant(
+            builder, model, apart=apart, flexible=flexible
+        )
+        self._places = _places_in(self.plant)
         scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
         source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
         try:
@@ -84,10 +95,12 @@ class Clearance:
                 for shape in inspector.GetAllGeometryIds(role)
             }
             collide = {instance[s] for s in inspector.GetAllGeometryIds(Role.kProximity)}
+            is_plate = {body.index(): plate for body, plate in flexible_bodies(self.plant, model)}
             for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
                 shape = inspector.GetShape(geometry)
+                body = self.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
                 measured = not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED
-                if measured and instance[geometry] not in collide:
+                if measured and is_plate.get(body.index(), instance[geometry] not in collide):
                     scene_graph.AssignRole(source, geometry, ProximityProperties())
             self._diagram = builder.Build()
         except DRAKE_ERRORS as error:
@@ -119,11 +132,13 @@ class Clearance:
             manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
 
     def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
-        """The smallest distance in configuration q (nq), if below ``below`` (m).
+        """The smallest distance in configuration q (n), if below ``below`` (m).
 
         A smaller ``below`` is faster.
         """
-        self.plant.SetPositions(self.plant_context, q)
+        whole = np.zeros(self._places.size)
+        whole[self._places[: q.size]] = q
+        self.plant.SetPositions(self.plant_context, whole)
         found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(below)
         if met := self._may_touch():
             found = [
@@ -164,8 +179,13 @@ class Clearance:
                 part_of |= {each.index(): number for each in plant.GetBodiesWeldedTo(body)}
         # rigid part -> the parts beyond its joints
         joints_at: dict[int, list[tuple[int, Joint]]] = {}
-        for joint in joints_of(plant):
+        for joint in sorted(joints_of(plant), key=_is_known):
             ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
+            if not _is_known(joint):  # a flexible part belongs to what carries it
+                part_of = {
+                    body: ends[0] if part == ends[1] else part for body, part in part_of.items()
+                }
+                continue
             for here, there in (ends, ends[::-1]):
                 joints_at.setdefault(here, []).append((there, joint))
         pairs = []
@@ -222,15 +242,25 @@ class Clearance:
         return True
 
 
+def _is_known(joint: Joint) -> bool:
+    return not joint.name().startswith(HIDDEN)
+
+
+def _places_in(plant: MultibodyPlant) -> np.ndarray:
+    """Of each entry of a configuration its place in the plant's q: deflections come last."""
+    hidden = [each.position_start() for each in joints_of(plant) if not _is_known(each)]
+    return np.r_[np.setdiff1d(np.arange(plant.num_positions()), hidden), hidden].astype(int)
+
+
 class ApproachClearance(Clearance):
     """Clearance before the grasp.
 
     Configurations are the servicer's, then the target's pose (quaternion, position).
     """
 
-    def __init__(self, model: Model, target: str) -> None:
+    def __init__(self, model: Model, target: str, *, flexible: bool = False) -> None:
         """Args: the model; scoped name of the target. Errors as ``Clearance``."""
-        super().__init__(model, apart=target)
+        super().__init__(model, apart=target, flexible=flexible)
         held = make_plant(model)
         frame = find_frame(held, model.end_effector, key="model.end_effector")
         body = find_body(held, target, key="payload.body")

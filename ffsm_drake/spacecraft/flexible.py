@@ -122,6 +122,16 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
                 at, X_AB = link.body_frame(), RigidTransform()
 
 
+def flexible_bodies(plant: MultibodyPlant, model: Model) -> Iterator[tuple[RigidBody, bool]]:
+    """The bodies that ``add_flexible`` added, each with whether it is a panel's plate."""
+    if plant.HasModelInstanceNamed(_INSTANCE):
+        instance = plant.GetModelInstanceByName(_INSTANCE)
+        for name, part in model.flexible.items():
+            if part.kind not in _OF_A_JOINT:
+                for label in labels_of(name, part):
+                    yield plant.GetBodyByName(label, instance), part.kind == "panel"
+
+
 def lock_joints(plant: MultibodyPlant, model: Model) -> None:
     """Fix the joints that only the true plant has, at zero, before it is finalized.
 

@@ -132,3 +132,26 @@ def test_a_target_apart_is_measured_where_it_is():
     # at the grasp the fingers reach 45 mm around the ring
     assert away.distance == pytest.approx(0.2 - 0.045, abs=0.01)
     assert apart.nearest(pose([0.0, 0.0, -0.15])).distance < -0.05
+
+
+def test_a_flexible_panel_counts_where_it_is_deflected():
+    """A panel upright beside the arm: swung to the arm it meets it, swung away it leaves it; the
+    body that carries it does not count.
+    """
+    panel = {"position": [0, 0.9, 1.0], "direction": [0, 0, 1], "axis": [1, 0, 0]}
+    flexible = {"mast": {**panel, "mass": 4.0, "frequency": 0.5, "length": 2.0, "plates": 2}}
+    scenario = load_scenario("postcapture", [{"model": {"flexible": flexible}}])
+    clearance = Clearance(scenario.model, flexible=True)
+    rigid = Clearance(scenario.model)
+    pairs = {pair for pair in names(clearance) if pair & {"mast_1", "mast_2"}}
+    assert pairs == names(clearance) - names(rigid)
+    assert all("base" not in pair and pair != {"mast_1", "mast_2"} for pair in pairs)
+    q = np.r_[1.0, np.zeros(11)]  # the arm straight up
+    distance = {
+        angle: clearance.nearest(np.r_[q, angle, 0.0]) for angle in (-0.5, -0.2, 0.0, 0.2, 0.5)
+    }
+    towards = min(distance, key=lambda angle: distance[angle].distance)
+    assert distance[towards].distance < 0.0
+    assert {distance[towards].first, distance[towards].second} & {"mast_1", "mast_2"}
+    assert distance[-towards].distance > distance[towards].distance + 0.1
+    assert clearance.nearest(q) == clearance.nearest(np.r_[q, 0.0, 0.0])  # at rest by default

@@ -114,6 +114,10 @@ class _Planner:
         self._target = None if scenario.reference.goal == "stop" else target
         self._rate = velocity_at_start(scenario, model)
         self._dynamics = InverseDynamics(model, RotationMatrix(Quaternion(self._start[:4])))
+        if scenario.reference.frame is not None:
+            raise ScenarioError(
+                "reference.frame", "has no effect on a plan, which ends at a posture; leave it out"
+            )
         if scenario.reference.duration is None:
             raise ScenarioError(
                 "reference.duration", "is auto; a plan needs the longest time that it may take, s"

@@ -1,0 +1,234 @@
+"""Missions put together from capabilities: one value of each factor, as overrides of a scenario."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import outside_urdfs
+from outside_urdfs import BOX, joint, link, robot, rod
+
+from ffsm_drake.control_design.first_scenario import new_scenario
+
+ROOT = Path(__file__).parents[2]
+
+# The first value of each factor is the plain one.
+FACTORS = {
+    "spacecraft": ("shipped", "own servicer", "own servicer and target", "generated servicer"),
+    "law": ("proposed", "tdc", "own law", "task-space law"),
+    "estimator": ("kalman", "one_sample", "coupled"),
+    "sensors": ("noisy", "flight", "late", "own sensor"),
+    "base actuators": ("ideal", "thrusters", "wheels", "thrusters and wheels", "own actuator"),
+    "joint actuators": ("ideal", "drives"),
+    "flexible": ("none", "panels", "slosh"),
+    "orbit": ("none", "orbit"),
+    "start": ("held", "capture from the grasp", "capture with approach"),
+    "motion": ("polynomial", "shaped", "frame", "plan"),
+    "driven": ("all", "base rotation and joints", "joints"),
+    "command filter": ("none", "command filter"),
+    "command": ("run", "stability", "design", "plan", "compare", "campaign", "replay"),
+}
+PLAIN = {factor: values[0] for factor, values in FACTORS.items()}
+
+_UNDRIVEN = ("base rotation and joints", "joints")
+# Combinations that are refused: what the one line names, beside the rows of docs/combinations.md.
+REFUSED = {
+    frozenset(combination.items()): names
+    for combination, names in (
+        ({"estimator": "coupled", "sensors": "late"}, ("coupled", "late")),
+        *(
+            ({"base actuators": actuators, "driven": driven}, ("driven", actuators.split()[0]))
+            for actuators in ("thrusters", "wheels", "thrusters and wheels")
+            for driven in _UNDRIVEN
+            if (actuators, driven) != ("wheels", "base rotation and joints")
+        ),
+        ({"start": "capture with approach", "motion": "frame"}, ("approach", "frame")),
+        *(
+            ({"start": "capture with approach", "driven": driven}, ("approach", "driven"))
+            for driven in _UNDRIVEN
+        ),
+        ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
+        ({"motion": "frame", "command": "plan"}, ("reference.frame", "plan")),
+        *(
+            (
+                {"start": "capture from the grasp", "driven": "joints", **planned},
+                ("actuation.driven", "momentum"),
+            )
+            for planned in ({"motion": "plan"}, {"command": "plan"})
+        ),
+    )
+}
+
+APPROACH = 6.0  # s
+MOTION = 10.0
+HOLD = 2.0
+OMEGA = 3.0  # rad/s, of every law
+_ERRORS = {"k_p": OMEGA**2, "k_d": 2.0 * OMEGA}
+_FRAME = {
+    f"k_{which}_{what}": _ERRORS[f"k_{which}"]
+    for which in "pd"
+    for what in ("rotation", "position")
+}
+_AXES = ([1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1])
+_PANEL = {"mass": 4.0, "frequency": 0.5, "damping_ratio": 0.01}
+_LAWS = {
+    "proposed": "tde_aismc",
+    "tdc": "tdc",
+    "own law": "own_controller:MyPdPlus",
+    "task-space law": "task_time_delay",
+}
+
+
+def _always(scenario):
+    """What every mission has: a short motion nearby, gains that suit all sensors."""
+    start = scenario.initial_posture.joints
+    near = {name: angle + 0.15 * (-1) ** k for k, (name, angle) in enumerate(start.items())}
+    at_origin = {"base_position": [0.0, 0.0, 0.0], "base_rpy": [0.0, 0.0, 0.0]}
+    return {
+        "duration": MOTION + HOLD,
+        "tolerance": {"all": 0.03},
+        "initial_posture": at_origin,
+        "target_posture": {**at_origin, "joints": near},
+        "reference": {"duration": MOTION, "base_rotation": "eigenaxis"},
+        "disturbance": {"amplitude_scale": 0.2},
+        "python_path": [str(ROOT / "examples"), str(ROOT / "tests")],
+        "controllers": {
+            "tde_aismc": {**_ERRORS, "k_s_initial": 0.5, "k_s_max": 0.5, "g_initial": 0.0},
+            "tdc": _ERRORS,
+            "task_time_delay": {**_FRAME, "k_p_plan": OMEGA**2, "k_d_plan": 2.0 * OMEGA},
+        },
+        "planning": {"segments": 4, "time_weight": 0.0, "effort_weight": 1.0},
+    }  # fmt: skip
+
+
+_NOISY = {"position_noise": 1e-6, "velocity_noise": 1e-6}
+_FLIGHT = {
+    "position_noise": {"base_position": 1e-3, "base_rotation": 5e-5, "joints": 1e-5},
+    "velocity_noise": {"base_position": 1e-3, "base_rotation": 1.5e-5, "joints": 1e-4},
+}
+_SENSORS = {
+    "noisy": {"sensing": _NOISY},
+    "flight": {"sensing": _FLIGHT},
+    "late": {
+        "sensing": {
+            **_FLIGHT,
+            **{f"{of}_period": {"base_position": 5} for of in ("position", "velocity")},
+            **{f"{of}_delay": {"base_position": 3} for of in ("position", "velocity")},
+        }
+    },
+    "own sensor": {"sensing": _NOISY, "blocks": {"sensing": {"tracker": "slow_tracker:Held"}}},
+}  # fmt: skip
+_WHEELS = {
+    f"wheel_{k}": {"axis": axis, "inertia": 0.08, "torque_limit": 8.0, "speed_limit": 628.0}
+    for k, axis in enumerate(_AXES, start=1)
+}
+_BASE_ACTUATORS = {
+    "thrusters": {"actuation": {"thrusters": {"layout": "16x22N"}}},
+    "wheels": {"actuation": {"wheels": {"units": _WHEELS}}},
+    "thrusters and wheels": {
+        "actuation": {"thrusters": {"layout": "12x5N"}, "wheels": {"units": _WHEELS}}
+    },
+    "own actuator": {
+        "blocks": {
+            "actuation": {
+                "system": "own_actuator:Magnetorquers", "settings": {"largest_dipole": 1e5}
+            }
+        }
+    },
+}  # fmt: skip
+_DRIVEN = {"base rotation and joints": ["base_rotation", "joints"], "joints": ["joints"]}
+
+
+def overrides_of(row, scenario, plan):
+    """The mission of a row, as overrides of its spacecraft's scenario and a plan's file."""
+    parts = [_always(scenario), {"controller": _LAWS[row["law"]]}, _SENSORS[row["sensors"]]]
+    parts += [{"estimator": _estimator(row)}, _BASE_ACTUATORS.get(row["base actuators"], {})]
+    parts += [_start(row, scenario), _motion(row, scenario, plan)]
+    if row["joint actuators"] == "drives":
+        parts.append(
+            {
+                "actuation": {
+                    "drives": {"rotor_inertia": {"joints": 1e-4}, "gear_ratio": {"joints": 100.0}}
+                }
+            }
+        )
+    if row["flexible"] == "panels":
+        sides = {"port": [0, 1, 0], "starboard": [0, -1, 0]}
+        panels = {name: {"position": at, "direction": at, **_PANEL} for name, at in sides.items()}
+        parts.append({"model": {"flexible": panels}})
+    if row["flexible"] == "slosh":
+        tank = {
+            "kind": "pendulum",
+            "mass": 3.0,
+            "length": 0.3,
+            "stiffness": 0.5,
+            "damping_ratio": 0.02,
+        }
+        parts.append({"model": {"flexible": {"tank": tank}}})
+    if row["orbit"] == "orbit":
+        parts.append({"environment": {"altitude": 500e3}})
+    if row["driven"] != "all":
+        parts.append({"actuation": {"driven": _DRIVEN[row["driven"]]}})
+    if row["command filter"] != "none":
+        parts.append({"command_filter": {"low_pass": {"all": 20.0}}})
+    return parts
+
+
+def _estimator(row):
+    kind = row["estimator"]
+    if kind == "one_sample":
+        return {"kind": kind}
+    walk = {"base_position": 5e-4, "base_rotation": 5e-4, "joints": 2e-3}
+    noises = {name: {**_FLIGHT[name]} for name in ("position_noise", "velocity_noise")}
+    return {"kind": kind, "walk": walk, **noises}
+
+
+def _start(row, scenario):
+    if row["start"] == "held":
+        return {}
+    rate = [math.radians(each) for each in (0.6, 0.48, 0.64)]
+    capture = {"rate": rate, "axes": "target", "servicer": "rest"}
+    if row["start"] == "capture from the grasp":
+        return {"capture": capture}
+    joints = {name: angle + 0.1 for name, angle in scenario.initial_posture.joints.items()}
+    envelope = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
+    capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
+    return {"capture": {**capture, "envelope": envelope}, "duration": APPROACH + MOTION + HOLD}
+
+
+def _motion(row, scenario, plan):
+    if row["motion"] == "shaped":
+        return {"reference": {"shaper": {"frequencies": [0.5]}}}
+    if row["motion"] == "frame":
+        return {"reference": {"frame": {"task": "position"}}}
+    if row["motion"] == "plan":
+        return {"reference": {"kind": "optimal", "plan": str(plan)}}
+    return {}
+
+
+def generated_servicer(seed=0):
+    """A random arm of seven joints on a box, of links of random lengths along random axes."""
+    random = np.random.default_rng(seed)
+    turn = 'lower="-2.9" upper="2.9" effort="80" velocity="1.5"'
+    parts, parent, height = [link("bus", **BOX)], "bus", 0.6
+    axes = ("0 0 1", "0 1 0", "1 0 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
+    for k, axis in enumerate(axes, start=1):
+        length = float(random.uniform(0.15, 0.5))
+        parts.append(rod(f"part_{k}", length, 10.0 * length + 2.0))
+        parts.append(
+            joint(f"turn_{k}", parent, f"part_{k}", axis=axis, xyz=f"0 0 {height}", limit=turn)
+        )
+        parent, height = f"part_{k}", length
+    return robot(*parts, name="generated")
+
+
+def spacecraft_of(value, folder):
+    """The scenario, a shipped name or a file, of a value of the factor ``spacecraft``."""
+    if value == "shipped":
+        return "postcapture"
+    target = value == "own servicer and target"
+    text = generated_servicer() if value == "generated servicer" else outside_urdfs.six_joints()
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "arm.urdf").write_text(text)
+    (folder / "target.urdf").write_text(outside_urdfs.stage())
+    options = {"target": folder / "target.urdf"} if target else {}
+    return new_scenario(folder / "arm.urdf", folder / "made", **options).scenario_file

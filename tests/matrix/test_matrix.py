@@ -1,0 +1,150 @@
+"""Capabilities in pairs: every pair of values of two factors (``missions.FACTORS``) occurs in a
+mission that works as foreseen, or is refused in one line that names both.
+"""
+
+import re
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from covering import allowed_pairs, covering_array, pairs_of
+from missions import FACTORS, PLAIN, REFUSED, ROOT, overrides_of, spacecraft_of
+
+from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.cli import main
+from ffsm_drake.control_design.planning import plan_motion
+from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.scenario import scenario_to_yaml
+
+ROWS = covering_array(FACTORS, REFUSED)
+_QUICK = ("law", "estimator", "start", "driven")
+QUICK = covering_array({name: FACTORS[name] for name in _QUICK}, REFUSED)[:6]
+
+
+@pytest.fixture(scope="session")
+def workshop(tmp_path_factory):
+    """Makes a row's mission; spacecraft and plans are kept."""
+    folder, spacecraft, plans = tmp_path_factory.mktemp("matrix"), {}, {}
+
+    def spacecraft_file(row):
+        name = row["spacecraft"]
+        if name not in spacecraft:
+            spacecraft[name] = spacecraft_of(name, folder / name.replace(" ", "_"))
+        return spacecraft[name]
+
+    def plan_file(row):
+        key = row["spacecraft"], row["start"], row["driven"]
+        if row["motion"] == "plan" and key not in plans:
+            alike = dict(zip(("spacecraft", "start", "driven"), key, strict=True))
+            file = folder / f"{len(plans)}.plan.yaml"
+            plan_motion(mission({**PLAIN, **alike})).plan.save(file, title="of the matrix")
+            plans[key] = file
+        return plans.get(key)
+
+    def mission(row):
+        file = spacecraft_file(row)
+        plan = plan_file(row)
+        return load_scenario(file, overrides_of(row, load_scenario(file), plan))
+
+    return mission
+
+
+def name_of(row):
+    """The values of a row that are not the plain ones."""
+    values = (value for factor, value in row.items() if value != PLAIN[factor])
+    return ",".join(values).replace(" ", "_") or "plain"
+
+
+def name_of_combination(combination):
+    return name_of({**PLAIN, **dict(combination)})
+
+
+def ffsm(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def commands(row, file, folder):
+    """The command lines of a row's command."""
+    out = ("--out", folder / "out")
+    run = ("run", file, "--no-report", *out)
+    spec = {
+        "description": "Two cases", "scenario": str(file), "cases": 2, "seed": 0,
+        "controllers": [load_scenario(file).controller],
+        "parameters": {"payload.truth.mass": {"distribution": "uniform", "low": 80, "high": 90}},
+    }  # fmt: skip
+    (folder / "spec.yaml").write_text(yaml.safe_dump(spec))
+    return {
+        "run": [run],
+        "stability": [("stability", file, "--no-rehearsal")],
+        "design": [("design", file, "--time", 1, *out)],
+        "plan": [("plan", file, *out)],
+        "compare": [("compare", file, "-c", "tdc", "-c", "computed_torque", "--no-report", *out)],
+        "campaign": [
+            ("campaign", "run", folder / "spec.yaml", "--workers", 1, "--database", folder / "x.db")
+        ],
+        "replay": [run, ("replay", folder / "out", "--speed", 8)],
+    }[row["command"]]
+
+
+def test_every_pair_is_covered_or_refused():
+    """The array holds each allowed pair and no refused combination, in few rows."""
+    covered = set().union(*map(pairs_of, ROWS))
+    assert covered >= set(allowed_pairs(FACTORS, REFUSED))
+    assert not any(combination <= row.items() for combination in REFUSED for row in ROWS)
+    most = sorted(map(len, FACTORS.values()))[-2:]
+    assert len(ROWS) < 2.0 * most[0] * most[1]
+
+
+@pytest.mark.parametrize("combination", REFUSED, ids=name_of_combination)
+def test_what_is_refused_says_so_in_one_line(combination, workshop, tmp_path):
+    row = {**PLAIN, **dict(combination)}
+    try:
+        scenario = workshop(row)
+    except ScenarioError as error:
+        said = str(error)
+    else:
+        file = tmp_path / "mission.yaml"
+        file.write_text(scenario_to_yaml(scenario))
+        command = "validate" if row["command"] == "run" else row["command"]
+        result = ffsm(command, file)
+        assert result.exit_code == 2, result.output
+        said = result.stderr.strip()
+    assert "\n" not in said
+    for name in REFUSED[combination]:
+        assert name in said
+
+
+@pytest.mark.parametrize("row", QUICK, ids=name_of_combination)
+@pytest.mark.smoke
+def test_a_few_missions_are_foreseen_without_a_run(row, workshop):
+    found = verdict(workshop({**PLAIN, **row}), rehearsal=False)
+    assert found.linear is not None
+    assert not found.is_linearly_unstable
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", ROWS, ids=name_of)
+def test_a_mission_goes_as_foreseen(row, workshop, tmp_path):
+    scenario = workshop(row)
+    found = verdict(scenario)
+    assert found.run is not None
+    if not found.is_alarm:
+        assert found.run.ending.status in ("settled", "not_settled")
+    file = tmp_path / "mission.yaml"
+    file.write_text(scenario_to_yaml(scenario))
+    for line in commands(row, file, tmp_path):
+        result = ffsm(*line)
+        assert result.exit_code in (0, 3), (line, result.output[-2000:], result.stderr[-2000:])
+        if line[0] in ("run", "stability"):
+            assert (result.exit_code == 3) <= (found.is_alarm or found.is_linearly_unstable)
+
+
+def test_the_page_tells_what_is_refused():
+    """Each row of the page is a refused combination, and each of those a row."""
+    text = (ROOT / "docs/combinations.md").read_text()
+    told = {
+        frozenset(re.findall(r"`([^`]+)`", line.split("|")[1]))
+        for line in text.splitlines()
+        if line.startswith("| `")
+    }
+    assert told == {frozenset(f"{factor}: {value}" for factor, value in each) for each in REFUSED}
