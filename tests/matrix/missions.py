@@ -151,9 +151,13 @@ def overrides_of(row, scenario, plan):
                 }
             }
         )
+    bus = "servicer::base" if row["spacecraft"] == "shipped" else "servicer::bus"
     if row["flexible"] == "panels":
         sides = {"port": [0, 1, 0], "starboard": [0, -1, 0]}
-        panels = {name: {"position": at, "direction": at, **_PANEL} for name, at in sides.items()}
+        panels = {
+            name: {"body": bus, "position": at, "direction": at, **_PANEL}
+            for name, at in sides.items()
+        }
         parts.append({"model": {"flexible": panels}})
     if row["flexible"] == "slosh":
         tank = {
