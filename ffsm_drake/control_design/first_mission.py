@@ -37,7 +37,7 @@ _PULSES = 0.4  # of the thrusters' largest torque, that wheels give beside them
 _LEAST_WHEEL, _LARGEST_WHEEL = 0.05, 5.0  # N m; a motion that takes more is made longer
 _LONGEST = 120.0  # s
 _SHRINK, _TRIES = 0.7, 8
-_INSTANTS = 60
+_INSTANTS, _POSES = 60, 301  # of a motion: at which forces, and distances, are looked at
 _APPROACHES, _CLEAR = (0.3, 0.2, 0.5), 0.02  # lengths along the grasp axis, and distance kept, m
 _SETTLE = 1.0  # s after the grasp, when the response to it counts, not the motion
 _LAWS = ("tdc", "asmc", "aismc", "tde_aismc")
@@ -116,7 +116,7 @@ class Fitting:
         if self._clearance is None:
             self._clearance = ApproachClearance(scenario.model, scenario.payload.body)
         path = target_path(scenario, model, planned_contact(scenario, model))[1]
-        chosen = np.linspace(0, len(path) - 1, _INSTANTS).round().astype(int)
+        chosen = np.unique(np.linspace(0, len(path) - 1, _POSES).round().astype(int))
         q = motion.rows(scenario.sample_time * chosen)[:, : len(model.coordinates.position_names)]
         return self._clearance.along(np.hstack([q, path[chosen, :7]])).nearest
 
