@@ -27,6 +27,7 @@ from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import find_factory
 
 _MOTION = 0.65  # of what the actuators give, at most, for the planned motion
+_DISTURBANCE = 0.3  # likewise, at most, for the disturbance
 _NOISES = 3.0  # standard deviations of the noise, times I_eff omega^2, that the actuators give
 _LEAST_LEFT = 0.05  # of what the actuators give, for the noise, where the motion takes the rest
 _RETURN = 2.5e-3  # rad or m; a saturated integral returns from errors as large as that
@@ -35,8 +36,8 @@ _SWITCHING = 2e-4  # bound of G
 _PULSES = 0.4  # of the thrusters' largest torque, that wheels give beside them
 _LEAST_WHEEL, _LARGEST_WHEEL = 0.05, 5.0  # N m; a motion that takes more is made longer
 _LONGEST = 120.0  # s
-_SHRINK, _TRIES = 0.7, 4
-_INSTANTS = 60
+_SHRINK, _TRIES = 0.7, 8
+_INSTANTS, _POSES = 60, 301  # of a motion: at which forces, and distances, are looked at
 _APPROACHES, _CLEAR = (0.3, 0.2, 0.5), 0.02  # lengths along the grasp axis, and distance kept, m
 _SETTLE = 1.0  # s after the grasp, when the response to it counts, not the motion
 _LAWS = ("tdc", "asmc", "aismc", "tde_aismc")
@@ -54,7 +55,10 @@ class Fitting:
         """The approach, actuators, durations, then gains."""
         if self.asked.has_approach:
             self._approach(motion)
+        self._limit_disturbance()
         peaks, after_grasp = self._paced()
+        if self.asked.has_approach and self._approach_is_lengthened():
+            self._approach(motion)
         self._assist(peaks, after_grasp)
         scenario = self.scenario
         limit, inertia = self._limit(scenario), self._inertia(scenario)
@@ -112,7 +116,7 @@ class Fitting:
         if self._clearance is None:
             self._clearance = ApproachClearance(scenario.model, scenario.payload.body)
         path = target_path(scenario, model, planned_contact(scenario, model))[1]
-        chosen = np.linspace(0, len(path) - 1, _INSTANTS).round().astype(int)
+        chosen = np.unique(np.linspace(0, len(path) - 1, _POSES).round().astype(int))
         q = motion.rows(scenario.sample_time * chosen)[:, : len(model.coordinates.position_names)]
         return self._clearance.along(np.hstack([q, path[chosen, :7]])).nearest
 
@@ -129,63 +133,99 @@ class Fitting:
     def _paced(self) -> tuple[np.ndarray, np.ndarray]:
         """Size wheels, and lengthen the motion until the actuators have enough for it.
 
-        Returns: the peak forces (nv) of the motion, and those right after the grasp.
+        Returns: the peak forces (nv) of motion and disturbance, and those right after the grasp.
         """
-        for _ in range(_TRIES):
-            scenario = self.scenario
-            planned = PlannedDynamics(from_grasp(scenario))
+        while True:
+            planned = PlannedDynamics(from_grasp(self._undisturbed))
             end = planned.motion.end
-            first = 0.0 if scenario.capture is None else min(_SETTLE, 0.1 * end)
-            _, force = planned.perfect_tracking(np.linspace(first, end, _INSTANTS))
-            _, early = planned.perfect_tracking(np.linspace(0.0, max(first, 0.1), 10))
-            peaks, after_grasp = np.abs(force).max(axis=0), np.abs(early).max(axis=0)
-            if self.asked.wheels is not None:
-                needed = self._wheel_torque(float(np.linalg.norm(peaks[:3])))
-                if self.asked.wheels[1] is None:
-                    self._wheels["units"] = wheel_units(self.asked.wheels[0], needed)
-                    scenario = self.scenario
-            limit = self._limit(scenario)
-            driven = np.array([self.asked.drives(group) for group in self.coordinates.group_of])
-            share = driven * peaks / limit
-            ratio = math.sqrt(float(share.max()) / _MOTION)
-            duration = self.data["reference"]["duration"]
-            longer = min(5.0 * math.ceil(ratio * duration / 5.0 - 1e-9), _LONGEST)
-            if ratio <= 1.0 or longer <= duration:
-                break
-            self._lengthen(longer)
-        if ratio > 1.0:
-            worst = int(np.argmax(share))
-            name, unit = self.coordinates.names[worst], self._unit(worst)
-            self.remarks.append(
-                f"{name}: the motion of {self.data['reference']['duration']:g} s takes "
-                f"{peaks[worst]:.3g} {unit}, and the actuators give {limit[worst]:.3g} {unit} in "
-                f"any direction; at most {100.0 * _MOTION:g} % should go into it: take stronger "
-                "ones"
+            first = 0.0 if self.asked.capture is None else min(_SETTLE, 0.1 * end)
+            peaks, early = (
+                np.abs(planned.perfect_tracking(np.linspace(*leg, _INSTANTS))[1]).max(axis=0)
+                for leg in ((first, end), (0.0, max(first, 0.1)))
             )
-        return peaks, after_grasp
+            total = peaks + self._disturbance
+            if self.asked.wheels is not None and self.asked.wheels[1] is None:
+                units = wheel_units(self.asked.wheels[0], self._wheel_torque(total))
+                self._wheels["units"] = units
+            duration = self.data["reference"]["duration"]
+            longer = self._longer(duration, peaks)
+            if longer <= duration:
+                break
+            self.data["reference"]["duration"] = longer
+            self.data["duration"] += longer - duration
+        limit = self._limit(self.scenario)
+        share = self._driven * total / limit
+        worst = int(np.argmax(share))
+        if share[worst] > _MOTION + 0.05:
+            unit = "N" if self.coordinates.units[worst] == "m" else "N m"
+            self.remarks.append(
+                f"{self.coordinates.names[worst]}: the motion of {duration:g} s takes "
+                f"{peaks[worst]:.3g} {unit}, the disturbance {self._disturbance[worst]:.3g} "
+                f"{unit}, and the actuators give {limit[worst]:.3g} {unit} in any direction: take "
+                "stronger ones"
+            )
+        return total, early + self._disturbance
 
-    def _unit(self, index: int) -> str:
-        return "N" if self.coordinates.units[index] == "m" else "N m"
+    def _limit_disturbance(self) -> None:
+        """A disturbance that leaves most of given actuators' forces to the motion."""
+        if self.asked.wheels is not None and self.asked.wheels[1] is None:
+            return  # sized for it
+        limit = _DISTURBANCE * self._limit(self.scenario)
+        harmonics = self.data["disturbance"]["harmonics"]
+        for name, most in zip(self.coordinates.names, limit.tolist(), strict=True):
+            if name in harmonics:
+                amplitude = min(harmonics[name]["amplitude"], most)
+                harmonics[name]["amplitude"] = rounded(amplitude)
 
-    def _lengthen(self, duration: float) -> None:
-        before = self.data["reference"]["duration"]
-        self.data["reference"]["duration"] = duration
-        self.data["duration"] += duration - before
+    def _longer(self, duration: float, peaks: np.ndarray) -> float:
+        """The duration of a motion whose peak forces (nv) leave the actuators their reserve."""
+        limit = self._limit(self.scenario)
+        room = np.maximum(_MOTION * limit - self._disturbance, _LEAST_LEFT * limit)
+        ratio = math.sqrt(float((self._driven * peaks / room).max()))
+        return min(5.0 * math.ceil(max(ratio, 1.0) * duration / 5.0 - 1e-9), _LONGEST)
+
+    def _approach_is_lengthened(self) -> bool:
+        """Lengthen the approach likewise, as if the target were held; whether that was needed."""
+        approach = self.data["capture"]["approach"]
+        duration = approach["duration"]
+        times = np.linspace(0.0, duration, _INSTANTS)
+        _, force = PlannedDynamics(self._undisturbed).perfect_tracking(times)
+        approach["duration"] = self._longer(duration, np.abs(force).max(axis=0))
+        self.data["duration"] += approach["duration"] - duration
+        return bool(approach["duration"] > duration)
+
+    @property
+    def _undisturbed(self) -> Scenario:
+        data = {**self.data, "disturbance": {}}
+        return scenario_from_dict(data, source=self.source)
+
+    @property
+    def _disturbance(self) -> np.ndarray:
+        """Its largest force (nv)."""
+        largest = {
+            name: abs(each.amplitude) + abs(each.bias)
+            for name, each in self.scenario.disturbance.harmonics.items()
+        }
+        return self.coordinates.vector(largest, key="disturbance", default=0.0)
+
+    @property
+    def _driven(self) -> np.ndarray:
+        return np.array([self.asked.drives(group) for group in self.coordinates.group_of])
 
     @property
     def _wheels(self) -> dict[str, Any]:
         wheels: dict[str, Any] = self.data["actuation"]["wheels"]
         return wheels
 
-    def _wheel_torque(self, motion: float) -> float:
-        """The motors' torque, N m, for a motion's torque and, beside thrusters, their pulses."""
+    def _wheel_torque(self, peaks: np.ndarray) -> float:
+        """The motors' torque, N m, for peak forces (nv) and, beside thrusters, their pulses."""
         actuation, asked = self.data["actuation"], self.asked
         assert asked.wheels is not None
         unit = {**actuation, "wheels": {"units": wheel_units(asked.wheels[0], 1.0)}}
         least, pulses = self._torque(unit), 0.0
         if asked.thrusters is not None:
             pulses = _PULSES * self._torque({**actuation, "wheels": None}) / least
-        largest = max(_LARGEST_WHEEL, pulses)
+        motion, largest = float(np.linalg.norm(peaks[:3])), max(_LARGEST_WHEEL, pulses)
         return rounded(max(min(motion / _MOTION / least, largest), pulses, _LEAST_WHEEL))
 
     def _torque(self, actuation: dict[str, Any]) -> float:
@@ -198,11 +238,12 @@ class Fitting:
         asked, limit = self.asked, float(self._limit(self.scenario)[0])
         weak, (count, torque) = False, asked.wheels or (0, None)
         if torque is not None:
-            needed = self._wheel_torque(float(np.linalg.norm(peaks[:3])))
+            needed = self._wheel_torque(peaks)
             if weak := torque < needed:
                 self.remarks.append(
-                    f"wheels of {torque:.3g} N m are too weak for the motion and the thrusters' "
-                    f"pulses: --wheels {count}x{needed:g}Nm"
+                    f"wheels of {torque:.3g} N m are too weak for the motion"
+                    f"{' and the pulses of the thrusters' if asked.thrusters else ''}: "
+                    f"--wheels {count}x{needed:g}Nm"
                 )
         jerk = float(np.linalg.norm(after_grasp[:3]))
         if asked.capture is not None and asked.drives("base_rotation") and jerk > limit:

@@ -32,7 +32,7 @@ _PEAK_RATE = {"rad": 0.1, "m": 0.05}  # rad/s, m/s
 _SHARE_OF_VELOCITY, _SHARE_OF_EFFORT = 0.2, 0.3  # of the URDF's limits
 _PEAK_BASE_ACCELERATION = 0.01  # force on the base per mass of the spacecraft, m/s^2
 _CLEAR = 0.05  # m, that parts keep to each other in a posture
-_LOOKED_AT, _STARTS, _WAY = 300, 6, 6  # candidates, initial postures kept, instants of a way
+_LOOKED_AT, _STARTS, _WAY = 300, 10, 6  # candidates, initial postures kept, instants of a way
 _SHORTEST, _LONGEST = 20.0, 120.0  # s
 # The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or
 # m/s^2.

@@ -1,0 +1,221 @@
+"""``ffsm new`` with sensors, actuators, panels and a grasp: missions that settle when first run."""
+
+import os
+import random
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside_urdfs import OUTSIDE, gripper, seven_joints, simple_arm, six_joints
+
+from ffsm_drake import load_scenario
+from ffsm_drake.cli import main
+from ffsm_drake.common.errors import FfsmError, ScenarioError
+from ffsm_drake.control_design.asked import Asked, wheel_units
+from ffsm_drake.control_design.first_scenario import new_scenario
+from ffsm_drake.preflight.remarks import plan_clearance
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.systems.limits import base_limits
+
+ALL = {
+    "sensors": "flight",
+    "thrusters": "12x5N",
+    "wheels": "4",
+    "panels": "2x5kg",
+    "capture": "3deg/s",
+    "driven": "all",
+}
+CHOICES = {
+    "sensors": [None, "flight", "slow", "paper"],
+    "thrusters": [None, "12x5N", "16x22N"],
+    "wheels": [None, "4", "3", "4x0.5Nm"],
+    "panels": [None, "2x5kg", "1x3kg"],
+    "capture": [None, "1deg/s", "3deg/s"],
+    "driven": [None, "all", "base_rotation,joints", "joints"],
+}
+MODELS = Path(__file__).parents[2] / "models" / "urdf"
+# Folder with public arms, which are not part of this repository, and what each is mounted on, kg.
+PUBLIC = Path(os.environ.get("FFSM_PUBLIC_URDFS", "nowhere"))
+PUBLIC_ARMS = {"ur5_robot": 400.0, "panda": 300.0, "kinova": 250.0}
+
+
+def make(folder, name, words):
+    """A new scenario of an arm by name."""
+    bus = PUBLIC_ARMS.get(name)
+    urdf = PUBLIC / f"{name}.urdf" if bus else MODELS / f"{name}.urdf"
+    if name in OUTSIDE:
+        urdf = folder / f"{name}.urdf"
+        urdf.write_text(OUTSIDE[name]())
+    if not urdf.is_file():
+        pytest.skip(f"{urdf.name} is not here")
+    directory = folder / f"new_{len(list(folder.iterdir()))}"
+    return new_scenario(urdf, directory, asked=Asked.parsed(**words), bus_mass=bus)
+
+
+def assert_settles(new):
+    """The mission settles at its first run, and says so of its contact."""
+    scenario = load_scenario(new.scenario_file)
+    told = any("come within" in each or "overlap" in each for each in new.remarks)
+    clear = [each.distance >= scenario.clearance for each in plan_clearance(scenario)]
+    assert all(clear) or told
+    ending = make_rollout(scenario).run().ending
+    assert ending.is_settled, ending.sentence
+
+
+SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SIX)
+def test_everything_at_once_settles(tmp_path, name):
+    begin = time.process_time()
+    new = make(tmp_path, name, ALL)
+    assert time.process_time() - begin < 30.0
+    assert not [each for each in new.remarks if "no bandwidth" in each or "too weak" in each]
+    assert_settles(new)
+    scenario = load_scenario(new.scenario_file)
+    assert scenario.capture.approach is not None
+    assert len(scenario.model.flexible) == 2
+    assert scenario.actuation.thrusters.layout == "12x5N"
+    assert scenario.sensing == load_scenario("flight_sensors").sensing
+
+
+def settle(folder, name, count):
+    """So many subsets of the options, drawn: each settles, or is refused in one line."""
+    draw = random.Random(name)
+    for _ in range(count):
+        words = {key: draw.choice(values) for key, values in CHOICES.items()}
+        new = refusal = None
+        try:
+            new = make(folder, name, words)
+        except FfsmError as error:
+            refusal = str(error)
+        if new is not None:
+            assert_settles(new)
+        else:
+            assert len(refusal.splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["servicer", "six_joints"])
+def test_subsets_settle_or_say_why_not(tmp_path, name):
+    settle(tmp_path, name, 3)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", SIX)
+def test_many_subsets_settle_or_say_why_not(tmp_path, name):
+    settle(tmp_path, name, 20)
+
+
+def test_flags_are_the_scenarios_settings(tmp_path):
+    """Without a run: what is asked for stands in the file, with the shipped scenario's sensors."""
+    new = make(tmp_path, "six_joints", {**ALL, "panels": None, "wheels": "3x4Nm"})
+    scenario = load_scenario(new.scenario_file)
+    text = new.scenario_file.read_text()
+    assert scenario.sensing == load_scenario("flight_sensors").sensing
+    assert scenario.estimator == load_scenario("tumbling_capture").estimator
+    assert [each.torque_limit for each in scenario.actuation.wheels.units.values()] == [4.0] * 3
+    assert np.linalg.norm(scenario.capture.rate) == pytest.approx(np.radians(3.0), rel=0.01)
+    assert "# The grasp" in text
+    data = yaml.safe_load(text)
+    assert "frame" not in data["actuation"]["thrusters"]  # defaults are not copied
+    assert "envelope" not in data["capture"]
+    # The approach comes along the grasp axis: the base moves straight to where it grasps.
+    approach = scenario.capture.approach.posture
+    assert approach.joints == scenario.initial_posture.joints
+    assert approach.base_rpy == scenario.initial_posture.base_rpy
+    for each in plan_clearance(scenario):
+        assert each.distance >= scenario.clearance
+    # The motion takes at most two thirds of what the actuators give.
+    limits = base_limits(scenario)
+    for group, least in (("rotation", limits.torque.min()), ("position", limits.force.min())):
+        names = [f"base_{group}_{axis}" for axis in "xyz"]
+        assert max(new.motion.peak_force[name] for name in names) < 0.7 * least
+
+
+def test_undriven_base(tmp_path):
+    """Nothing is commanded, and nothing acts, where no actuator moves the base."""
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(simple_arm(lower=-2, upper=2))
+    asked = Asked.parsed(driven="joints,base_rotation", sensors="flight")
+    scenario = load_scenario(new_scenario(urdf, tmp_path / "new", asked=asked).scenario_file)
+    assert scenario.actuation.driven == ["base_rotation", "joints"]
+    assert scenario.target_posture.base_position == scenario.initial_posture.base_position
+    assert not any(name.startswith("base_position") for name in scenario.disturbance.harmonics)
+
+
+@pytest.mark.slow
+def test_weak_wheels_are_named(tmp_path):
+    words = {"thrusters": "12x5N", "wheels": "4x0.5Nm", "sensors": "flight"}
+    new = make(tmp_path, "six_joints", words)
+    told = [each for each in new.remarks if "too weak" in each]
+    assert len(told) == 1
+    enough = told[0].rpartition("--wheels ")[2]
+    assert load_scenario(new.scenario_file).actuation.wheels.assist_above == 1.0
+    again = make(tmp_path, "six_joints", {**words, "wheels": enough})
+    assert not [each for each in again.remarks if "too weak" in each]
+
+
+def test_wheels_at_right_angles_give_the_same_in_all_directions():
+    axes = np.array([each["axis"] for each in wheel_units(3, 1.0).values()])
+    unit = axes / np.linalg.norm(axes, axis=1)[:, None]
+    assert unit @ unit.T == pytest.approx(np.eye(3), abs=0.01)
+
+
+WRONG = {
+    "sensors": ["", "x", "f", "Flight"],
+    "thrusters": ["12", "12x5", "none", ""],
+    "wheels": ["2", "0", "4x", "4x0Nm", "4x-1Nm", "9", "four", "4.5", "1e9"],
+    "panels": ["2", "5x5kg", "0x5kg", "2x0kg", "2x5", "2x5 kg", "2x-5kg"],
+    "capture": ["3", "3deg", "-3deg/s", "deg/s", "nan deg/s", "3rpm"],
+    "driven": ["", "base", "base_position,joints", "all,joints"],
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_bad_value_is_one_line(name):
+    for word in WRONG[name]:
+        with pytest.raises(ScenarioError) as caught:
+            Asked.parsed(**{name: word})
+        assert str(caught.value).startswith(f"--{name}: ")
+        assert "\n" not in str(caught.value)
+
+
+@given(st.sampled_from(sorted(WRONG)), st.text(max_size=12))
+@settings(max_examples=100, deadline=None)
+def test_any_text_is_a_value_or_one_line(name, word):
+    refusal = ""
+    try:
+        Asked.parsed(**{name: word})
+    except ScenarioError as error:
+        refusal = str(error)
+    assert refusal == "" or refusal.startswith(f"--{name}: ")
+    assert len(refusal.splitlines()) <= 1
+
+
+def test_what_cannot_act_is_refused(tmp_path):
+    for words, told in (
+        ({"thrusters": "12x5N", "driven": "joints"}, "--thrusters: cannot act with --driven"),
+        ({"wheels": "4", "driven": "joints"}, "--wheels: cannot act with --driven joints"),
+    ):
+        with pytest.raises(ScenarioError, match=told):
+            Asked.parsed(**words)
+    urdf = tmp_path / "light.urdf"
+    urdf.write_text(gripper())
+    arguments = ["new", str(tmp_path / "x"), "--urdf", str(urdf), "--panels", "2x20kg"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "--panels: 2 of 20 kg are part of the base's 60 kg" in result.output
+    assert len(result.output.splitlines()) == 1
+    assert not (tmp_path / "x").exists()
+
+
+def test_generated_arms_have_six_and_seven_joints():
+    assert six_joints().count('type="revolute"') == 6
+    assert seven_joints().count('type="revolute"') == 7
