@@ -24,7 +24,7 @@ from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.plant import add_combined_plant
 
 FILE = Path(__file__).parent / "tumbling_capture.webp"
-WIDTH, HEIGHT, ANGLE = 560, 360, np.radians(52.0)  # pixels; vertical angle of view
+WIDTH, HEIGHT, ANGLE = 640, 360, np.radians(54.0)  # pixels; vertical angle of view
 EVERY, PAUSE = 0.75, 70  # s of the run between frames, ms of the animation
 GROUND = [0.09, 0.11, 0.18]
 
