@@ -20,6 +20,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 from ffsm_drake import RunRecord, load_scenario, simulate
+from ffsm_drake.common.files import written_whole
 from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.plant import add_combined_plant
 
@@ -77,5 +78,6 @@ def frames(record: RunRecord):
 if __name__ == "__main__":
     first, *rest = frames(simulate(load_scenario("tumbling_capture")))
     settings = {"duration": [PAUSE] * len(rest) + [1500], "loop": 0, "quality": 70, "method": 6}
-    first.save(FILE, save_all=True, append_images=rest, **settings)
+    with written_whole(FILE) as file:
+        first.save(file, save_all=True, append_images=rest, **settings)
     print(f"{FILE}: {1 + len(rest)} pictures, {FILE.stat().st_size / 1e6:.2f} MB")

@@ -387,7 +387,6 @@ def test_a_loop_that_would_take_minutes_is_refused_by_its_size(key, samples):
     assert any(int(count) > int(bound) for count, bound in counts)
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize("name", ["postcapture", "thrusters_only"])
 def test_gains_do_not_change_the_motion_between_samples(name):
     """It is differenced once for an instant, at the gains that come first."""
@@ -401,7 +400,8 @@ def test_gains_do_not_change_the_motion_between_samples(name):
             for part in "abcd":
                 found, expected = getattr(after, part), getattr(alone, part)
                 np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-=======
+
+
 def test_memory_without_entries_is_no_part_of_the_loop():
     """The one-sample estimate has no bias to estimate: a group of size zero before the noise."""
     radii = [
@@ -414,4 +414,3 @@ def test_memory_without_entries_is_no_part_of_the_loop():
         )
     ]
     assert radii[1] == radii[0]
->>>>>>> f5d23f3 (Campaign reports of few cases in half of the time, drivers only where the data say so; memory without entries linearised; README with the campaign's picture)
