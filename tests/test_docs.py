@@ -151,13 +151,14 @@ def test_task_pages_are_short(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
-    """In the page's order, in a folder with the files that it says to save. Campaigns have one
-    case where the page asks for all; pictures, most prices of a design and a report's stability
+    """In the page's order, in a folder with the files that it says to save. Campaigns have four
+    cases; their maps, pictures, most prices of a design and a report's stability
     section have tests of their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 1)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
@@ -171,8 +172,8 @@ def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
         if words[0] == "python":
             runpy.run_path(words[1], run_name="__main__")
             continue
-        if words[:3] == ("ffsm", "campaign", "run") and "--cases" not in words:
-            words = (*words, "--cases", "1")
+        if words[:3] == ("ffsm", "campaign", "run"):
+            words = (*words, "--cases", "4")
         result = CliRunner().invoke(main, words[1:], catch_exceptions=False)
         assert result.exit_code == 0, f"{shlex.join(words)}: {result.output}"
         if words[1] == "run":

@@ -23,8 +23,8 @@ from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.systems.reference import timed
 
-POINTS = 11  # along each axis
-REFINEMENT = 3  # finer by this near the boundary
+POINTS, FEWEST_POINTS = 11, 4  # along each axis; few where there are few cases to compare with
+REFINEMENT, LEAST_REFINEMENT = 3, 2  # finer by this near the boundary; the latter with few points
 
 
 def predict(scenario: Scenario) -> tuple[float, ...]:
@@ -104,7 +104,10 @@ def predict_map(
     if axes[0] == axes[1]:
         raise CampaignError("--map: needs two different values")
     log = [spec.distributions[name].is_logarithmic for name in axes]
-    x, y = (_axis(values[name], is_log) for name, is_log in zip(axes, log, strict=True))
+    points = min(POINTS, max(FEWEST_POINTS, math.ceil(math.sqrt(spec.cases))))
+    finer = REFINEMENT if points == POINTS else LEAST_REFINEMENT
+    size = (points - 1) * finer + 1
+    x, y = (_axis(values[name], is_log, size) for name, is_log in zip(axes, log, strict=True))
     fixed = {
         name: distribution.value(0.5, 0)
         for name, distribution in spec.distributions.items()
@@ -124,11 +127,11 @@ def predict_map(
     radius = {}
     for k, controller in enumerate(spec.controllers):
         if math.isnan(predicted(controller, 0, 0)) and math.isnan(
-            predicted(controller, x.size - 1, x.size - 1)
+            predicted(controller, size - 1, size - 1)
         ):
-            radius[controller] = np.full((x.size, x.size), np.nan)
+            radius[controller] = np.full((size, size), np.nan)
         else:
-            radius[controller] = _refined(functools.partial(predicted, controller), x.size)
+            radius[controller] = _refined(functools.partial(predicted, controller), size, finer)
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(
@@ -137,8 +140,8 @@ def predict_map(
     )  # fmt: skip
 
 
-def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:
-    """The grid (size, size): every REFINEMENT-th point, and all points of the cells that the
+def _refined(predict: Callable[[int, int], float], size: int, finer: int) -> np.ndarray:
+    """The grid (size, size): every ``finer``-th point, and all points of the cells that the
     boundary crosses.
 
     The other cells lie on one side of the boundary and are filled with the value at their first
@@ -150,19 +153,18 @@ def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:
         if not known[i, j]:
             grid[i, j], known[i, j] = predict(i, j), True
 
-    coarse = range(0, size, REFINEMENT)
+    coarse = range(0, size, finer)
     for i, j in itertools.product(coarse, coarse):
         fill(i, j)
     for i, j in itertools.product(coarse[:-1], coarse[:-1]):
-        cell = np.ix_((i, i + REFINEMENT), (j, j + REFINEMENT))
+        cell = np.ix_((i, i + finer), (j, j + finer))
         if len({bool(value < 1.0) for value in grid[cell].ravel()}) > 1:
-            for m, n in itertools.product(range(REFINEMENT + 1), repeat=2):
+            for m, n in itertools.product(range(finer + 1), repeat=2):
                 fill(i + m, j + n)
-    nearest = (np.arange(size) // REFINEMENT) * REFINEMENT
+    nearest = (np.arange(size) // finer) * finer
     return np.where(known, grid, grid[np.ix_(nearest, nearest)])
 
 
-def _axis(values: np.ndarray, is_log: bool) -> np.ndarray:
+def _axis(values: np.ndarray, is_log: bool, size: int) -> np.ndarray:
     low, high = float(values.min()), float(values.max())
-    number = (POINTS - 1) * REFINEMENT + 1
-    return np.geomspace(low, high, number) if is_log else np.linspace(low, high, number)
+    return np.geomspace(low, high, size) if is_log else np.linspace(low, high, size)

@@ -351,6 +351,12 @@ class Findings:
     grid: list[GridPoint]  # empty where the sampling is not a grid
 
     @property
+    def drivers(self) -> list[str]:
+        """Of ``influential``, what explains failures of some controller beyond chance."""
+        matter = {item.name for item in self.sensitivities if item.matters}
+        return [name for name in self.influential if name in matter]
+
+    @property
     def runs(self) -> int:
         return sum(runs.case.size for runs in self.table.runs.values())
 

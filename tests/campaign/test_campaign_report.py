@@ -28,6 +28,7 @@ from ffsm_drake.campaign.statistics import (
 )
 from ffsm_drake.campaign.store import open_store
 from ffsm_drake.cli.campaign import campaign
+from ffsm_drake.show.campaign.page import write_report
 
 
 def make_runs(settled, *, controller="tdc", **metrics):
@@ -239,14 +240,28 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
         "success",
         "accuracy",
         "difference",
-        "sensitivity",
         "map",
     }
+    assert "No sampled value explains more of it than chance would" in page  # in 12 cases
     assert set(reader.figures) == set(figures)
     assert all(figure["data"] for figure in figures.values())
     assert len(re.findall(r"plotly\.js v\d", page)) == 1
     assert (tmp_path / "runs.csv").read_text().count("\n") == 25
     assert f"ffsm campaign rerun {database} --case" in page
+
+
+def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, monkeypatch):
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 1)
+    monkeypatch.setattr("ffsm_drake.campaign.statistics.BINS", 3)  # enough cases for three
+    with open_store(database) as store:
+        findings = find(store)
+        write_report(store, tmp_path / "page")
+    matter = {item.name for item in findings.sensitivities if item.matters}
+    assert "nominal_error" in matter
+    assert set(findings.drivers) == matter != set(findings.influential)
+    page = (tmp_path / "page/report.html").read_text()
+    section = page.split("<h2>What drives failure</h2>")[1].split("<h2>")[0]
+    assert {name for name in findings.influential if f">{name}</td>" in section} == matter
 
 
 def test_a_report_of_nothing(database, tmp_path):

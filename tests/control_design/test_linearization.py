@@ -400,3 +400,17 @@ def test_gains_do_not_change_the_motion_between_samples(name):
             for part in "abcd":
                 found, expected = getattr(after, part), getattr(alone, part)
                 np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_memory_without_entries_is_no_part_of_the_loop():
+    """The one-sample estimate has no bias to estimate: a group of size zero before the noise."""
+    radii = [
+        stability(load_scenario("flight_sensors", ["controller=tdc", {"estimator": estimator}]))
+        .loops[0]
+        .spectral_radius
+        for estimator in (
+            {"kind": "one_sample"},
+            {"kind": "one_sample", "velocity_bias_walk": {"base_rotation": 1e-6}},
+        )
+    ]
+    assert radii[1] == radii[0]

@@ -606,7 +606,7 @@ class _LawOfMany:
             if (part := memory.part_of(controller, group)) is not None
         }
         self._slots = {
-            width + part.start: self._own[name]
+            (width + part.start, width + part.stop): self._own[name]
             for name, part in self._parts.items()
             if name in self._own
         }
@@ -622,7 +622,7 @@ class _LawOfMany:
 
         Args: the group; a trial of x, and the change of ``read`` by it.
         """
-        slot = self._slots.get(group.start)
+        slot = self._slots.get((group.start, group.stop))
         if slot is None:
             return None
         expected = np.zeros_like(change)

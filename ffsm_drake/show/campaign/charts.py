@@ -33,7 +33,7 @@ def chart_views(findings: Findings) -> dict[str, list[View]]:
         "success": [_success(findings)],
         "accuracy": [_cumulative(findings, metric) for metric in ("itae", "isv")],
         "difference": _differences(findings),
-        "sensitivity": [_sensitivity(findings)] if findings.influential else [],
+        "sensitivity": [_sensitivity(findings)] if findings.drivers else [],
         "map": [_map(findings, runs, colors) for runs in findings.table.runs.values()]
         if findings.map is not None
         else [],
@@ -154,7 +154,7 @@ def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], met
 
 def _sensitivity(findings: Findings) -> Panel:
     """Share of the variance of failure that each value explains, and what chance would."""
-    names = findings.influential
+    names = findings.drivers
     traces: list[Trace] = []
     for k, (controller, style) in enumerate(_styles(findings).items()):
         by_name = {

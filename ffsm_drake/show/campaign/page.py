@@ -132,6 +132,7 @@ def _page(store: Store, findings: Findings) -> str:
         "confidence": f"{100.0 * CONFIDENCE:.0f}",
         "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
         "has_capture": spec.base["capture"] is not None,
+        "any_failed": any(not runs.settled.all() for runs in findings.table.runs.values()),
         **_controller_tables(findings),
         **_grid_table(findings),
         **_comparisons(findings),
@@ -227,7 +228,7 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
             ],
             s.matters,
         )
-        for name in findings.influential
+        for name in findings.drivers
         for s in findings.sensitivities
         if s.name == name
     ]

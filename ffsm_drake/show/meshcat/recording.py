@@ -12,7 +12,7 @@ from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
 # Covers the empty scene until the motion is in; before the scripts, to show while they load.
 _LOADING = """<style>
-#loading { position: fixed; inset: 0; z-index: 20; display: grid; place-items: center;
+#loading { position: fixed; inset: 0; z-index: 99999; display: grid; place-items: center;
   background: #0a0d16; color: #9fb0cc; font: 15px sans-serif; }
 </style>
 <div id="loading">Loading the motion \u2026</div>
