@@ -5,7 +5,7 @@ times as wide. A factory says that it can make a block that wide by a method
 
     build_wide(setups) -> system, or None where these cannot go together
 
-with the setups of all copies. Its system has the block's ports, each ``len(setups)`` times as wide,
+with the setups of all copies, which have the same ``settings``. Its system has the block's ports, each ``len(setups)`` times as wide,
 the values of copy after copy, and gives every copy the bits of the system that the factory makes
 for its setup alone. Of the methods that a block may have, ``set_initial_state(context, states)``
 then gets a row for each copy, ``set_payload(context, properties)`` a sequence; where it draws
