@@ -291,7 +291,7 @@ def _make_block(
     factories: Sequence[Factory], setups: Sequence[BlockSetup], fed: Collection[str], *, place: str
 ) -> Any:
     """The system of all copies; None of an ideal actuator."""
-    if len(setups) > 1 and all(factory == factories[0] for factory in factories):
+    if len(setups) > 1 and all(setup.settings == setups[0].settings for setup in setups):
         wide = call_wide_factory(factories[0], setups, place=place)
         if wide is not None:
             return wide

@@ -111,7 +111,6 @@ class Rollout:
             visualizer.set_name("meshcat_visualizer")
         self.loop = build_closed_loop(builder, loop)
         self._simulator = Simulator(self.loop.diagram)
-        ApplySimulatorConfig(scenario.simulator_config, self._simulator)
         config = scenario.simulator_config
         logs_every_step = (
             not config.use_error_control and config.max_step_size >= scenario.sample_time
@@ -306,6 +305,8 @@ class Rollout:
         """
         simulator, loop = self._simulator, monitor.loop
         simulator.reset_context(loop.diagram.CreateDefaultContext())
+        # a new integrator: one with error control goes on with its last step's size
+        ApplySimulatorConfig(loop.scenario.simulator_config, simulator)
         context = simulator.get_mutable_context()
         loop.initialize(loop.diagram, context)
         if leg.first:

@@ -268,9 +268,11 @@ class OrbitalEnvironment(Part):
         """The force on all that has mass."""
         return EnvironmentForce([setup.scenario], make_flexible_plant(_locked(setup.scenario)))
 
-    def build_wide(self, setups: Sequence[BlockSetup]) -> EnvironmentForce:
-        """The force on several copies, see ``systems.side_by_side``."""
+    def build_wide(self, setups: Sequence[BlockSetup]) -> EnvironmentForce | None:
+        """The force on several copies, see ``systems.side_by_side``; None in different orbits."""
         scenarios = [setup.scenario for setup in setups]
+        if any(each.environment != scenarios[0].environment for each in scenarios):
+            return None
         locked = [_locked(scenario) for scenario in scenarios]
         model = copies_of([make_flexible_plant(each) for each in locked], locked[0])
         return EnvironmentForce(scenarios, model)

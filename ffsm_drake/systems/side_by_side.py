@@ -5,14 +5,15 @@ times as wide. A factory says that it can make a block that wide by a method
 
     build_wide(setups) -> system, or None where these cannot go together
 
-with the setups of all copies. Its system has the block's ports, each ``len(setups)`` times as wide,
-the values of copy after copy, and gives every copy the bits of the system that the factory makes
-for its setup alone. Of the methods that a block may have, ``set_initial_state(context, states)``
-then gets a row for each copy, ``set_payload(context, properties)`` a sequence; where it draws
-numbers, ``set_random(context, generators)`` gets each copy's generator, of which it draws as the
-system alone would; and ``park(context, copy)``, where it can run away, puts a copy's memory to its
-start. What a run changes stands in its context, from which the leg after a grasp takes it. The
-system around control laws is as wide as the laws (``ControlLaw.wide``).
+with the setups of all copies, which have the same ``settings``. Its system has the block's ports,
+each ``len(setups)`` times as wide, the values of copy after copy, and gives every copy the bits of
+the system that the factory makes for its setup alone. Of the methods that a block may have,
+``set_initial_state(context, states)`` then gets a row for each copy, ``set_payload(context,
+properties)`` a sequence; where it draws numbers, ``set_random(context, generators)`` gets each
+copy's generator, of which it draws as the system alone would; and ``park(context, copy)``, where it
+can run away, puts a copy's memory to its start. What a run changes stands in its context, from
+which the leg after a grasp takes it. The system around control laws is as wide as the laws
+(``ControlLaw.wide``).
 
 Any other block, a user's Drake system among them, stands there once for each copy, between
 demultiplexers and multiplexers: ``SideBySide``.

@@ -28,7 +28,7 @@ from ffsm_drake import (
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.batches import batches_of, usual_batch
-from ffsm_drake.runs.capture import CaptureRollout, make_rollout
+from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.scenario.layers import flatten
@@ -89,6 +89,15 @@ def alone(scenario):
     return simulate(scenario, check_stability=False)
 
 
+def run_once(scenarios):
+    """The logs of a new rollout, which is freed: Drake would keep it."""
+    rollout = make_rollout(scenarios)
+    try:
+        return rollout.run_all() if isinstance(scenarios, list) else rollout.run()
+    finally:
+        rollout.release()
+
+
 def varied(scenario, number):
     """Another seed, payload, guess of it, initial velocity, gain, disturbance and noise."""
     payload, share = scenario.payload, 0.01 * (number % 7)
@@ -118,6 +127,7 @@ def check_side_by_side(scenario, count, *, batch):
         assert len(indices) == batch or len(scenarios) % batch
         rollout = Rollout([scenarios[index] for index in indices])
         rollout.check()  # an error here would make them run alone
+        rollout.release()
     records = simulate_many(scenarios, batch=batch)
     for record, each in zip(records, scenarios, strict=True):
         assert_equal(record, alone(each))
@@ -127,8 +137,10 @@ def check_wide(scenarios):
     """No block stands once for each copy, and every run has the bits it has alone."""
     rollout = Rollout(scenarios)
     assert not [n for n, block in rollout.loop.blocks.items() if isinstance(block, SideBySide)]
-    for log, scenario in zip(rollout.run_all(), scenarios, strict=True):
-        own = Rollout(scenario).run()
+    logs = rollout.run_all()
+    rollout.release()
+    for log, scenario in zip(logs, scenarios, strict=True):
+        own = run_once(scenario)
         assert set(log.series) == set(own.series)
         for name, values in own.series.items():
             np.testing.assert_array_equal(log.series[name], values, err_msg=name)
@@ -197,7 +209,7 @@ def test_every_shipped_scenario_has_its_bits(name):
     scenario = load_scenario(name, ["duration=0.2"])
     scenarios = [dataclasses.replace(scenario, random_seed=seed) for seed in range(3)]
     assert batches_of(scenarios, 3) == [[0, 1, 2]]
-    assert None not in Rollout(scenarios).run_all()
+    assert None not in run_once(scenarios)
     for record, each in zip(simulate_many(scenarios, batch=3), scenarios, strict=True):
         assert_equal(record, alone(each))
 
@@ -274,8 +286,7 @@ def test_a_run_that_diverges_leaves_the_others_alone(others):
         load_scenario("postcapture", ["duration=1.5", *others, *more]) for more in ((), wild)
     )
     scenarios = [varied(tame, 0), varied(diverging, 1), varied(tame, 2), varied(diverging, 3)]
-    rollout = Rollout(scenarios)
-    logs = rollout.run_all()
+    logs = run_once(scenarios)
     assert [log is None for log in logs] == [False, True, False, True]
     records = simulate_many(scenarios, batch=4)
     assert [record.outcome.status for record in records] == ["completed", "diverged"] * 2
@@ -285,11 +296,11 @@ def test_a_run_that_diverges_leaves_the_others_alone(others):
 
 def test_a_copy_that_is_too_fast_for_one_step_diverges():
     calm = load_scenario("postcapture", ["duration=0.1"])
-    speeds = np.abs(Rollout(calm).run().series["state"][:, 12:]).max(axis=1)
+    speeds = np.abs(run_once(calm).series["state"][:, 12:]).max(axis=1)
     others, fastest = np.sort(speeds)[-2:]
     assert speeds[1] == fastest > 1.5 * others  # the disturbance's step, from rest
     tight = dataclasses.replace(calm, divergence_speed=float(0.5 * (others + fastest)))
-    logs = Rollout([calm, tight, dataclasses.replace(calm, random_seed=1)]).run_all()
+    logs = run_once([calm, tight, dataclasses.replace(calm, random_seed=1)])
     assert [log is None for log in logs] == [False, True, False]
     assert alone(tight).outcome.status == "diverged"
 
@@ -309,8 +320,8 @@ def test_equal_disturbances_are_computed_once_with_their_bits(kinds, name):
         )
         for seed, kind in enumerate(kinds)
     ]
-    for log, each in zip(Rollout(scenarios).run_all(), scenarios, strict=True):
-        own = Rollout(each).run().series
+    for log, each in zip(run_once(scenarios), scenarios, strict=True):
+        own = run_once(each).series
         np.testing.assert_array_equal(log.series["disturbance_force"], own["disturbance_force"])
 
 
@@ -485,9 +496,9 @@ def captured(shared, end, number):
 def test_captures_go_side_by_side(shared, runs):
     scenarios = [captured(GRASPS[shared], end, number) for end, number in runs[:4]]
     assert batches_of(scenarios, len(scenarios)) == [list(range(len(scenarios)))]
-    logs = CaptureRollout(scenarios).run_all()
+    logs = run_once(scenarios)
     for log, scenario in zip(logs, scenarios, strict=True):
-        own = CaptureRollout(scenario).run()
+        own = run_once(scenario)
         assert (log is None) == (own.outcome.status != "completed")
         if log is not None:
             record, expected = (make_record(each, start=0.0) for each in (log, own))
@@ -601,15 +612,6 @@ def changes_of(base):
     for key, value in flatten(scenario_to_dict(base)).items():
         for other in others_of(key, value):
             yield f"{key}={yaml.safe_dump(other, default_flow_style=True).partition(chr(10))[0]}"
-
-
-def run_once(scenarios):
-    """The logs of a new rollout, which is freed: Drake would keep it."""
-    rollout = make_rollout(scenarios)
-    try:
-        return rollout.run_all() if isinstance(scenarios, list) else rollout.run()
-    finally:
-        rollout.release()
 
 
 def check_together_or_apart(base, change):

@@ -6,10 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, ScenarioError, load_scenario, override_scenario, simulate
+from ffsm_drake.common.settings import settings_of
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario.schema import FIXED_STEP_SCHEMES
 from ffsm_drake.systems.reference import make_reference
 
 SCENARIO = load_scenario("flight_sensors", ["duration=1", "sensing.delay=2", "actuation.delay=1"])
@@ -49,6 +52,25 @@ def test_a_run_has_the_bits_of_a_fresh_build(rollout, override):
     assert changed.time.size != first.time.size or not np.array_equal(changed.error, first.error)
     # Nothing stays behind for the next.
     assert_same_bits(rollout.run(), SCENARIO)
+
+
+@pytest.mark.parametrize("scheme", settings_of(SimulatorConfig)["integration_scheme"].one_of)
+def test_no_integrator_goes_on_from_the_run_before(scheme):
+    """Of one with error control the last step is as long as the next would be."""
+    controlled = scheme not in FIXED_STEP_SCHEMES
+    scenario = load_scenario(
+        "postcapture",
+        [
+            "duration=0.1",
+            f"simulator_config.integration_scheme={scheme}",
+            f"simulator_config.use_error_control={str(controlled).lower()}",
+            "simulator_config.accuracy=1e-6",
+        ],
+    )
+    rollout = Rollout(scenario)
+    first, second = (rollout.run().series["state"] for _ in range(2))
+    rollout.release()
+    np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize(
