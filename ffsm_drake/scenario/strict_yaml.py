@@ -63,6 +63,11 @@ class _StrictLoader(yaml.SafeLoader):
             text = " ".join(str(error).split()) or type(error).__name__
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
+    def construct_text(self, node: yaml.ScalarNode) -> str:
+        """A text, whose escaped characters beyond U+FFFF may be pairs, as JSON writes them."""
+        text = str(self.construct_scalar(node))
+        return text.encode("utf-16", "surrogatepass").decode("utf-16", "surrogatepass")
+
 
 class _Dumper(yaml.SafeDumper):
     """Quotes text that this reader or a usual one would take for something else."""
@@ -87,6 +92,7 @@ _StrictLoader.yaml_constructors = {
     for tag, make in yaml.SafeLoader.yaml_constructors.items()
     if tag is None or tag.removeprefix(_TAG) in ("str", "seq", "map", *_CORE)
 }
+_StrictLoader.add_constructor(_TAG + "str", _StrictLoader.construct_text)
 for _name, (_form, _first) in _CORE.items():
     for _side in (_StrictLoader, _Dumper):
         _side.add_implicit_resolver(_TAG + _name, re.compile(_form), list(_first))

@@ -1,5 +1,6 @@
 """Words and numbers of scenarios are those of YAML 1.2's core schema, as keys and as values."""
 
+import json
 import re
 
 import pytest
@@ -74,3 +75,14 @@ def test_a_tag_is_read_or_refused_in_a_line(tag, value):
     if not known:
         with pytest.raises(StrictYamlError, match=r"^line 1, column \d+: [^\n]*$"):
             read_yaml(f"a: {tag} {value}")
+
+
+@SETTINGS
+@given(
+    st.dictionaries(
+        st.text(max_size=8), st.text(max_size=12) | st.floats(allow_nan=False, allow_infinity=False)
+    )
+)
+def test_json_is_read_as_it_was_meant(data):
+    """Each text of it, characters beyond U+FFFF included, which it may write as pairs."""
+    assert read_yaml(json.dumps(data)) == data
