@@ -1,6 +1,5 @@
 """The command plan."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,8 +69,8 @@ def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: boo
         found.plan.save(file, title=title)
     figure, names = directory / "plan.png", list(map(str, files))
     save_figure(plot_plan(found, scenario), figure)
-    followed = ["reference.kind=optimal", f"reference.plan={json.dumps(str(files[0].resolve()))}"]
-    mission = verdict(override_scenario(scenario, followed))
+    reference = {"kind": "optimal", "plan": str(files[0].resolve()), "shaper": None}
+    mission = verdict(override_scenario(scenario, [{"reference": reference}]))
     told = "\n".join([*mission.lines, mission.conclusion])
     print_result(
         as_json,

@@ -52,14 +52,18 @@ class Contact:
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
-    """The payload body. Raises ModelError unless the target consists of this body alone."""
+    """The payload body. Raises ModelError unless the target consists of this body alone, and of
+    links without mass that are fixed to it.
+    """
     key = "payload.body"
     body = find_body(model.plant, scenario.payload.body, key=key)
     effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector").body()
+    fixed = {each.index() for each in model.plant.GetBodiesWeldedTo(body)}
     others = [
-        model.plant.get_body(index).scoped_name()
-        for index in model.plant.GetBodyIndices(body.model_instance())
-        if index != body.index()
+        other.scoped_name()
+        for other in map(model.plant.get_body, model.plant.GetBodyIndices(body.model_instance()))
+        if other.index() != body.index()
+        and (other.index() not in fixed or other.default_mass() > 0.0)
     ]
     fault = f"is not alone in its model: {', '.join(map(str, others))} beside it" if others else ""
     if body.model_instance() == effector.model_instance():
@@ -67,7 +71,7 @@ def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
     if fault:
         raise ModelError(
             f"{key}: '{scenario.payload.body}' {fault}; capture takes a target of one body, a "
-            "model of its own"
+            "model of its own (links without mass may be fixed to it)"
         )
     return body
 

@@ -69,25 +69,23 @@ _FRAME = {
     for what in ("rotation", "position")
 }
 _AXES = ([1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1])
-_PANEL = {"mass": 4.0, "frequency": 0.5, "damping_ratio": 0.01}
+_PANEL = {"mass": 2.0, "frequency": 0.5, "damping_ratio": 0.01}
 _LAWS = {
     "proposed": "tde_aismc",
     "tdc": "tdc",
-    "own law": "own_controller:MyPdPlus",
+    "own law": "own_law:MyPdPlus",
     "task-space law": "task_time_delay",
 }
 
 
 def _always(scenario):
     """What every mission has: a short motion nearby, gains that suit all sensors."""
-    start = scenario.initial_posture.joints
-    near = {name: angle + 0.15 * (-1) ** k for k, (name, angle) in enumerate(start.items())}
     at_origin = {"base_position": [0.0, 0.0, 0.0], "base_rpy": [0.0, 0.0, 0.0]}
     return {
         "duration": MOTION + HOLD,
         "tolerance": {"all": 0.03},
         "initial_posture": at_origin,
-        "target_posture": {**at_origin, "joints": near},
+        "target_posture": {**at_origin, "joints": _on_the_way(scenario, 0.15)},
         "reference": {"duration": MOTION, "base_rotation": "eigenaxis"},
         "disturbance": {"amplitude_scale": 0.2},
         "python_path": [str(ROOT / "examples"), str(ROOT / "tests")],
@@ -98,6 +96,13 @@ def _always(scenario):
         },
         "planning": {"segments": 4, "time_weight": 0.0, "effort_weight": 1.0},
     }  # fmt: skip
+
+
+def _on_the_way(scenario, furthest):
+    """Joint angles on the scenario's own motion, which is free of contact."""
+    start, end = scenario.initial_posture.joints, scenario.target_posture.joints
+    share = furthest / max(abs(end[name] - start[name]) for name in start)
+    return {name: angle + share * (end[name] - angle) for name, angle in start.items()}
 
 
 _NOISY = {"position_noise": 1e-6, "velocity_noise": 1e-6}
@@ -162,6 +167,7 @@ def overrides_of(row, scenario, plan):
     if row["flexible"] == "slosh":
         tank = {
             "kind": "pendulum",
+            "body": bus,
             "mass": 3.0,
             "length": 0.3,
             "stiffness": 0.5,
@@ -193,7 +199,7 @@ def _start(row, scenario):
     capture = {"rate": rate, "axes": "target", "servicer": "rest"}
     if row["start"] == "capture from the grasp":
         return {"capture": capture}
-    joints = {name: angle + 0.1 for name, angle in scenario.initial_posture.joints.items()}
+    joints = _on_the_way(scenario, 0.25)
     envelope = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
     return {"capture": {**capture, "envelope": envelope}, "duration": APPROACH + MOTION + HOLD}
