@@ -147,6 +147,12 @@ def test_a_full_disk_leaves_nothing_by_halves(before, place):
     run_alone(full_at_drawn_bytes, before, QUICK, 12)
 
 
-@pytest.mark.slow
-def test_a_full_disk_leaves_nothing_by_halves_for_long(before, place):
-    run_alone(full_at_drawn_bytes, before, [*COMMANDS], 150)
+@pytest.mark.parametrize(
+    "count",
+    [
+        pytest.param(40, marks=pytest.mark.slow),
+        pytest.param(1000, marks=pytest.mark.exhaustive),
+    ],
+)
+def test_a_full_disk_leaves_nothing_by_halves_for_long(before, place, count):
+    run_alone(full_at_drawn_bytes, before, [*COMMANDS], count)
