@@ -20,24 +20,15 @@ from ffsm_drake.show.tables import results_table
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the example; returns the exit code: 0 good, 2 bad input, 3 diverged, 130 interrupted."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--scenario", default="postcapture", metavar="NAME_OR_FILE", help="default: %(default)s"
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a scenario value"
-    )
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenario", default="postcapture", help="name or file")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/SCENARIO")
     options = parser.parse_args(arguments)
+    directory = options.out or Path("out") / Path(options.scenario).stem
     try:
         with warnings_as_lines():
-            return run(
-                options.scenario,
-                options.set,
-                options.out or Path("out") / Path(options.scenario).stem,
-            )
+            return run(options.scenario, options.set, directory)
     except ffsm_drake.FfsmError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -20,6 +20,7 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 from scipy.optimize import brentq
 
 from ffsm_drake import FfsmError, simulate
@@ -137,6 +138,17 @@ def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
     elif words[:2] == ("python", "-c"):
         exec(compile(words[2], page, "exec"), {})
         assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, id=page.name) for page in PAGES if "![" in page.read_text()]
+)
+def test_every_picture_opens_and_is_light(page):
+    for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text()):
+        file = page.parent / name
+        with Image.open(file) as picture:
+            picture.load()
+        assert file.stat().st_size < 1e6, name
 
 
 TASKS = ("bring_your_arm", "real_sensors", "catch", "put_on_thrusters", "compare_laws")

@@ -92,7 +92,8 @@ class Fitting:
         if best < Scenario().clearance:
             self.remarks.append(
                 f"no approach keeps clear of the target: {chosen} come within {best:.3g} m "
-                "(below 0 they overlap); a smaller target, a slower tumble, or another --tip"
+                "(below 0 they overlap); a smaller target, a slower tumble, or a --tip at the end "
+                f"of the hand (now {self.data['model']['end_effector']})"
             )
 
     def _approached(self, posture: Posture, axis: np.ndarray, length: float) -> Nearest:

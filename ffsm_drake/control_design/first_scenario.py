@@ -381,9 +381,9 @@ def _target_draft(target: Target, file: str) -> dict[str, dict[str, Any]]:
     """A target of the user's."""
 
     def share(part: float) -> dict[str, Any]:
-        inertia = [part * moment for moment in target.inertia]
+        inertia = [float(f"{part * moment:.10g}") for moment in target.inertia]
         return {
-            "mass": part * target.mass,
+            "mass": float(f"{part * target.mass:.10g}"),
             "center_of_mass": list(target.center_of_mass),
             "inertia": inertia,
         }

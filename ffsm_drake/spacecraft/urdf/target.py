@@ -60,8 +60,8 @@ def read_target(path: Path) -> Target:
         require(
             GRASP in frames or len(frames) == 1,
             f"{'more than one frame' if frames else 'no frame'} where it could be held; add "
-            f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, with z into the '
-            "target",
+            f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, on its surface, '
+            "with z into the target",
         )
         origin, place = heavy[0].find("inertial/origin"), f"link '{body}'"
         require(

@@ -1,7 +1,7 @@
 """The same goal in the inertial frame with the Jacobian of a fixed base and with the generalized
 Jacobian.
 
-python examples/free_floating.py
+python docs/draw_free_floating.py
 
 With thrusters off the base reacts to the arm. Joints that would reach the goal on a fixed base miss
 it; those that the generalized Jacobian gives do not. Prints the table and draws the figure of
