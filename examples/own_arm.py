@@ -16,6 +16,8 @@ LINK = """<link name="{}"><inertial><origin xyz="0 0 {}"/><mass value="{}"/>
 JOINT = """<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/>
   <origin xyz="0 0 {}"/><axis xyz="{}"/>
   <limit lower="{}" upper="{}" effort="40" velocity="0.5"/></joint>"""
+TOOL = """<link name="tool"/><joint name="tool_mount" type="fixed"><parent link="boom"/>
+  <child link="tool"/><origin xyz="0 0 0.6"/></joint>"""  # the end, where targets are held
 LINKS = (  # name, height of the centre of mass [m], mass [kg], moments of inertia [kg m^2]
     ("bus", 0.0, 180, 30, 30, 30),
     ("turret", 0.1, 5, 0.05, 0.05, 0.05),
@@ -34,6 +36,7 @@ def main():
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     parts = [LINK.format(*link) for link in LINKS] + [JOINT.format(*joint) for joint in JOINTS]
+    parts.append(TOOL)
     (folder / "courier.urdf").write_text(f'<robot name="courier">{"".join(parts)}</robot>')
     started = new_scenario(folder / "courier.urdf", folder / "courier")
     print(started.summary())
