@@ -30,6 +30,7 @@ from ffsm_drake.systems.deflections import Deflections
 from ffsm_drake.systems.disturbance import HarmonicDisturbance
 from ffsm_drake.systems.environment import OrbitalEnvironment
 from ffsm_drake.systems.frame_path import FRAME_SIZE
+from ffsm_drake.systems.gripper import Gripper
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
 from ffsm_drake.systems.reference import reference_of, wide_reference_of
 from ffsm_drake.systems.registry import (
@@ -106,13 +107,14 @@ BLOCKS: dict[str, Ports] = {
         },
     ),
 }
-DISTURBANCE = "forces.disturbance"
+DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
 # The parts of the scenario's own sections: forces, and what acts within another block.
 _SECTION_PARTS: dict[str, type[Part]] = {
     **{f"actuation.{name}": kind for name, kind in SECTIONS.items()},
     "flexible": Deflections,
     DISTURBANCE: HarmonicDisturbance,
     "forces.environment": OrbitalEnvironment,
+    GRIPPER: Gripper,
 }
 
 

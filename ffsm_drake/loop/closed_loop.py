@@ -31,7 +31,7 @@ from ffsm_drake.common.guard import calling, guarded, is_user_supplied
 from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
@@ -229,6 +229,8 @@ class ClosedLoop:
         before: "ClosedLoop",
         context_before: Context,
         references: np.ndarray,
+        *,
+        afresh: bool = False,
     ) -> None:
         """Continue the blocks from another loop's state; its scenario differs in the payload only.
 
@@ -237,14 +239,27 @@ class ClosedLoop:
           before: the other loop.
           context_before: the other loop's root context.
           references: [q_d; v_d] where this loop's motion begins, of each copy: (B, nq + nv).
+          afresh: the controller keeps its own state.
         """
         for name, block in self.blocks.items():
+            if afresh and name == "controller":
+                continue
             other = before.blocks[name]
             context, source = (
                 block.GetMyMutableContextFromRoot(root_context),
                 other.GetMyContextFromRoot(context_before),
             )
             _resume(block, context, other, source, references)
+
+    def carry_on(
+        self, root_context: Context, before: "ClosedLoop", context_before: Context
+    ) -> None:
+        """Continue the plant and the blocks from another loop of the same wiring, as they are."""
+        self.set_whole_states(root_context, before.whole_states(context_before))
+        for name, block in self.blocks.items():
+            context = block.GetMyMutableContextFromRoot(root_context)
+            source = before.blocks[name].GetMyContextFromRoot(context_before)
+            context.SetStateAndParametersFrom(source)
 
 
 def _resume(
@@ -268,6 +283,7 @@ def add_closed_loop(
     *,
     blocks: Mapping[str, Factory] | None = None,
     plant: MultibodyPlant | None = None,
+    joint_force: np.ndarray | None = None,
 ) -> ClosedLoop:
     """Add the closed loop of a scenario to a diagram.
 
@@ -280,6 +296,7 @@ def add_closed_loop(
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
         otherwise one without geometry is added.
+      joint_force: the joints' actuators give this (joints), whatever is commanded.
 
     Raises:
       ModelError: the model does not load.
@@ -298,7 +315,7 @@ def add_closed_loop(
     for system in blocks_by_name.values():
         builder.AddSystem(system)
     wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
-    wiring.connect(parts[0])
+    wiring.connect(parts[0], joint_force)
     return ClosedLoop(
         parts=parts[0],
         scenario=first,
@@ -383,11 +400,11 @@ class _Wiring:
         self._states = self._add_states() if rearranged else {"state": (plant, "state")}
         self.sources: dict[str, Source] = dict(self._states)
 
-    def connect(self, parts: Parts) -> None:
+    def connect(self, parts: Parts, joint_force: np.ndarray | None) -> None:
         """All steps; ``parts`` are those whose signals are recorded."""
         self.measure()
         self.follow()
-        self.actuate()
+        self.actuate(joint_force)
         self.act()
         self.record_controller()
         self.record_parts(parts)
@@ -415,7 +432,7 @@ class _Wiring:
                 if self._controller.HasInputPort(name):
                     self._connect(name, self._controller.GetInputPort(name))
 
-    def actuate(self) -> None:
+    def actuate(self, joint_force: np.ndarray | None) -> None:
         """The actuators behind the controller, which hears of the force that they apply."""
         controller, actuation, name = self._controller, self._actuation, "applied_force"
         self.sources["generalized_force"] = applied = (controller, "generalized_force")
@@ -423,12 +440,19 @@ class _Wiring:
             self._connect("generalized_force", actuation.GetInputPort("commanded_force"))
             self._give_states(actuation)
             applied = (actuation, name)
-        if self._coordinates.undriven:  # no force acts there, whatever is commanded
+        # no force acts there, whatever is commanded
+        if joint_force is not None or self._coordinates.undriven:
             mask = self._coordinates.is_driven.astype(float)
+            if joint_force is not None:
+                mask[NUM_BASE_VELOCITIES:] = 0.0
             driven = Gain(np.tile(mask, self._copies.number if self._copies else 1))
             self._builder.AddNamedSystem("driven_force", driven)
             self._builder.Connect(_port(applied), driven.get_input_port())
             applied = (driven, driven.get_output_port().get_name())
+        if joint_force is not None:
+            whole = np.concatenate([np.zeros(NUM_BASE_VELOCITIES), joint_force])
+            held = self._builder.AddNamedSystem("joint_force", ConstantVectorSource(whole))
+            applied = self._sum("applied", [applied, (held, held.get_output_port().get_name())])
         self.sources[name] = applied
         if controller.HasInputPort(name):
             self._connect(name, controller.GetInputPort(name))

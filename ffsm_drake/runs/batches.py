@@ -147,6 +147,7 @@ def _group(scenario: Scenario) -> str | None:
         or config.integration_scheme not in _EXPLICIT
         or config.target_realtime_rate > 0.0
         or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
+        or closing_of(scenario) is not None
     ):
         return None
     neutral = Scenario()

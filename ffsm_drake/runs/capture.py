@@ -13,25 +13,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.runs.closing import ClosingRun, closing_of
 from ffsm_drake.runs.ending import MISSED, Outcome
+from ffsm_drake.runs.handover import Handover, Handovers, mismatch_of, stored_at_start
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
-from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
-from ffsm_drake.spacecraft.capture import (
-    contact_at,
-    planned_contact,
-    target_body,
-    target_path,
-)
-from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration, find_frame
-from ffsm_drake.systems.part import STORED_MOMENTUM
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.capture import planned_contact, target_path
+from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.reference import without_target
 from ffsm_drake.systems.registry import Factory
 
@@ -47,6 +39,7 @@ class CaptureRollout:
         meshcat: Meshcat | None = None,
     ) -> None:
         """Args and errors as for ``Rollout``."""
+        self._blocks = blocks
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
         self._scenarios = _as_tuple(scenario)
         self._approach = None
@@ -101,7 +94,9 @@ class CaptureRollout:
         chosen = scenario or self._stop.loop.scenario
         if self._approach is None:
             return _grasped_at_start(self._stop.run(scenario, progress=progress))
-        handovers = _Handovers([chosen])
+        if closing_of(chosen) is not None:
+            return self._run_closing(chosen, scenario, progress, start)
+        handovers = Handovers([Handover(chosen)])
         sample, (handover,) = handovers.sample, handovers.each
         try:
             approach = self._approach.run(
@@ -133,13 +128,43 @@ class CaptureRollout:
             raise
         return handover.joined(approach, log, start)
 
+    def _run_closing(
+        self,
+        chosen: Scenario,
+        scenario: Scenario | None,
+        progress: Callable[[float, float], None] | None,
+        start: float,
+    ) -> RunLog:
+        """``run`` with a gripper that closes over a time."""
+        handovers = Handovers([Handover(chosen)])
+        legs = ClosingRun(chosen, handovers.each[0], blocks=self._blocks, progress=progress)
+        try:
+            captured = legs.run(self._approach, scenario, handovers.start)
+        except BlockError as error:
+            if error.log is not None:
+                legs.logs.append(error.log)
+                legs.sample += error.log.time.size
+                error.log = legs.joined
+            raise
+        if not captured:
+            return legs.joined
+        held, handover = legs.held()
+        handovers = Handovers([handover], afresh=True)
+        handovers.keep(legs.loop, legs.context)
+        stop = Rollout(held, blocks=legs.blocks)
+        handovers.meet(stop.loop)
+        log = stop.run(progress=progress, leg=Leg(first=legs.sample, begin=handovers.grasp))
+        log = dataclasses.replace(log, scenario=chosen)
+        return handover.joined(legs.joined, log, start)
+
     def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
         """As ``Rollout.run_all``; None of one that misses its target, too."""
         start = time.perf_counter()
         if self._approach is None:
             logs = self._stop.run_all(scenarios)
             return [None if log is None else _grasped_at_start(log) for log in logs]
-        handovers = _Handovers(self._scenarios if scenarios is None else scenarios)
+        chosen = self._scenarios if scenarios is None else scenarios
+        handovers = Handovers([Handover(each) for each in chosen])
         sample = handovers.sample
         approaches = self._approach.run_all(
             None if scenarios is None else [without_target(each) for each in scenarios],
@@ -167,14 +192,16 @@ def _grasped_at_start(log: RunLog) -> RunLog:
     """The log of a run that begins with the planned grasp."""
     model = make_flexible_plant(log.scenario)
     contact = planned_contact(log.scenario, model)
-    mismatch = _mismatch(log.scenario, model, contact.q, contact.velocity, contact.target_velocity)
+    mismatch = mismatch_of(
+        log.scenario, model, contact.q, contact.velocity, contact.target_velocity
+    )
     grasp = GraspLog(
         sample=0,
         contact=contact,
         payload=log.scenario.payload.truth,
         target=np.empty((0, 13)),
         mismatch=mismatch,
-        stored=_stored(log),
+        stored=stored_at_start(log),
     )
     return dataclasses.replace(log, grasp=grasp)
 
@@ -188,186 +215,3 @@ def make_rollout(
     """The rollout of a scenario, or of several; arguments and errors as for ``Rollout``."""
     kind = Rollout if _as_tuple(scenario)[0].capture is None else CaptureRollout
     return kind(scenario, blocks=blocks, meshcat=meshcat)
-
-
-class _Handover:
-    """Takes a run from the loop before the grasp to the one after it."""
-
-    log: GraspLog
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario, self.truth = scenario, scenario.payload.truth
-        self.sample = round(scenario.grasp_time / scenario.sample_time)
-        model = make_nominal_plant(scenario)
-        planned = planned_contact(scenario, model)
-        self.reference = np.concatenate([planned.q, planned.grasp.velocity])
-        # The target's own motion up to where it is to be met.
-        self._twist = planned.target_velocity
-        self._X_WP, self._path = target_path(scenario, model, planned)
-
-    def start(self, loop: ClosedLoop) -> np.ndarray:
-        """The plant's own [q; v] of the servicer where the approach starts."""
-        capture = self._scenario.capture
-        if capture is None or capture.approach is None:
-            raise ValueError("capture.approach: there is none")
-        position = configuration(
-            loop.single, capture.approach.posture, key="capture.approach.posture"
-        )
-        velocity = loop.coordinates.vector(
-            self._scenario.initial_velocity, key="initial_velocity", default=0.0
-        )
-        return loop.split.whole(np.concatenate([position, velocity]))
-
-    def ungrasped(self, samples: int) -> GraspLog:
-        """Log of a run that ended before the grasp, after a number of samples."""
-        payload = self._scenario.payload.truth
-        return GraspLog(sample=samples, contact=None, payload=payload, target=self._path[:samples])
-
-    def joined(self, approach: RunLog, log: RunLog, start: float) -> RunLog:
-        """The log of both legs of a run that began at a wall time."""
-        return dataclasses.replace(
-            log,
-            time=np.concatenate([approach.time, log.time]),
-            series={
-                name: np.concatenate([approach.series[name], values])
-                for name, values in log.series.items()
-            },
-            wall_time={
-                "build": approach.wall_time["build"] + log.wall_time["build"],
-                "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
-                "total": time.perf_counter() - start,
-            },
-            grasp=dataclasses.replace(self.log, stored=_stored(log)),
-        )
-
-    def meet(self, loop: ClosedLoop, state: np.ndarray) -> None:
-        """Find how the gripper, at the plant's own [q; v], meets the target, with the loop in which
-        it is held.
-        """
-        scenario, plant = self._scenario, loop.single
-        self._q, self._v = np.split(state, [plant.num_positions()])
-        context = plant.CreateDefaultContext()
-        plant.SetPositions(context, self._q)
-        model = dataclasses.replace(loop.model(context), plant=plant)
-        # X_WQ: where the model welds the target's frame P
-        self._X_WQ = RigidTransform(target_body(scenario, model).EvalPoseInWorld(context))
-        offset = self._X_WQ.translation() - self._X_WP.translation()
-        self._twist_Q = self._twist.copy()
-        self._twist_Q[3:] += np.cross(self._twist_Q[:3], offset)
-        turn = (self._X_WP.rotation() @ self._X_WQ.rotation().inverse()).ToAngleAxis()
-        self._offset = np.concatenate([turn.angle() * turn.axis(), -offset])
-        self._mismatch = _mismatch(scenario, model, self._q, self._v, self._twist_Q)
-
-    def beyond_envelope(self) -> str:
-        """The part of the miss beyond ``capture.envelope``; empty where the gripper holds."""
-        capture = self._scenario.capture
-        if capture is None:
-            return ""
-        (angle, distance), (rate, speed) = (
-            np.linalg.norm(part.reshape(2, 3), axis=1).tolist()
-            for part in (self._offset, self._mismatch)
-        )
-        sizes = {
-            "position": (distance, "m"),
-            "angle": (angle, "rad"),
-            "velocity": (speed, "m/s"),
-            "angular_velocity": (rate, "rad/s"),
-        }
-        limits = {name: getattr(capture.envelope, name) for name in sizes}
-        return ", ".join(
-            f"{name} {size:.3g} {unit} (capture.envelope.{name}: {limits[name]:g})"
-            for name, (size, unit) in sizes.items()
-            if limits[name] is not None and size > limits[name]
-        )
-
-    def grasp(self, loop: ClosedLoop) -> np.ndarray:
-        """Grasp the target, as ``log`` says; the plant's own [q; v] after it."""
-        scenario = self._scenario
-        model = loop.true_model(scenario)
-        payload = seen_from(scenario.payload.truth, self._X_WQ.InvertAndCompose(self._X_WP))
-        set_payload(model.plant, model.context, body=scenario.payload.body, properties=payload)
-        contact = contact_at(
-            scenario, model, q=self._q, velocity=self._v, target_velocity=self._twist_Q
-        )
-        self.log = GraspLog(
-            sample=self.sample,
-            contact=contact,
-            payload=payload,
-            target=self._path,
-            offset=self._offset,
-            mismatch=self._mismatch,
-        )
-        return np.concatenate([self._q, contact.grasp.velocity])
-
-
-class _Handovers:
-    """Those of runs side by side, or of one, as callbacks of their legs."""
-
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self.each = [_Handover(scenario) for scenario in scenarios]
-        (self.sample,) = {handover.sample for handover in self.each}
-        self.ended: set[int] = set()  # those that do not come to their grasp
-
-    def start(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Put the servicers where the approaches start."""
-        loop.set_whole_states(root_context, np.stack([each.start(loop) for each in self.each]))
-
-    def keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Keep the loop before the grasp, and its context at the grasp."""
-        self._before, self._context_before = loop, root_context
-
-    def meet(self, loop: ClosedLoop, without: Sequence[bool] = (False,)) -> None:
-        """Find how each gripper meets its target; ``without``: those whose approach failed."""
-        self.ended = set(np.flatnonzero(without).tolist())
-        for copy, state in enumerate(self._before.whole_states(self._context_before)):
-            if copy not in self.ended:
-                self.each[copy].meet(loop, state)
-                if self.each[copy].beyond_envelope():
-                    self.ended.add(copy)
-
-    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Grasp the targets; the runs continue from the states after the grasp."""
-        rows = loop.whole_states(root_context)
-        payloads = [each.truth for each in self.each]
-        for copy, handover in enumerate(self.each):
-            if copy not in self.ended:
-                rows[copy] = handover.grasp(loop)
-                payloads[copy] = handover.log.payload
-        loop.set_whole_states(root_context, rows)
-        references = np.stack([each.reference for each in self.each])
-        loop.resume(root_context, self._before, self._context_before, references)
-        # to the blocks, which resume with nothing in the gripper
-        loop.set_payloads(root_context, payloads)
-
-
-def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassProperties:
-    """The mass properties of a body in frame P, in another frame Q of it."""
-    R = X_QP.rotation().matrix()
-    inertia = R @ inertia_matrix(properties) @ R.T
-    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    return MassProperties(
-        mass=properties.mass,
-        center_of_mass=(X_QP @ np.array(properties.center_of_mass)).tolist(),
-        inertia=inertia[rows, columns].tolist(),
-    )
-
-
-def _stored(log: RunLog) -> np.ndarray | None:
-    """The momentum (3) that parts store at a log's start; None where none does."""
-    stored = log.with_role(STORED_MOMENTUM)
-    return None if stored is None else stored[0]
-
-
-def _mismatch(
-    scenario: Scenario, model: PlantModel, q: np.ndarray, v: np.ndarray, twist: np.ndarray
-) -> np.ndarray:
-    """[w; v] (6) of the target from the end effector, at its origin; ``twist`` is that of the
-    payload body's frame.
-    """
-    model.plant.SetPositionsAndVelocities(model.context, np.concatenate([q, v]))
-    effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
-    p_WP = target_body(scenario, model).EvalPoseInWorld(model.context).translation()
-    moving = effector.CalcSpatialVelocityInWorld(model.context).get_coeffs()
-    there = twist.copy()
-    there[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(model.context).translation() - p_WP)
-    return there - moving

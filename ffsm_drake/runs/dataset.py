@@ -227,7 +227,7 @@ def _with_phases(
         "target_position": (("time", "axis"), pose[:, 4:], place),
         "target_quaternion": (("time", "quaternion"), pose[:, :4], attitude),
     })  # fmt: skip
-    phase = ["approach"] * count + ["stop"] * (len(states) - count)
+    phase = grasp.phases + ["stop"] * (len(states) - count)
     names = ["w", "x", "y", "z"]
     return table.assign_coords({"phase": ("time", phase), "quaternion": ("quaternion", names)})
 

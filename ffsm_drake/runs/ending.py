@@ -1,5 +1,5 @@
 """How a run ended, in one word that says what it covers: settled, not settled, growing, missed,
-diverged, interrupted, failed.
+slipped, bounced, diverged, interrupted, failed.
 """
 
 import dataclasses
@@ -13,11 +13,13 @@ from ffsm_drake.scenario import Scenario
 
 # Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
+SLIPPED, BOUNCED = "slipped", "bounced"  # the target got out of the gripper, closed or closing
+NOT_CAPTURED = (MISSED, SLIPPED, BOUNCED)
 FAILED = "failed"  # user-supplied code raised an exception, or returned what cannot be used
-OUTCOMES = (COMPLETED, MISSED, DIVERGED, INTERRUPTED, FAILED)
+OUTCOMES = (COMPLETED, *NOT_CAPTURED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
 # A completed run is one of the first three; best first.
-ENDINGS = (SETTLED, NOT_SETTLED, GROWING, MISSED, DIVERGED, INTERRUPTED, FAILED)
+ENDINGS = (SETTLED, NOT_SETTLED, GROWING, *NOT_CAPTURED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared with the tolerance
 _WINDOWS = 3  # of that length, at the end, whose peaks show whether errors grow
 _GROWTH = 1.5  # times, from each to the next
@@ -57,8 +59,8 @@ class Ending:
 
     @property
     def is_failure(self) -> bool:
-        """Whether it failed, diverged, was about to, or missed its target."""
-        return self.status in (GROWING, MISSED, DIVERGED, FAILED)
+        """Whether it failed, diverged, was about to, or did not capture its target."""
+        return self.status in (GROWING, *NOT_CAPTURED, DIVERGED, FAILED)
 
 
 def ending_of(

@@ -35,6 +35,8 @@ class GraspLog:
     contact: Contact | None  # None: the run ended before
     # true mass properties of the target in frame P, where the model welds the payload body
     payload: MassProperties
+    # legs before the grasp, in the order of the samples: name, number of samples
+    legs: tuple[tuple[str, int], ...] = ()  # none: "approach" alone
     # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
     target: np.ndarray
     # (6) the target's pose error from P at the grasp: rotation vector, position
@@ -43,6 +45,12 @@ class GraspLog:
     mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (3) momentum stored in the actuators, N m s; the grasp does not change it
     stored: np.ndarray | None = None
+
+    @property
+    def phases(self) -> list[str]:
+        """The leg of each sample before the grasp."""
+        legs = self.legs or (("approach", self.sample),)
+        return [name for name, samples in legs for _ in range(samples)]
 
     def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
         """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""

@@ -82,6 +82,7 @@ class Rollout:
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
         target: np.ndarray | None = None,
+        joint_force: np.ndarray | None = None,
     ) -> None:
         """Build the closed loop.
 
@@ -90,6 +91,7 @@ class Rollout:
           blocks: factories that replace its blocks, see ``add_closed_loop``.
           meshcat: shows the motion.
           target: pose of a free target to show (n, 7; quaternion, position) at the control samples.
+          joint_force: as for ``add_closed_loop``.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -100,7 +102,9 @@ class Rollout:
             if meshcat is None or target is not None
             else add_combined_plant(builder, scenario.model, flexible=True)
         )
-        loop = add_closed_loop(builder, scenarios, blocks=blocks, plant=plant)
+        loop = add_closed_loop(
+            builder, scenarios, blocks=blocks, plant=plant, joint_force=joint_force
+        )
         if meshcat is not None and target is not None:
             _show_apart(builder, loop, target)
         self._logger, self._logged = _add_logger(builder, loop)

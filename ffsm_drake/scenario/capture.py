@@ -64,6 +64,59 @@ class Compliance:
 
 
 @dataclass
+class Closing:
+    """The gripper's jaws as they close on the target, at the end of the approach.
+
+    Springs and dampers (``capture.compliance``) draw the grasp frames together. Their force is at
+    most what preloaded jaws hold by friction, and grows with the preload while the jaws close.
+    """
+
+    time: float = setting(0.5, "s", "in which the jaws close and the preload grows", above=0)
+    hold: float = setting(
+        0.5, "s", "closed, until the grasp is made or the target has slipped", above=0
+    )
+    preload: float = setting(500.0, "N", "of each of the two jaws, closed", above=0)
+    friction: float = setting(0.3, "1", "coefficient between jaws and target", above=0)
+    radius: float = setting(
+        0.1, "m", "lever of the friction against rotation: what each jaw bears is spread about it",
+        above=0,
+    )  # fmt: skip
+    axis: list[float] = vector_in(
+        [0.0, 0.0, 1.0], "1", "out of the gripper, in the end effector's axes: the palm pushes so"
+    )
+    joints: str = choice_of(
+        "limp",
+        'the arm meanwhile: "limp", its motors keep the force that they had, or "controlled" as '
+        "before, by a law that knows of no target yet",
+        "limp",
+        "controlled",
+    )
+    rest: float = setting(
+        0.01, "m/s or rad/s", "the target is held if it then moves less in the gripper", above=0
+    )
+
+    @property
+    def duration(self) -> float:
+        """From the first contact to the grasp, s."""
+        return self.time + self.hold
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """An approach that is longer, whole samples, an axis."""
+        approach = scenario.capture.approach
+        if approach is None or self.duration >= approach.duration:
+            yield key, "needs a capture.approach that lasts longer than time and hold together"
+        samples = self.duration / scenario.sample_time
+        if abs(samples - round(samples)) >= 1e-6:
+            yield (
+                key,
+                f"time and hold together must be whole control samples of "
+                f"{scenario.sample_time:g} s, not {self.duration:g} s",
+            )
+        if not any(self.axis):
+            yield f"{key}.axis", "must not be zero"
+
+
+@dataclass
 class Envelope:
     """The largest miss with which the gripper still holds the target at the end of an approach.
 
@@ -138,6 +191,9 @@ class Capture:
     )
     approach: Approach | None = unitless(
         None, "the motion up to the grasp; null: the run begins with the grasp"
+    )
+    closing: Closing | None = unitless(
+        None, "of the gripper, over a time; null: it closes at once and holds for good"
     )
     envelope: Envelope = setting(Envelope())
     accepted_drift: PerCoordinate | None = setting(

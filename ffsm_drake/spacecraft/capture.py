@@ -258,15 +258,16 @@ def coast(
     *,
     samples: int,
     sample_time: float,
+    onward: bool = False,
 ) -> np.ndarray:
     """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given pose
-    and velocity.
+    and velocity, or ``onward`` from there.
 
-    Free motion is reversible: it is simulated from that pose with the velocity reversed.
+    Free motion is reversible: before it is simulated from that pose with the velocity reversed.
 
     Args:
       properties: the target's, in its frame P.
-      X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last.
+      X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last; onward, at the first.
       samples: how many, ``sample_time`` (s) apart.
     """
     builder = DiagramBuilder()
@@ -283,8 +284,11 @@ def coast(
     ApplySimulatorConfig(config, simulator)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     plant.SetFreeBodyPose(context, body, X_WP)
-    plant.SetVelocities(context, -twist)
+    plant.SetVelocities(context, twist if onward else -twist)
     simulator.AdvanceTo(samples * sample_time)
-    states: np.ndarray = logger.FindLog(simulator.get_context()).data().T[samples:0:-1].copy()
+    states: np.ndarray = logger.FindLog(simulator.get_context()).data().T
+    if onward:
+        return states[:samples].copy()
+    states = states[samples:0:-1].copy()
     states[:, 7:] *= -1.0
     return states

@@ -462,3 +462,13 @@ def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.nd
 def base_rpy(q: np.ndarray) -> np.ndarray:
     """Roll, pitch, yaw (3) of the base in configuration q, rad."""
     return RollPitchYaw(Quaternion(q[:4] / np.linalg.norm(q[:4]))).vector()
+
+
+def posture_of(q: np.ndarray, coordinates: Coordinates) -> Posture:
+    """The posture of a configuration q (nq)."""
+    joints = zip(coordinates.names[NUM_BASE_VELOCITIES:], q[NUM_BASE_POSITIONS:], strict=True)
+    return Posture(
+        base_position=q[4:NUM_BASE_POSITIONS].tolist(),
+        base_rpy=base_rpy(q).tolist(),
+        joints={name: float(angle) for name, angle in joints},
+    )

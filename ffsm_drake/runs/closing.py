@@ -1,0 +1,251 @@
+"""Runs whose gripper closes over a time (``capture.closing``), up to the grasp: approach and
+closing; then, with the target apart, retreat and the next try.
+
+Each leg has a loop of its own; plant and blocks go on from leg to leg as they are.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from ffsm_drake.common.numbers import number
+from ffsm_drake.loop.blocks import GRIPPER
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED, Outcome
+from ffsm_drake.runs.handover import Handover
+from ffsm_drake.runs.log import GraspLog, RunLog
+from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.capture import Closing, Compliance
+from ffsm_drake.spacecraft.capture import coast, target_body
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import posture_of
+from ffsm_drake.systems.gripper import Gripper, Met
+from ffsm_drake.systems.reference import without_target
+from ffsm_drake.systems.registry import Factory
+
+_LATELY = 20  # samples before the contact, over which the joints' force is averaged
+
+Begin = Callable[[ClosedLoop, Context], None]
+
+
+def closing_of(scenario: Scenario) -> Closing | None:
+    """The closing of a run's gripper; None where it closes at once."""
+    capture = scenario.capture
+    return None if capture is None or capture.approach is None else capture.closing
+
+
+class ClosingRun:
+    """The legs of one run up to the grasp.
+
+    After ``run``, ``scenario``, ``blocks``, ``handover`` and ``sample`` are those of the last try,
+    ``loop`` and ``context`` those in which it ended.
+    """
+
+    loop: ClosedLoop
+    context: Context
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        handover: Handover,
+        *,
+        blocks: Mapping[str, Factory] | None,
+        progress: Callable[[float, float], None] | None,
+    ) -> None:
+        """Args: what to run; that of its first try; as for ``Rollout`` and its ``run``."""
+        self.scenario, self.handover, self.blocks = scenario, handover, dict(blocks or {})
+        self._chosen, self._progress = scenario, progress
+        closing = closing_of(scenario)
+        if closing is None or scenario.capture is None:
+            raise ValueError("capture.closing: there is none")
+        self._capture, self._closing = scenario.capture, closing
+        self._samples = round(closing.duration / scenario.sample_time)  # of the closing
+        self.sample = 0
+        self._path = handover.path  # motion of the target (n, 13) at the samples of the run
+        self._legs: list[tuple[str, int]] = []
+        self.logs: list[RunLog] = []
+        self.outcome: Outcome | None = None  # unless the target is captured
+
+    def run(self, rollout: Rollout, scenario: Scenario | None, begin: Begin) -> bool:
+        """Approach and close, and try again as ``capture.retreat`` says; True: it is captured.
+
+        Args: the loop of the first approach; as for its ``run``; called at its start.
+        """
+        first = self.handover.sample - self._samples
+        alone = None if scenario is None else without_target(scenario)
+        flown = self._leg(rollout, [("approach", first)], begin, alone)
+        return flown and self._close(1)
+
+    def held(self) -> tuple[Scenario, Handover]:
+        """What the run goes on with once the target is captured: a stop planned from the state that
+        the servicer measures, with the target at rest in the gripper.
+        """
+        scenario, model = self.scenario, make_nominal_plant(self.scenario)
+        state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
+        q, v = np.split(state, [model.plant.num_positions()])
+        body = target_body(scenario, model)
+        w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
+        arm = body.EvalPoseInWorld(model.context).rotation() @ np.array(
+            scenario.payload.truth.center_of_mass
+        )
+        capture = dataclasses.replace(
+            self._capture,
+            rate=w.tolist(),
+            velocity=(v_P + np.cross(w, arm)).tolist(),
+            axes="world",
+            servicer="given",
+            servicer_velocity=dict(zip(model.coordinates.names, v.tolist(), strict=True)),
+        )
+        scenario = dataclasses.replace(
+            scenario, initial_posture=posture_of(q, model.coordinates), capture=capture
+        )
+        handover = Handover(scenario)
+        handover.sample, handover.path = self.sample, self._path[: self.sample]
+        handover.legs = tuple(self._legs)
+        handover.find_target(self._path[self.sample])
+        return scenario, handover
+
+    @property
+    def ungrasped(self) -> GraspLog:
+        """Log of the run so far."""
+        return GraspLog(
+            sample=self.sample,
+            contact=None,
+            payload=self._chosen.payload.truth,
+            target=self._path[: self.sample],
+            legs=tuple(self._legs),
+        )
+
+    @property
+    def joined(self) -> RunLog:
+        """The log of all legs."""
+        *_, last = self.logs
+        names = set.intersection(*(set(log.series) for log in self.logs))
+        return dataclasses.replace(
+            last,
+            scenario=self._chosen,
+            outcome=self.outcome or last.outcome,
+            time=np.concatenate([log.time for log in self.logs]),
+            series={
+                name: np.concatenate([log.series[name] for log in self.logs])
+                for name in last.series
+                if name in names
+            },
+            wall_time={key: sum(log.wall_time[key] for log in self.logs) for key in last.wall_time},
+            grasp=self.ungrasped,
+        )
+
+    def _keep(self, loop: ClosedLoop, root_context: Context) -> None:
+        self.loop, self.context = loop, root_context
+
+    def _leg(
+        self,
+        rollout: Rollout,
+        names: Sequence[tuple[str, int]],
+        begin: Begin,
+        scenario: Scenario | None = None,
+    ) -> bool:
+        """Run on to the last of the samples with the names before them; False: it ends before."""
+        leg = Leg(first=self.sample, last=names[-1][1], begin=begin, end=self._keep)
+        log = rollout.run(scenario, progress=self._progress, leg=leg)
+        self.logs.append(_without_contact(log))
+        end = self.sample + log.time.size
+        for name, last in names:
+            count = min(last, end) - self.sample
+            if count > 0:
+                self._legs.append((name, count))
+                self.sample += count
+        return log.outcome.completed
+
+    def _go_on(self, tell: Begin | None = None) -> Begin:
+        """A leg's begin that carries on the loop of the last one; ``tell``: called after it."""
+        before, context_before = self.loop, self.context
+
+        def begin(loop: ClosedLoop, root_context: Context) -> None:
+            loop.carry_on(root_context, before, context_before)
+            if tell is not None:
+                tell(loop, root_context)
+
+        return begin
+
+    def _close(self, tries: int) -> bool:
+        """Close the gripper, unless it misses; True: the target is captured."""
+        self.outcome = None
+        first, handover = self.sample, self.handover
+        handover.find_target(self._path[first])
+        handover.meet(self.loop, self.loop.whole_states(self.context)[0])
+        if beyond := handover.beyond_envelope():
+            self._fail(MISSED, f"is missed: {beyond}")
+            return False
+        name = "closing" if tries == 1 else f"closing_{tries}"
+        part = Gripper(self._capture.compliance or Compliance())
+        limp = self._closing.joints == "limp"
+        applied = self.logs[-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
+        rollout = Rollout(
+            without_target(self.scenario),
+            blocks={**self.blocks, GRIPPER: part},
+            joint_force=applied.mean(axis=0) if limp else None,
+        )
+
+        def begin(loop: ClosedLoop, root_context: Context) -> None:
+            force, context = _gripper(loop, root_context)
+            force.begin(
+                context,
+                payload=self._chosen.payload.truth,
+                target=self._path[first],
+                state=loop.whole_states(root_context)[0],
+            )
+
+        flown = self._leg(rollout, [(name, first + self._samples)], self._go_on(begin))
+        moved: Any = rollout.loop.blocks[GRIPPER]
+        self._path = np.vstack([self._path[:first], *moved.motions[: self.sample - first]])
+        if not flown:
+            return False
+        force, context = _gripper(self.loop, self.context)
+        met = force.met(context, self.loop.whole_states(self.context)[0])
+        rest = self._chosen.num_control_periods + 1 - self.sample
+        onward = coast(
+            self._chosen.payload.truth, met.X_WP, met.twist,
+            samples=rest, sample_time=self._chosen.sample_time, onward=True,
+        )  # fmt: skip
+        self._path = np.concatenate([self._path, onward])
+        return self._holds(met, first)
+
+    def _holds(self, met: Met, first: int) -> bool:
+        """Whether the target is held; else the outcome says how it got away."""
+        turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
+        if math.isinf(met.left) and max(turning, moving) <= self._closing.rest:
+            return True
+        away = float(np.linalg.norm(met.offset[3:]))
+        closed_at = first * self._chosen.sample_time + self._closing.time
+        status = BOUNCED if met.left < closed_at else SLIPPED
+        how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
+        motion = f"{number(moving)} m/s and {number(turning)} rad/s"
+        self._fail(status, f"{how}: {number(away)} m away, moving at {motion} from it")
+        return False
+
+    def _fail(self, status: str, what: str) -> None:
+        time = self.sample * self._chosen.sample_time
+        message = f"at t = {time:g} s the target {what}"
+        self.outcome = Outcome(status=status, time=time, message=message)
+
+
+def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:
+    """The gripper's block of a loop, and its context."""
+    block = loop.blocks[GRIPPER]
+    return block, block.GetMyMutableContextFromRoot(root_context)
+
+
+def _without_contact(log: RunLog) -> RunLog:
+    """A leg's log whose external force is that on servicer and target together."""
+    series = dict(log.series)
+    contact = series.pop(f"force_{GRIPPER.partition('.')[2]}", None)
+    if contact is not None:
+        series["disturbance_force"] = series["disturbance_force"] - contact
+    return dataclasses.replace(log, series=series)

@@ -1,0 +1,332 @@
+"""A gripper that closes over a time (``capture.closing``): its force between servicer and free
+target, in the legs of a run before the grasp.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.lifetime import weak_callback
+from ffsm_drake.common.so3 import turned_by
+from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario.capture import Compliance
+from ffsm_drake.spacecraft.capture import target_body
+from ffsm_drake.spacecraft.gripper import Jaws
+from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.spacecraft.plant import find_frame
+from ffsm_drake.systems.part import Part, Signal
+from ffsm_drake.systems.setup import BlockSetup
+
+STEP = 1e-3  # s; of the contact, at most
+AXES = ("rotation_x", "rotation_y", "rotation_z", "position_x", "position_y", "position_z")
+# Discrete state of the contact: its groups and their sizes.
+_MEMORY = {
+    "quaternion": 4,  # of R_WP of the target
+    "center": 3,  # its centre of mass in the world, m
+    "spin": 3,  # angular momentum about it, N m s
+    "momentum": 3,  # N s
+    "slid": 6,  # of the jaws
+    "gripper_offset": 6,
+    "contact_force": 6,
+    "wrench": 6,  # on the target, about its centre of mass, world axes
+    "start": 6,  # the offset at the first contact
+    "times": 3,  # of the first contact; of this state; when the target left, or infinite, s
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Met:
+    """A free target at an instant, and how it lies in the gripper."""
+
+    X_WP: RigidTransform  # of the target's frame
+    twist: np.ndarray  # (6) [w_WP; v_WP], world axes
+    offset: np.ndarray  # (6) of the target's grasp frame from the gripper, gripper axes
+    rate: np.ndarray  # (6) of the offset
+    left: float  # s; when it was beyond the envelope, infinite if it is not
+
+
+class Gripper(Part):
+    """The section ``capture.closing``: without effect, or in the leg in which it closes."""
+
+    title = "Gripper"
+    about = "Contact of the gripper with the target while it closes; the gripper's axes."
+
+    def __init__(self, closes: Compliance | None = None) -> None:
+        """Args: the compliance with which it closes in this leg; None: it does not."""
+        self._closes = closes
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Gripper | None":
+        """That of a run with an approach and ``capture.closing``."""
+        capture = scenario.capture
+        present = capture is not None and capture.closing is not None and capture.approach
+        return cls() if present else None
+
+    def build(self, setup: BlockSetup) -> LeafSystem:
+        """The force."""
+        return GripperForce(setup, closes=self._closes)
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Where the target lies in the gripper, and the force on it."""
+        signal = partial(Signal, components=AXES, dimension="gripper_coordinate")
+        return (
+            signal(
+                name="gripper_offset",
+                unit="rad, m",
+                meaning="target's grasp frame from the end effector, in contact",
+                panels=_by_axis("rad", "m"),
+            ),
+            signal(
+                name="contact_force",
+                unit="N m, N",
+                meaning="torque and force of the gripper on the target",
+                panels=_by_axis("N m", "N"),
+            ),
+        )
+
+
+def _by_axis(of_rotation: str, of_position: str) -> dict[str, str]:
+    return dict.fromkeys(AXES[:3], of_rotation) | dict.fromkeys(AXES[3:], of_position)
+
+
+class GripperForce(LeafSystem):
+    """The force of the gripper on the servicer, and the motion of the target under it.
+
+    Inputs: state, hidden_state. Outputs: generalized_force, hidden_force, and the signals of
+    ``Gripper``. The discrete state is updated every STEP in the leg in which the gripper closes;
+    the force is held between. Parameter: the target's mass properties (10).
+    """
+
+    def __init__(self, setup: BlockSetup, *, closes: Compliance | None) -> None:
+        super().__init__()
+        scenario = self._scenario = setup.scenario
+        capture = scenario.capture
+        if capture is None or capture.closing is None:
+            raise ValueError("capture.closing: there is none")
+        self._closing, self._envelope = capture.closing, capture.envelope
+        self._compliance = closes
+        self._model = model = make_flexible_plant(scenario)
+        name = scenario.model.end_effector
+        self._effector = find_frame(model.plant, name, key="model.end_effector")
+        self._body = target_body(scenario, model).body_frame()
+        self._X_PE = self._body.CalcPose(model.context, self._effector).inverse()
+        split, whole = setup.split, model.plant.num_velocities()
+        hidden = len(split.names)
+        self._state = self.DeclareVectorInputPort(
+            "state", model.plant.num_multibody_states() - 2 * hidden
+        )
+        self._hidden = self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
+        self._groups = {
+            name: self.DeclareDiscreteState(np.zeros(size)) for name, size in _MEMORY.items()
+        }
+        self._acting = self.DeclareDiscreteState(np.zeros(whole))  # on all coordinates
+        self._payload = self.DeclareNumericParameter(BasicVector(np.ones(10)))
+        ports = {
+            name: (self._groups[name], np.arange(_MEMORY[name]))
+            for name in ("gripper_offset", "contact_force")
+        }
+        ports["generalized_force"] = self._acting, split.known if hidden else np.arange(whole)
+        if hidden:
+            ports |= dict.fromkeys(
+                ("hidden_force", "next_hidden_force"), (self._acting, split.hidden)
+            )
+        for name, (index, entries) in ports.items():
+            self.DeclareVectorOutputPort(
+                name,
+                len(entries),
+                partial(weak_callback(self._calc), index, entries),
+                {self.discrete_state_ticket(index)},
+            )
+        self.motions: list[np.ndarray] = []  # of the target at the samples since ``begin``
+        self._split = split
+        if closes is not None:
+            period = scenario.sample_time / math.ceil(scenario.sample_time / STEP - 1e-9)
+            self._period = period
+            self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
+
+    def begin(
+        self,
+        context: Context,
+        *,
+        payload: MassProperties,
+        target: np.ndarray,
+        state: np.ndarray,
+    ) -> None:
+        """Begin to close, at the context's time.
+
+        Args:
+          context: the system's.
+          payload: of the target, in its frame P.
+          target: (13) [quaternion, p_WP; w_WP, v_WP].
+          state: the plant's own [q; v].
+        """
+        inertia = inertia_matrix(payload)[np.triu_indices(3)]
+        packed = np.concatenate([[payload.mass], payload.center_of_mass, inertia])
+        context.get_mutable_numeric_parameter(self._payload).SetFromVector(packed)
+        R = RotationMatrix(Quaternion(target[:4] / np.linalg.norm(target[:4]))).matrix()
+        mass, arm, inertia = self._masses(context, R)
+        memory = {name: np.zeros(size) for name, size in _MEMORY.items()}
+        memory["quaternion"], memory["center"] = target[:4], target[4:7] + arm
+        memory["spin"] = inertia @ target[7:10]
+        memory["momentum"] = mass * (target[10:] + np.cross(target[7:10], arm))
+        memory["start"] = memory["gripper_offset"] = self._met(context, memory, state).offset
+        memory["times"] = np.array([context.get_time(), context.get_time(), math.inf])
+        self._keep(context.get_mutable_discrete_state(), memory)
+        context.SetDiscreteState(self._acting, np.zeros(self._model.plant.num_velocities()))
+        self.motions = []
+
+    def met(self, context: Context, state: np.ndarray) -> Met:
+        """The target in the gripper at the context's time, at the plant's own [q; v]."""
+        return self._met(context, self._advanced(context), state)
+
+    def _memory(self, context: Context) -> dict[str, np.ndarray]:
+        values = context.get_discrete_state
+        return {name: values(index).value().copy() for name, index in self._groups.items()}
+
+    def _keep(self, values: DiscreteValues, memory: dict[str, np.ndarray]) -> None:
+        for name, index in self._groups.items():
+            values.set_value(index, memory[name])
+
+    def _masses(self, context: Context, R_WP: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """The target's mass, its centre of mass from P and its inertia about it; world axes."""
+        mass, *rest = context.get_numeric_parameter(self._payload).value()
+        xx, xy, xz, yy, yz, zz = rest[3:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return float(mass), R_WP @ np.array(rest[:3]), R_WP @ inertia @ R_WP.T
+
+    def _advanced(self, context: Context) -> dict[str, np.ndarray]:
+        """The memory at the context's time: the target moves on under the held force."""
+        memory = self._memory(context)
+        now = context.get_time()
+        elapsed = now - memory["times"][1]
+        torque, force = np.split(memory["wrench"], 2)
+        middle = memory["spin"] + 0.5 * elapsed * torque
+        memory["center"] = memory["center"] + elapsed / self._mass(context) * (
+            memory["momentum"] + 0.5 * elapsed * force
+        )
+        # midpoint rule for the attitude: the inertia in world axes turns with it
+        half = memory["quaternion"]
+        for _ in range(3):
+            omega = np.linalg.solve(self._inertia(context, half), middle)
+            half = turned_by(0.5 * elapsed * omega[None], memory["quaternion"])[0]
+        memory["quaternion"] = turned_by(elapsed * omega[None], memory["quaternion"])[0]
+        memory["spin"] = memory["spin"] + elapsed * torque
+        memory["momentum"] = memory["momentum"] + elapsed * force
+        memory["times"][1] = now
+        return memory
+
+    def _mass(self, context: Context) -> float:
+        return float(context.get_numeric_parameter(self._payload).value()[0])
+
+    def _inertia(self, context: Context, quaternion: np.ndarray) -> np.ndarray:
+        R = RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))).matrix()
+        return self._masses(context, R)[2]
+
+    def _motion(self, context: Context, memory: dict[str, np.ndarray]) -> np.ndarray:
+        """(13) [quaternion, p_WP; w_WP, v_WP] of the target in a memory."""
+        quaternion = memory["quaternion"] / np.linalg.norm(memory["quaternion"])
+        R_WP = RotationMatrix(Quaternion(quaternion)).matrix()
+        mass, arm, inertia = self._masses(context, R_WP)
+        w = np.linalg.solve(inertia, memory["spin"])
+        v = memory["momentum"] / mass - np.cross(w, arm)
+        return np.concatenate([quaternion, memory["center"] - arm, w, v])
+
+    def _met(self, context: Context, memory: dict[str, np.ndarray], state: np.ndarray) -> Met:
+        """``met`` of a memory. Leaves the model in the state."""
+        model, world = self._model, self._model.plant.world_frame()
+        model.plant.SetPositionsAndVelocities(model.context, state)
+        motion = self._motion(context, memory)
+        R_WP = RotationMatrix(Quaternion(motion[:4]))
+        X_WP, (w, v) = RigidTransform(R_WP, motion[4:7]), np.split(motion[7:], 2)
+        X_WE = self._effector.CalcPose(model.context, world)
+        X_EG = X_WE.inverse() @ X_WP @ self._X_PE
+        turn = X_EG.rotation().ToAngleAxis()
+        offset = np.concatenate([turn.angle() * turn.axis(), X_EG.translation()])
+        moving = self._effector.CalcSpatialVelocityInWorld(model.context)
+        p_G = X_WE.rotation() @ X_EG.translation()  # from E, world axes
+        v_E = moving.translational() + np.cross(moving.rotational(), p_G)
+        v_G = v + np.cross(w, X_WE.translation() + p_G - X_WP.translation())
+        R_EW = X_WE.rotation().inverse().matrix()
+        rate = np.concatenate([R_EW @ (w - moving.rotational()), R_EW @ (v_G - v_E)])
+        return Met(
+            X_WP=X_WP,
+            twist=motion[7:],
+            offset=offset,
+            rate=rate,
+            left=float(memory["times"][2]),
+        )
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        memory = self._advanced(context)
+        hidden = None if self._hidden is None else self._hidden.Eval(context)
+        state = self._split.whole(self._state.Eval(context), hidden)
+        met = self._met(context, memory, state)
+        sample = context.get_time() / self._scenario.sample_time
+        if abs(sample - round(sample)) < 0.1 * self._period:
+            self.motions.append(self._motion(context, memory))
+        first, now, left = memory["times"]
+        if left == math.inf and self._is_beyond(met.offset):
+            memory["times"][2] = left = now
+        memory["gripper_offset"] = met.offset
+        acting = np.zeros(self._model.plant.num_velocities())
+        memory["contact_force"], memory["wrench"] = np.zeros(6), np.zeros(6)
+        if left == math.inf:
+            acting = self._act(context, memory, met, now - first)
+        self._keep(values, memory)
+        values.set_value(self._acting, acting)
+
+    def _is_beyond(self, offset: np.ndarray) -> bool:
+        """Whether the target is out of the gripper's reach."""
+        sizes = np.linalg.norm(offset.reshape(2, 3), axis=1)
+        limits = self._envelope.angle, self._envelope.position
+        return any(
+            limit is not None and size > limit for size, limit in zip(sizes, limits, strict=True)
+        )
+
+    def _act(
+        self, context: Context, memory: dict[str, np.ndarray], met: Met, time: float
+    ) -> np.ndarray:
+        """The generalized force on the plant (nv), with the contact's in the memory."""
+        model, plant = self._model, self._model.plant
+        world = plant.world_frame()
+        X_WE = self._effector.CalcPose(model.context, world)
+        R = X_WE.rotation().matrix()
+        # J of the point of the effector where the target's grasp frame is: action is reaction there
+        jacobian = plant.CalcJacobianSpatialVelocity(
+            model.context, JacobianWrtVariable.kV, self._effector, met.offset[3:], world,
+            self._effector,
+        )  # fmt: skip
+        mass, _, inertia = self._masses(context, met.X_WP.rotation().matrix())
+        p_CG = X_WE.translation() + R @ met.offset[3:] - memory["center"]
+        x, y, z = p_CG
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        lever = np.block([[R, cross @ R], [np.zeros((3, 3)), R]])  # wrench about C, world axes
+        of_target = np.zeros((6, 6))
+        of_target[:3, :3], of_target[3:, 3:] = np.linalg.inv(inertia), np.eye(3) / mass
+        of_arm = jacobian @ np.linalg.solve(plant.CalcMassMatrix(model.context), jacobian.T)
+        jaws = Jaws(
+            closing=self._closing,
+            compliance=self._compliance or Compliance(),
+            start=memory["start"],
+        )
+        force, memory["slid"] = jaws.act(
+            time + self._period,
+            self._period,
+            offset=met.offset,
+            rate=met.rate,
+            slid=memory["slid"],
+            mobility=lever.T @ of_target @ lever + of_arm,
+        )
+        memory["contact_force"], memory["wrench"] = force, lever @ force
+        return -jacobian.T @ force
+
+    def _calc(self, index: int, entries: np.ndarray, context: Context, output: BasicVector) -> None:
+        value = context.get_discrete_state(index).value()[entries]
+        output.SetFromVector(value if self._compliance is not None else 0.0 * value)
