@@ -252,11 +252,20 @@ class ClosedLoop:
             _resume(block, context, other, source, references)
 
     def carry_on(
-        self, root_context: Context, before: "ClosedLoop", context_before: Context
+        self,
+        root_context: Context,
+        before: "ClosedLoop",
+        context_before: Context,
+        *,
+        afresh: bool = False,
     ) -> None:
-        """Continue the plant and the blocks from another loop of the same wiring, as they are."""
+        """Continue the plant and the blocks from another loop of the same wiring, as they are; with
+        ``afresh`` the controller begins at the plant's state.
+        """
         self.set_whole_states(root_context, before.whole_states(context_before))
         for name, block in self.blocks.items():
+            if name == "reference" or (afresh and name == "controller"):
+                continue
             context = block.GetMyMutableContextFromRoot(root_context)
             source = before.blocks[name].GetMyContextFromRoot(context_before)
             context.SetStateAndParametersFrom(source)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.closing import closing_of
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict

@@ -95,7 +95,7 @@ class CaptureRollout:
         if self._approach is None:
             return _grasped_at_start(self._stop.run(scenario, progress=progress))
         if closing_of(chosen) is not None:
-            return self._run_closing(chosen, scenario, progress, start)
+            return self._run_closing(self._approach, chosen, scenario, progress, start)
         handovers = Handovers([Handover(chosen)])
         sample, (handover,) = handovers.sample, handovers.each
         try:
@@ -130,6 +130,7 @@ class CaptureRollout:
 
     def _run_closing(
         self,
+        approach: Rollout,
         chosen: Scenario,
         scenario: Scenario | None,
         progress: Callable[[float, float], None] | None,
@@ -139,7 +140,7 @@ class CaptureRollout:
         handovers = Handovers([Handover(chosen)])
         legs = ClosingRun(chosen, handovers.each[0], blocks=self._blocks, progress=progress)
         try:
-            captured = legs.run(self._approach, scenario, handovers.start)
+            captured = legs.run(approach, scenario, handovers.start)
         except BlockError as error:
             if error.log is not None:
                 legs.logs.append(error.log)

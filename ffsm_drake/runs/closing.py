@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.numbers import number
@@ -17,18 +19,23 @@ from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED, Outcome
 from ffsm_drake.runs.handover import Handover
+from ffsm_drake.runs.limits import INSTANTS, closest_of
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.capture import Closing, Compliance
+from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.scenario.capture import Approach, Closing, Compliance, Retreat
 from ffsm_drake.spacecraft.capture import coast, target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.spacecraft.plant import posture_of
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
 from ffsm_drake.systems.gripper import Gripper, Met
-from ffsm_drake.systems.reference import without_target
+from ffsm_drake.systems.reference import make_motion, without_target
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.retreat import RetreatReference
 
+_EVERY = 0.5  # s; between the instants at which a further try may meet the target
+_LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
+_CANDIDATES = 12  # meetings looked at, those with the shortest ways
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
 Begin = Callable[[ClosedLoop, Context], None]
@@ -67,7 +74,9 @@ class ClosingRun:
         self._capture, self._closing = scenario.capture, closing
         self._samples = round(closing.duration / scenario.sample_time)  # of the closing
         self.sample = 0
-        self._path = handover.path  # motion of the target (n, 13) at the samples of the run
+        # motion of the target (n, 13) at the samples of the run, as far as is known
+        last = handover.sample - 1
+        self._path = np.vstack([handover.path[:last], self._onward(handover.path[last], last)])
         self._legs: list[tuple[str, int]] = []
         self.logs: list[RunLog] = []
         self.outcome: Outcome | None = None  # unless the target is captured
@@ -80,7 +89,14 @@ class ClosingRun:
         first = self.handover.sample - self._samples
         alone = None if scenario is None else without_target(scenario)
         flown = self._leg(rollout, [("approach", first)], begin, alone)
-        return flown and self._close(1)
+        tries, retreat = 1, self._capture.retreat
+        while flown and not self._close(tries):
+            if self.outcome is None or retreat is None:
+                return False
+            if not self._retreat(tries, retreat):
+                return False
+            tries += 1
+        return flown
 
     def held(self) -> tuple[Scenario, Handover]:
         """What the run goes on with once the target is captured: a stop planned from the state that
@@ -163,12 +179,14 @@ class ClosingRun:
                 self.sample += count
         return log.outcome.completed
 
-    def _go_on(self, tell: Begin | None = None) -> Begin:
-        """A leg's begin that carries on the loop of the last one; ``tell``: called after it."""
+    def _go_on(self, tell: Begin | None = None, *, afresh: bool = False) -> Begin:
+        """A leg's begin that carries on the loop of the last one; ``tell``: called after it;
+        ``afresh``: the law starts anew.
+        """
         before, context_before = self.loop, self.context
 
         def begin(loop: ClosedLoop, root_context: Context) -> None:
-            loop.carry_on(root_context, before, context_before)
+            loop.carry_on(root_context, before, context_before, afresh=afresh)
             if tell is not None:
                 tell(loop, root_context)
 
@@ -209,13 +227,21 @@ class ClosingRun:
             return False
         force, context = _gripper(self.loop, self.context)
         met = force.met(context, self.loop.whole_states(self.context)[0])
-        rest = self._chosen.num_control_periods + 1 - self.sample
-        onward = coast(
-            self._chosen.payload.truth, met.X_WP, met.twist,
-            samples=rest, sample_time=self._chosen.sample_time, onward=True,
-        )  # fmt: skip
-        self._path = np.concatenate([self._path, onward])
+        pose = [*met.X_WP.rotation().ToQuaternion().wxyz(), *met.X_WP.translation()]
+        onward = self._onward(np.concatenate([pose, met.twist]), self.sample)
+        self._path = np.vstack([self._path, onward])
         return self._holds(met, first)
+
+    def _onward(self, motion: np.ndarray, sample: int) -> np.ndarray:
+        """The free target's motion (n, 13) from a sample to the end of the run."""
+        return coast(
+            self._chosen.payload.truth,
+            RigidTransform(Quaternion(motion[:4]), motion[4:7]),
+            motion[7:],
+            samples=self._chosen.num_control_periods + 1 - sample,
+            sample_time=self._chosen.sample_time,
+            onward=True,
+        )
 
     def _holds(self, met: Met, first: int) -> bool:
         """Whether the target is held; else the outcome says how it got away."""
@@ -229,6 +255,126 @@ class ClosingRun:
         motion = f"{number(moving)} m/s and {number(turning)} rad/s"
         self._fail(status, f"{how}: {number(away)} m away, moving at {motion} from it")
         return False
+
+    def _retreat(self, tries: int, retreat: Retreat) -> bool:
+        """Move away from the target, and to it again if there are tries left and a way to it; True:
+        the gripper is to close once more.
+        """
+        capture, period = self._capture, self._chosen.sample_time
+        end = self.sample + round(retreat.duration / period)
+        if capture.approach is None or end > self._chosen.num_control_periods:
+            return False
+        state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
+        coordinates = self.loop.coordinates
+        q, v = np.split(state, [len(coordinates.position_names)])
+        from_target = q[4:7] - self._center(self._path[self.sample])
+        away = retreat.distance / np.linalg.norm(from_target) * from_target
+        goal = dataclasses.replace(
+            capture.approach.posture,
+            base_position=(q[4:7] + away).tolist(),
+            base_rpy=base_rpy(q).tolist(),
+        )
+        reference = RetreatReference(
+            first=self.sample * period,
+            start=posture_of(q, coordinates),
+            velocity=v,
+            goal=goal,
+            duration=retreat.duration,
+            again=False,
+        )
+        found = self._meet_again(goal, end) if tries < retreat.tries else None
+        again = found is not None
+        if found is not None:
+            self.scenario, self.handover = found
+            reference = dataclasses.replace(reference, again=True)
+        self.blocks["reference"] = reference
+        failed, number_of = self.outcome, "" if tries == 1 else f"_{tries}"
+        names = [(f"retreat{number_of}", end)]
+        if again:
+            names.append((f"approach_{tries + 1}", self.handover.sample - self._samples))
+        self.outcome = None
+        rollout = Rollout(without_target(self.scenario), blocks=self.blocks)
+        flown = self._leg(rollout, names, self._go_on(afresh=True))
+        if failed is not None and flown and not again:
+            last = self.loop.whole_states(self.context)[0][4:7]
+            apart = float(np.linalg.norm(last - self._center(self._path[self.sample - 1])))
+            message = f"{failed.message}; the servicer retreats to {number(apart)} m from it"
+            time = (self.sample - 1) * period
+            self.outcome = dataclasses.replace(failed, time=time, message=message)
+        return flown and again
+
+    def _center(self, motion: np.ndarray) -> np.ndarray:
+        """The target's centre of mass (3) in a motion (13)."""
+        turn = RotationMatrix(Quaternion(motion[:4] / np.linalg.norm(motion[:4])))
+        arm: np.ndarray = turn @ np.array(self._chosen.payload.truth.center_of_mass)
+        return motion[4:7] + arm
+
+    def _meet_again(self, start: Posture, first: int) -> tuple[Scenario, Handover] | None:
+        """The next try, from rest in a posture at a sample on: where and when the base has to move
+        least for the arm to meet the target as in the first try, on a way that keeps clear; None:
+        there is none.
+        """
+        chosen, period = self._chosen, self._chosen.sample_time
+        approach = self._capture.approach
+        least = 0.0 if approach is None else approach.duration
+        stop = chosen.reference.duration or least
+        earliest = first + round(least / period)
+        latest = chosen.num_control_periods - math.ceil(stop / period)
+        model = make_nominal_plant(chosen)
+        X_BP = self._target_from_base(model)
+        candidates = []
+        for sample in range(earliest, latest + 1, max(1, round(_EVERY / period))):
+            motion = self._path[sample]
+            X_WP = RigidTransform(Quaternion(motion[:4]), motion[4:7])
+            X_WB = X_WP @ X_BP.inverse()
+            turn = X_WB.rotation() @ RollPitchYaw(start.base_rpy).ToRotationMatrix().inverse()
+            way = np.linalg.norm(X_WB.translation() - start.base_position)
+            candidates.append((way + _LENGTH * turn.ToAngleAxis().angle(), sample, X_WB))
+        for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
+            scenario = self._try(start, (sample - first) * period, X_WB, self._path[sample])
+            if self._is_clear(scenario, first, sample):
+                handover = Handover(scenario)
+                handover.sample = sample
+                return scenario, handover
+        return None
+
+    def _target_from_base(self, model: PlantModel) -> RigidTransform:
+        """X_BP of the target's frame in the base's, where the arm is to meet it."""
+        q = configuration(model.plant, self._chosen.initial_posture, key="initial_posture")
+        model.plant.SetPositions(model.context, q)
+        body = target_body(self._chosen, model).body_frame()
+        return RigidTransform(body.CalcPose(model.context, base_body(model.plant).body_frame()))
+
+    def _try(
+        self, start: Posture, duration: float, X_WB: RigidTransform, motion: np.ndarray
+    ) -> Scenario:
+        """The scenario of a further try: its approach takes a duration (s) from a posture to where
+        the base is at X_WB and the target in a motion (13).
+        """
+        w, v_P = np.split(motion[7:], 2)
+        capture = dataclasses.replace(
+            self._capture,
+            axes="world",
+            rate=w.tolist(),
+            velocity=(v_P + np.cross(w, self._center(motion) - motion[4:7])).tolist(),
+            approach=Approach(duration=duration, posture=start),
+        )
+        posture = dataclasses.replace(
+            self._chosen.initial_posture,
+            base_position=X_WB.translation().tolist(),
+            base_rpy=RollPitchYaw(X_WB.rotation()).vector().tolist(),
+        )
+        return dataclasses.replace(self._chosen, initial_posture=posture, capture=capture)
+
+    def _is_clear(self, scenario: Scenario, first: int, last: int) -> bool:
+        """Whether the planned approach of a try keeps the scenario's clearance."""
+        motion = make_motion(without_target(scenario), self.loop.coordinates)
+        samples = np.linspace(first, last - self._samples, INSTANTS).round().astype(int)
+        times = (samples - first) * scenario.sample_time
+        q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
+        target = self._path[samples, :7]
+        nearest = closest_of(scenario, times, q, target=target)
+        return all(each.distance >= scenario.clearance for each in nearest)
 
     def _fail(self, status: str, what: str) -> None:
         time = self.sample * self._chosen.sample_time

@@ -117,6 +117,19 @@ class Closing:
 
 
 @dataclass
+class Retreat:
+    """What follows when a closing gripper does not capture the target, which stays apart."""
+
+    tries: int = setting(2, "1", "to capture the target, the first one included", least=1, most=20)
+    distance: float = setting(
+        2.0, "m", "by which the base moves straight away from the target", above=0
+    )
+    duration: float = setting(
+        15.0, "s", "of that motion, in which the arm returns to capture.approach.posture", above=0
+    )
+
+
+@dataclass
 class Envelope:
     """The largest miss with which the gripper still holds the target at the end of an approach.
 
@@ -195,6 +208,9 @@ class Capture:
     closing: Closing | None = unitless(
         None, "of the gripper, over a time; null: it closes at once and holds for good"
     )
+    retreat: Retreat | None = unitless(
+        None, "of a closing gripper that missed the target, and further tries; null: the run ends"
+    )
     envelope: Envelope = setting(Envelope())
     accepted_drift: PerCoordinate | None = setting(
         None,
@@ -206,6 +222,8 @@ class Capture:
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Speeds that do not count as divergence, and settings that have an effect."""
+        if self.retreat is not None and self.closing is None:
+            yield f"{key}.retreat", "has no effect without capture.closing; give that too"
         for name in ("rate", "velocity"):
             fastest = max(map(abs, getattr(self, name)))
             if fastest > scenario.divergence_speed:

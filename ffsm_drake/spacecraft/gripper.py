@@ -4,10 +4,11 @@ The offset x (6; rotation vector, position; gripper axes) of the target's grasp 
 gripper's is drawn to c(t), which goes from the offset at the first contact to zero while the jaws
 close. Springs and dampers act from a reference that slides,
 
-    f = -K (x - c - s) - D (x' - c' - s'),    |f_force| <= 2 mu N(t),    |f_torque| <= 2 mu N(t) r,
+    f = -K (x - c - s) - D (x' - c' - s'),    |force|^2 + |torque / r|^2 <= (2 mu N(t))^2,
 
-with two jaws of preload N, the coefficient of friction mu and the lever r: within the limits s
-stays, at a limit it slides so that f keeps to it (an elastic, perfectly plastic element). The palm
+with two jaws of preload N, the coefficient of friction mu and the lever r. Within the limit s
+stays; at the limit it slides along its normal so that f keeps to it: an elastic, perfectly plastic
+element with the ellipsoidal limit surface of an area in friction. The palm
 pushes along its axis only, as long as the target is in it, with the same spring and damper.
 
 A step takes the force implicitly, with the mobility L = M_T^-1 + J M_s^-1 J^T of the grasp frames:
@@ -16,14 +17,14 @@ the springs are stiff for the bare wrist (0.004 kg m^2 at 1e4 N m/rad: 1600 rad/
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
 from ffsm_drake.scenario.capture import Closing, Compliance
 
-_ROUNDS = 100  # of the search for what sticks, slips and touches in a step
-_LEAST = 1e-9  # N m, N; of a limit
-_MOST = 1e12  # of the ratio of a force to its limit
+_ROUNDS = 50  # of the search for the slip of a step
+_LEAST = 1e-6  # N m, N; of a limit
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -88,23 +89,41 @@ class Jaws:
         face, face_rate = ((1.0 - closed) * depth, -closing * depth) if depth < 0.0 else (0.0, 0.0)
         pushed = -K[3] * (sinks - face) - D[3] * (palm @ rate - face_rate)
         on_palm = (step * D[3] + step * step * K[3]) * (palm @ mobility)
-        limits = self.limits(time)
-        # At a limit f = t / r, with t the force that the springs would have if s stayed.
-        ratios, touches = np.ones(2), pushed > 0.0 and sinks < face
-        force, push = np.zeros(6), 0.0
-        for _ in range(_ROUNDS):
+        limits = np.repeat(self.limits(time), 3)
+        yields = (K + D / step) / (limits * limits)  # of s, by force, along the limit's normal
+        touches = pushed > 0.0 and sinks < face
+
+        def solve(slip: float) -> tuple[np.ndarray, float, float]:
+            """The jaws' force, the palm's, and the share of the limit, for a slip's size."""
             a, b = np.eye(7), np.append(free, pushed * touches)
-            a[:6, :6] = implicit + np.diag(np.repeat(ratios, 3))
+            a[:6, :6] = implicit + np.diag(1.0 + slip * yields)
             a[:6, 6] = implicit @ palm
             if touches:
                 a[6, :6], a[6, 6] = on_palm, 1.0 + on_palm @ palm
             solved = np.linalg.solve(a, b)
-            force, push = solved[:6], float(solved[6])
-            sizes = np.linalg.norm(force.reshape(2, 3), axis=1)
-            now = np.maximum(1.0, np.minimum(ratios * sizes / limits, _MOST))
-            in_palm = touches and push > 0.0
-            if np.allclose(now, ratios, rtol=1e-6) and in_palm == touches:
-                break
-            ratios, touches = now, in_palm
-        excess = np.repeat(ratios - 1.0, 3) * force
-        return force + push * palm, slid - excess / (K + D / step)
+            return solved[:6], float(solved[6]), float(np.linalg.norm(solved[:6] / limits))
+
+        slip, (force, push, _) = _slip(solve)
+        if push < 0.0:  # the palm does not hold
+            touches = False
+            slip, (force, push, _) = _slip(solve)
+        return force + push * palm, slid - slip * yields * force / (K + D / step)
+
+
+def _slip(
+    solve: Callable[[float], tuple[np.ndarray, float, float]],
+) -> tuple[float, tuple[np.ndarray, float, float]]:
+    """The size of the slip that keeps to the limit, and what it leads to: the inverse of the share
+    is nearly linear in it.
+    """
+    before, at_rest = 0.0, solve(0.0)
+    if at_rest[2] <= 1.0:
+        return before, at_rest
+    excess, now = 1.0 / at_rest[2] - 1.0, 1.0
+    for _ in range(_ROUNDS):
+        found = solve(now)
+        left = 1.0 / found[2] - 1.0
+        if abs(left) < 1e-9 or left == excess:
+            break
+        before, now, excess = now, max(now - left * (now - before) / (left - excess), 0.0), left
+    return now, found

@@ -338,7 +338,6 @@ def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> D
       desired_acceleration: time derivative of v_d (nv).
       desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
     """
-    builder, sample_time = DiagramBuilder(), scenarios[0].sample_time
     motions, frames = list[PlannedMotion](), list[PlannedMotion]()
     made = list[tuple[dict[str, Any], PlannedMotion, PlannedMotion | None]]()
     for scenario in scenarios:
@@ -351,13 +350,25 @@ def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> D
         motions.append(found[1])
         if found[2] is not None:
             frames.append(found[2])
+    return reference_from(motions, frames, coordinates, sample_time=scenarios[0].sample_time)
+
+
+def reference_from(
+    motions: Sequence[PlannedMotion],
+    frames: Sequence[PlannedMotion],
+    coordinates: Coordinates,
+    *,
+    sample_time: float,
+) -> Diagram:
+    """``make_reference`` from the motions, and those of frames whose pose is prescribed."""
+    builder = DiagramBuilder()
     states, velocities = (
-        len(scenarios) * (len(coordinates.position_names) + len(coordinates.names)),
-        len(scenarios) * len(coordinates.names),
+        len(motions) * (len(coordinates.position_names) + len(coordinates.names)),
+        len(motions) * len(coordinates.names),
     )
     motion = builder.AddNamedSystem(
         "motion",
-        _MotionSource(motions, first=states // len(scenarios), sample_time=sample_time),
+        _MotionSource(motions, first=states // len(motions), sample_time=sample_time),
     )
     parts = builder.AddNamedSystem("parts", Demultiplexer([states, velocities]))
     builder.Connect(motion.get_output_port(), parts.get_input_port())

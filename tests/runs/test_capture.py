@@ -16,8 +16,8 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
-from ffsm_drake.runs.handover import seen_from
 from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.handover import seen_from
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.scenario import MassProperties, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
