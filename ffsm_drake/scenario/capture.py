@@ -86,10 +86,16 @@ class Closing:
     )
     joints: str = choice_of(
         "limp",
-        'the arm meanwhile: "limp", its motors keep the force that they had, or "controlled" as '
-        "before, by a law that knows of no target yet",
+        'the arm meanwhile: "limp", its motors keep the force that they had and damp, or '
+        '"controlled" as before, by a law that knows of no target yet',
         "limp",
         "controlled",
+    )
+    joint_damping: float = setting(
+        2.0,
+        "N m s/rad or N s/m",
+        "of a limp joint, about its rate at the first contact",
+        least=0,
     )
     rest: float = setting(
         0.01, "m/s or rad/s", "the target is held if it then moves less in the gripper", above=0

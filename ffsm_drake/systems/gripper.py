@@ -18,6 +18,7 @@ from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.capture import target_body
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.gripper import Jaws
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_frame
@@ -127,12 +128,15 @@ class GripperForce(LeafSystem):
             name: self.DeclareDiscreteState(np.zeros(size)) for name, size in _MEMORY.items()
         }
         self._acting = self.DeclareDiscreteState(np.zeros(whole))  # on all coordinates
+        known = split.known if hidden else np.arange(whole)
+        self._joints = known[NUM_BASE_VELOCITIES:]  # in v of the plant
+        self._rates = self.DeclareDiscreteState(np.zeros(self._joints.size))  # at the contact
         self._payload = self.DeclareNumericParameter(BasicVector(np.ones(10)))
         ports = {
             name: (self._groups[name], np.arange(_MEMORY[name]))
             for name in ("gripper_offset", "contact_force")
         }
-        ports["generalized_force"] = self._acting, split.known if hidden else np.arange(whole)
+        ports["generalized_force"] = self._acting, known
         if hidden:
             ports |= dict.fromkeys(
                 ("hidden_force", "next_hidden_force"), (self._acting, split.hidden)
@@ -180,6 +184,7 @@ class GripperForce(LeafSystem):
         memory["times"] = np.array([context.get_time(), context.get_time(), math.inf])
         self._keep(context.get_mutable_discrete_state(), memory)
         context.SetDiscreteState(self._acting, np.zeros(self._model.plant.num_velocities()))
+        context.SetDiscreteState(self._rates, self._joint_rates(state))
         self.motions = []
 
     def met(self, context: Context, state: np.ndarray) -> Met:
@@ -279,8 +284,15 @@ class GripperForce(LeafSystem):
         memory["contact_force"], memory["wrench"] = np.zeros(6), np.zeros(6)
         if left == math.inf:
             acting = self._act(context, memory, met, now - first)
+        if self._closing.joints == "limp":
+            rates = self._joint_rates(state) - context.get_discrete_state(self._rates).value()
+            acting[self._joints] -= self._closing.joint_damping * rates
         self._keep(values, memory)
         values.set_value(self._acting, acting)
+
+    def _joint_rates(self, state: np.ndarray) -> np.ndarray:
+        rates: np.ndarray = state[self._model.plant.num_positions() :][self._joints]
+        return rates
 
     def _is_beyond(self, offset: np.ndarray) -> bool:
         """Whether the target is out of the gripper's reach."""
