@@ -26,7 +26,7 @@ from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
 from ffsm_drake.runs.batches import batches_of, run_many
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
-from ffsm_drake.runs.ending import GROWING
+from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
@@ -39,7 +39,7 @@ from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
 
 # refused: no motion keeps the limits
-UNSETTLED = ("not_settled", "growing", "missed", "diverged")
+UNSETTLED = ("not_settled", "growing", *NOT_CAPTURED, "diverged")
 OUTCOMES = ("settled", *UNSETTLED, "refused", "error")
 _BY_GROUP = [
     (kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS

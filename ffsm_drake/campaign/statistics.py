@@ -23,6 +23,7 @@ from ffsm_drake.campaign.evaluate import (
 from ffsm_drake.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
+from ffsm_drake.runs.ending import NOT_CAPTURED
 
 CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
@@ -277,7 +278,7 @@ def worst_runs(runs: Runs) -> np.ndarray:
     """Positions of the five worst runs: errors, earliest divergences, largest final errors."""
     errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
     final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
-    kinds = ("error", "diverged", "missed", "growing", "not_settled", "refused")
+    kinds = ("error", "diverged", *NOT_CAPTURED, "growing", "not_settled", "refused")
     order = np.select(
         [runs.outcome == kind for kind in kinds], range(len(kinds)), default=len(kinds)
     )

@@ -73,7 +73,7 @@ def run(
     then repeated in out/NAME_again and compared with the first record. The folder then holds
     record.nc, metrics.json, manifest.json and report.html, one page with results, plots, recording,
     findings and margins. With --controls each run has its own folder. Exits with 3 when the run
-    diverges, its errors grow at the end, or the target is missed.
+    diverges, its errors grow at the end, or the target is not captured.
 
     \b
     Examples:
@@ -284,7 +284,7 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 def _places(records: Sequence["RunRecord"]) -> list[int]:
     """Ranks of the records by accuracy (ITAE), best first; runs that ended early come last."""
-    order = ("completed", "interrupted", "missed", "diverged", "failed")
+    order = ("completed", "interrupted", "missed", "slipped", "bounced", "diverged", "failed")
 
     def key(k: int) -> tuple[int, float]:
         outcome = records[k].outcome

@@ -112,7 +112,7 @@ def make_record(
     factories it had.
     """
     scenario = repeatable_scenario(log.scenario, blocks or {})
-    grasp = None if log.grasp is None else log.grasp.ledger(scenario.grasp_time, log.coordinates)
+    grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
     if grasp is not None and (budget := momentum_budget(scenario)) is not None:
         grasp["momentum_budget"] = dataclasses.asdict(budget)
     return RunRecord(

@@ -280,18 +280,18 @@ class ClosingRun:
             velocity=v,
             goal=goal,
             duration=retreat.duration,
-            again=False,
         )
-        found = self._meet_again(goal, end) if tries < retreat.tries else None
-        again = found is not None
-        if found is not None:
-            self.scenario, self.handover = found
-            reference = dataclasses.replace(reference, again=True)
-        self.blocks["reference"] = reference
         failed, number_of = self.outcome, "" if tries == 1 else f"_{tries}"
         names = [(f"retreat{number_of}", end)]
+        again = tries < retreat.tries and self._meet_again(goal, end)
         if again:
-            names.append((f"approach_{tries + 1}", self.handover.sample - self._samples))
+            begin = self.handover.sample - round(self.scenario.grasp_time / period)
+            reference = dataclasses.replace(reference, again=begin * period)
+            names = [
+                (names[0][0], begin),
+                (f"approach_{tries + 1}", self.handover.sample - self._samples),
+            ]
+        self.blocks["reference"] = reference
         self.outcome = None
         rollout = Rollout(without_target(self.scenario), blocks=self.blocks)
         flown = self._leg(rollout, names, self._go_on(afresh=True))
@@ -309,16 +309,15 @@ class ClosingRun:
         arm: np.ndarray = turn @ np.array(self._chosen.payload.truth.center_of_mass)
         return motion[4:7] + arm
 
-    def _meet_again(self, start: Posture, first: int) -> tuple[Scenario, Handover] | None:
-        """The next try, from rest in a posture at a sample on: where and when the base has to move
-        least for the arm to meet the target as in the first try, on a way that keeps clear; None:
-        there is none.
+    def _meet_again(self, start: Posture, first: int) -> bool:
+        """Find the next try, from rest in a posture at a sample or later: where and when the base
+        has to move least for the arm to meet the target as in the first try, on a way that keeps
+        clear. False: there is none.
         """
         chosen, period = self._chosen, self._chosen.sample_time
-        approach = self._capture.approach
-        least = 0.0 if approach is None else approach.duration
-        stop = chosen.reference.duration or least
-        earliest = first + round(least / period)
+        lasts = round(chosen.grasp_time / period)
+        stop = chosen.reference.duration or chosen.grasp_time
+        earliest = first + lasts
         latest = chosen.num_control_periods - math.ceil(stop / period)
         model = make_nominal_plant(chosen)
         X_BP = self._target_from_base(model)
@@ -331,12 +330,12 @@ class ClosingRun:
             way = np.linalg.norm(X_WB.translation() - start.base_position)
             candidates.append((way + _LENGTH * turn.ToAngleAxis().angle(), sample, X_WB))
         for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
-            scenario = self._try(start, (sample - first) * period, X_WB, self._path[sample])
-            if self._is_clear(scenario, first, sample):
-                handover = Handover(scenario)
-                handover.sample = sample
-                return scenario, handover
-        return None
+            scenario = self._try(start, X_WB, self._path[sample])
+            if self._is_clear(scenario, sample - lasts, sample):
+                self.scenario, self.handover = scenario, Handover(scenario)
+                self.handover.sample = sample
+                return True
+        return False
 
     def _target_from_base(self, model: PlantModel) -> RigidTransform:
         """X_BP of the target's frame in the base's, where the arm is to meet it."""
@@ -345,11 +344,9 @@ class ClosingRun:
         body = target_body(self._chosen, model).body_frame()
         return RigidTransform(body.CalcPose(model.context, base_body(model.plant).body_frame()))
 
-    def _try(
-        self, start: Posture, duration: float, X_WB: RigidTransform, motion: np.ndarray
-    ) -> Scenario:
-        """The scenario of a further try: its approach takes a duration (s) from a posture to where
-        the base is at X_WB and the target in a motion (13).
+    def _try(self, start: Posture, X_WB: RigidTransform, motion: np.ndarray) -> Scenario:
+        """The scenario of a further try: its approach leads from a posture to where the base is at
+        X_WB and the target in a motion (13).
         """
         w, v_P = np.split(motion[7:], 2)
         capture = dataclasses.replace(
@@ -357,7 +354,7 @@ class ClosingRun:
             axes="world",
             rate=w.tolist(),
             velocity=(v_P + np.cross(w, self._center(motion) - motion[4:7])).tolist(),
-            approach=Approach(duration=duration, posture=start),
+            approach=Approach(duration=self._chosen.grasp_time, posture=start),
         )
         posture = dataclasses.replace(
             self._chosen.initial_posture,

@@ -83,16 +83,14 @@ def run_clearance(record: RunRecord) -> list[Closest]:
     data = record.dataset
     found: list[Closest] = []
     phases = data["phase"].values if "phase" in data.coords else np.full(data.sizes["time"], "stop")
-    for phase in ("approach", "stop"):
+    for phase in dict.fromkeys(phases.tolist()):
         samples = np.flatnonzero(phases == phase)
-        if samples.size == 0:
-            continue
         chosen = samples[
             np.unique(np.linspace(0, samples.size - 1, 2 * INSTANTS - 1).round().astype(int))
         ]
         part, target = data.isel(time=chosen), None
         hidden = part["hidden_position"].values if "hidden_position" in part else None
-        if phase == "approach":
+        if phase != "stop":
             target = np.hstack([part["target_quaternion"].values, part["target_position"].values])
         found += closest_of(
             record.scenario,

@@ -52,15 +52,15 @@ class GraspLog:
         legs = self.legs or (("approach", self.sample),)
         return [name for name, samples in legs for _ in range(samples)]
 
-    def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
-        """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
+    def ledger(self, time: np.ndarray, coordinates: Coordinates) -> dict[str, Any] | None:
+        """The grasp in plain numbers, where there was one; ``time`` (n; s) are the samples."""
         if self.contact is None:
             return None
         contact, grasp, compliant = self.contact, self.contact.grasp, self.contact.compliant
         known = contact.split.known_velocities
         named = zip(coordinates.names, known(grasp.brake_impulse).tolist(), strict=True)
         return {
-            "time": time,
+            "time": float(time[self.sample]),
             "impulse": contact.impulse[3:].tolist(),  # on the target, N s
             "angular_impulse": contact.impulse[:3].tolist(),  # about the end effector, N m s
             # by joint, N m s or N s
@@ -231,7 +231,7 @@ class RunLog:
 
     @functools.cached_property
     def ending(self) -> Ending:
-        """How the run ended: settled, not settled, growing, missed, diverged, interrupted."""
+        """How the run ended: settled, not settled, growing, not captured, diverged, interrupted."""
         return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked)
 
     @functools.cached_property

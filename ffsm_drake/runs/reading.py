@@ -16,7 +16,7 @@ from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.loop.blocks import section_parts
-from ffsm_drake.runs.ending import COMPLETED, MISSED, OUTCOMES, Outcome
+from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
 from ffsm_drake.runs.table import OF_LAWS, VARIABLES
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
@@ -54,7 +54,8 @@ _FINITE = [name for name in _REQUIRED if not name.startswith("measured")]
 _STATE = ("position", "velocity")
 _OF_FRAME = {"frame_error": True, "frame_prescribed": False, "frame_tracked": False}  # along time
 _OF_TARGET = {"target_position": "axis", "target_quaternion": "quaternion"}
-_PHASES = ("approach", "stop")
+# further tries are numbered; the target is held from "stop" on
+_PHASE = re.compile(r"(approach|closing|retreat)(_\d+)?|stop")
 _NORM_TOLERANCE = 0.5  # of a quaternion: coarse integration is remarked on, and still a record
 
 _VECTOR = tuple[float, float, float]
@@ -325,9 +326,10 @@ def _of_phases(dataset: "xr.Dataset") -> Iterator[str]:
         return
     column = dataset.variables["phase"]
     phases = column.values.tolist()
-    number = [_PHASES.index(phase) for phase in phases if phase in _PHASES]
-    if column.dims != ("time",) or len(number) < len(phases) or number != sorted(number):
-        yield f"phase must be {' and then '.join(_PHASES)} along time"
+    held = [phase == "stop" for phase in phases]
+    known = all(isinstance(phase, str) and _PHASE.fullmatch(phase) for phase in phases)
+    if column.dims != ("time",) or not known or held != sorted(held):
+        yield "phase must be approach, closing or retreat, and then stop, along time"
     for name, along in _OF_TARGET.items():
         if name not in dataset or dataset[name].dims != ("time", along):
             yield f"{name} must hold numbers along time, {along}"
@@ -335,7 +337,7 @@ def _of_phases(dataset: "xr.Dataset") -> Iterator[str]:
 
 def _of_numbers(dataset: "xr.Dataset", outcome: Outcome) -> Iterator[str]:
     """Numbers that are finite, and quaternions of rotations."""
-    whole = outcome.status in (COMPLETED, MISSED)
+    whole = outcome.status in (COMPLETED, *NOT_CAPTURED)
     known = [name for name in (*_OF_TARGET, "hidden_position", "frame_error") if name in dataset]
     for name in [*_FINITE, *known] if whole else _STATE:
         values = dataset[name].values

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, MISSED
+from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, NOT_CAPTURED
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
@@ -70,10 +70,11 @@ def results_of(records: Sequence[RunRecord]) -> list[Result]:
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
-    """The best first: completed runs by their figure, then interrupted ones, then those that missed
-    the target, diverged or failed.
+    """The best first: completed runs by their figure, then interrupted ones, then those that did
+    not capture the target, diverged or failed.
     """
-    order = {COMPLETED: 0, INTERRUPTED: 1, MISSED: 2, DIVERGED: 3, FAILED: 4}
+    kinds = (COMPLETED, INTERRUPTED, *NOT_CAPTURED, DIVERGED, FAILED)
+    order = {status: place for place, status in enumerate(kinds)}
 
     def key(result: Result) -> tuple[int, float]:
         value = figure(result) if result.comparable else -result.record.outcome.time

@@ -4,7 +4,7 @@ target, in the legs of a run before the grasp.
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -22,7 +22,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.gripper import Jaws
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_frame
-from ffsm_drake.systems.part import Part, Signal
+from ffsm_drake.systems.part import Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 STEP = 1e-3  # s; of the contact, at most
@@ -91,6 +91,41 @@ class Gripper(Part):
                 panels=_by_axis("N m", "N"),
             ),
         )
+
+    def metrics(self) -> Sequence[Metric]:
+        """How often it closed, and the largest contact force and torque."""
+
+        def peak(part: slice) -> Callable[[View], float]:
+            return lambda run: float(
+                np.linalg.norm(run["contact_force"][:, part], axis=1).max(initial=0.0)
+            )
+
+        return (
+            Metric(
+                key="gripper.closings",
+                unit="1",
+                label="Closings of the gripper",
+                of=_closings,
+            ),
+            Metric(
+                key="gripper.peak_force",
+                unit="N",
+                label="Largest contact force",
+                of=peak(slice(3, 6)),
+            ),
+            Metric(
+                key="gripper.peak_torque",
+                unit="N m",
+                label="Largest contact torque",
+                of=peak(slice(0, 3)),
+            ),
+        )
+
+
+def _closings(run: View) -> int:
+    """How often the gripper began to close."""
+    closes = run["gripper_offset"].any(axis=1).astype(int)
+    return int((np.diff(closes, prepend=0) > 0).sum())
 
 
 def _by_axis(of_rotation: str, of_position: str) -> dict[str, str]:

@@ -13,7 +13,7 @@ from ffsm_drake.systems.setup import BlockSetup
 
 
 class _Retrying(PlannedMotion):
-    """A motion that begins at a time, and another that begins where it ends, if any."""
+    """A motion that begins at a time, and another, if any, that begins later where it ends."""
 
     def __init__(
         self,
@@ -21,17 +21,16 @@ class _Retrying(PlannedMotion):
         again: PlannedMotion | None,
         *,
         first: float,
+        turn: float,
         sample_time: float,
     ) -> None:
-        self._retreat, self._again, self._first = retreat, again, first
-        begin = first + retreat.end
+        self._retreat, self._again, self._first, self._turn = retreat, again, first, turn
         super().__init__(
             coordinates=retreat.coordinates,
             sample_time=sample_time,
-            begin=begin + (again.begin if again else 0.0),
-            end=begin + (again.end if again else 0.0),
+            begin=turn + (again.begin if again else 0.0),
+            end=turn + (again.end if again else 0.0),
         )
-        self._turn = begin
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
@@ -44,8 +43,8 @@ class _Retrying(PlannedMotion):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RetreatReference:
-    """A reference that leads from a desired state to rest in a posture, and then, with ``again``,
-    through the scenario's own motion, which begins there.
+    """A reference that leads from a desired state to rest in a posture, and then, from ``again``
+    on, through the scenario's own motion, which begins there.
     """
 
     first: float  # s
@@ -53,7 +52,7 @@ class RetreatReference:
     velocity: np.ndarray  # (nv)
     goal: Posture
     duration: float  # s
-    again: bool
+    again: float | None = None  # s
 
     def motion(self, setup: BlockSetup) -> PlannedMotion:
         """The motion as a function of the run's time."""
@@ -67,8 +66,11 @@ class RetreatReference:
             sample_time=scenario.sample_time,
             velocity=self.velocity,
         )
-        again = make_motion(scenario, coordinates) if self.again else None
-        return _Retrying(retreat, again, first=self.first, sample_time=scenario.sample_time)
+        again = None if self.again is None else make_motion(scenario, coordinates)
+        turn = self.first + retreat.end if self.again is None else self.again
+        return _Retrying(
+            retreat, again, first=self.first, turn=turn, sample_time=scenario.sample_time
+        )
 
     def __call__(self, setup: BlockSetup) -> Diagram:
         """The block."""

@@ -42,7 +42,7 @@ class ReplayView:
         # Before a grasp the target is a separate body.
         self._target: np.ndarray | None = None
         if "phase" in dataset.coords:
-            free = dataset.isel(time=dataset["phase"].values.astype(str) == "approach")
+            free = dataset.isel(time=dataset["phase"].values.astype(str) != "stop")
             self._target = np.hstack(
                 [free["target_quaternion"].values, free["target_position"].values]
             )

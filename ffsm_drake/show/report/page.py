@@ -20,7 +20,7 @@ from ffsm_drake.runs.ending import (
     FAILED,
     GROWING,
     INTERRUPTED,
-    MISSED,
+    NOT_CAPTURED,
     NOT_SETTLED,
     SETTLED,
     SETTLED_OVER,
@@ -45,7 +45,7 @@ _STATUS_TONES = {
     NOT_SETTLED: "warn",
     INTERRUPTED: "warn",
     GROWING: "bad",
-    MISSED: "bad",
+    **dict.fromkeys(NOT_CAPTURED, "bad"),
     DIVERGED: "bad",
     FAILED: "bad",
 }
