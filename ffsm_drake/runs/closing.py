@@ -19,7 +19,7 @@ from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED, Outcome
 from ffsm_drake.runs.handover import Handover
-from ffsm_drake.runs.limits import INSTANTS, closest_of
+from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Posture, Scenario
@@ -35,7 +35,8 @@ from ffsm_drake.systems.retreat import RetreatReference
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
-_CANDIDATES = 12  # meetings looked at, those with the shortest ways
+_CANDIDATES = 6  # meetings looked at, those with the shortest ways
+_INSTANTS = 15  # at which the clearance of each is looked at
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
 Begin = Callable[[ClosedLoop, Context], None]
@@ -366,7 +367,7 @@ class ClosingRun:
     def _is_clear(self, scenario: Scenario, first: int, last: int) -> bool:
         """Whether the planned approach of a try keeps the scenario's clearance."""
         motion = make_motion(without_target(scenario), self.loop.coordinates)
-        samples = np.linspace(first, last - self._samples, INSTANTS).round().astype(int)
+        samples = np.linspace(first, last - self._samples, _INSTANTS).round().astype(int)
         times = (samples - first) * scenario.sample_time
         q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
         target = self._path[samples, :7]

@@ -108,3 +108,39 @@ def test_it_slides_and_holds_as_mujocos_pads(preload, friction, time, mass, arm,
     assert outcome(own) == outcome(theirs) == end
     way = np.abs(theirs[-1])
     assert_allclose(own[-1], theirs[-1], atol=0.05 * way.max() + 3e-4)
+
+
+def test_the_palm_pushes_only_and_the_target_bounces_off():
+    closing = Closing(time=100.0, preload=1e-3)
+    jaws = Jaws(closing=closing, compliance=Compliance(), start=np.zeros(6))
+    mobility = np.diag([0.1] * 3 + [1.0 / 50.0] * 3)
+    offset, slid = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3]), np.zeros(6)
+    rate, forces = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.05]), []
+    for step in range(500):
+        force, slid = jaws.act(
+            1e-3 * (step + 1), 1e-3, offset=offset, rate=rate, slid=slid, mobility=mobility
+        )
+        rate, forces = rate + 1e-3 * mobility @ force, [*forces, force[5]]
+        offset = offset + 1e-3 * rate
+    assert 0.01 < rate[5] < 0.05  # thrown back, with less energy
+    assert min(forces) > -0.01
+    assert max(forces) > 10.0
+    assert offset[5] > 0.0
+
+
+def test_the_force_keeps_to_what_friction_bears():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        closing = Closing(preload=10 ** rng.uniform(-1, 3), radius=10 ** rng.uniform(-2, 0))
+        jaws = Jaws(closing=closing, compliance=Compliance(), start=0.02 * rng.standard_normal(6))
+        root = rng.standard_normal((6, 6)) * 10 ** rng.uniform(-2, 1.2, 6)[:, None]
+        time = rng.uniform(0.05, 1.0)
+        offset, rate = jaws.start + 0.01 * rng.random(6), 0.3 * rng.standard_normal(6)
+        mobility = root @ root.T
+        force, slid = jaws.act(
+            time, 1e-3, offset=offset, rate=rate, slid=np.zeros(6), mobility=mobility
+        )
+        force[5] = 0.0  # along the palm's axis
+        share = np.linalg.norm(force / np.repeat(jaws.limits(time), 3))
+        assert share <= 1.0 + 1e-6
+        assert np.isfinite(slid).all()

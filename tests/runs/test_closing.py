@@ -1,0 +1,113 @@
+"""Runs whose gripper closes over a time: outcomes, and what follows a target that gets away."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake.runs.batches import batches_of
+from ffsm_drake.runs.metrics import phases_of
+
+# From a posture near that at the grasp, so that two seconds are enough.
+NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
+SHORT = [
+    "duration=6",
+    "reference.duration=3",
+    f"capture.approach={{duration: 2, posture: "
+    f"{{base_position: [0.1, 0.3, -0.2], joints: {NEAR}}}}}",
+    "capture.approach.posture.base_rpy=[0.11, 0.08, -0.1]",
+    "target_posture.joints={joint_1: 0.2, joint_2: 0.35, joint_3: 0.95, joint_4: 0.8, joint_5: "
+    "-0.6}",
+    "target_posture.base_position=[0.1, 0.3, -0.2]",
+    "target_posture.base_rpy=[0.11, 0.08, -0.1]",
+]
+CLOSING = [*SHORT, "capture.closing={}"]
+
+
+def closed(*given: str):
+    return simulate(load_scenario("tumbling_capture", [*CLOSING, *given]), check_stability=False)
+
+
+def test_a_target_is_drawn_in_and_captured():
+    record = closed("capture.closing.preload=50")
+    data = record.dataset
+    counts = {name: part.sizes["time"] for name, part in phases_of(data).items()}
+    assert counts == {"approach": 100, "closing": 100, "stop": 401}
+    assert record.ending.status != "growing"
+    assert np.abs(data["error"].values[-100:]).max() < 2e-3
+    offset = np.linalg.norm(data["gripper_offset"].values[:, 3:], axis=1)
+    assert offset[101] > 0.01
+    assert offset[198] < 0.2 * offset[101]  # the springs have centred it
+    assert not data["contact_force"].values[:100].any()
+    assert not data["contact_force"].values[200:].any()
+    # action is reaction: with the target, momentum is that of the external forces
+    for size in record.metrics["momentum_residual"].values():
+        assert size < 1e-5
+    gripper = record.metrics["gripper"]
+    assert gripper["closings"] == 1
+    assert 0.0 < gripper["peak_force"] <= 2.0 * 0.3 * 50.0 * 1.001
+    assert record.grasp["miss"]["velocity"] < 0.01
+    # what is measured at the grasp is where the stop begins
+    assert np.abs(data["error"].values[200]).max() < 1e-3
+
+
+def test_a_weak_gripper_lets_it_slip_and_the_servicer_retreats():
+    retreat = "capture.retreat={tries: 1, duration: 3, distance: 0.5}"
+    record = closed("capture.closing.preload=0.1", retreat)
+    assert record.ending.status == record.outcome.status == "slipped"
+    assert record.ending.is_failure
+    assert record.grasp is None
+    data = record.dataset
+    assert list(phases_of(data)) == ["approach", "closing", "retreat"]
+    apart = data["target_position"].values - data["position"].values[:, 4:7]
+    moved = np.linalg.norm(apart, axis=1)
+    assert moved[-1] > moved[200] + 0.4
+    # the target drifts freely after the contact
+    drift = np.diff(data["target_position"].values[200:], n=2, axis=0)
+    assert np.abs(drift).max() < 1e-5
+    for size in record.metrics["momentum_residual"].values():
+        assert size < 1e-5
+
+
+def test_a_missed_target_is_left_at_once():
+    record = closed("capture.envelope.position=0.01")
+    assert record.outcome.status == "missed"
+    assert record.outcome.time == 1.0
+    assert record.metrics["gripper"] == {"closings": 0, "peak_force": 0.0, "peak_torque": 0.0}
+
+
+@pytest.mark.slow
+def test_the_second_try_captures_what_a_push_made_the_first_one_miss():
+    import importlib.util
+    from pathlib import Path
+
+    file = Path(__file__).parents[2] / "docs" / "animate.py"
+    spec = importlib.util.spec_from_file_location("animate", file)
+    animate = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(animate)
+    record = animate.missed_at_first()
+    phases = phases_of(record.dataset)
+    assert list(phases) == ["approach", "retreat", "approach_2", "closing_2", "stop"]
+    assert record.outcome.completed
+    assert record.metrics["gripper"]["closings"] == 1
+    assert np.abs(record.dataset["error"].values[-100:]).max() < 2e-3
+    assert_allclose(list(record.metrics["momentum_residual"].values()), 0.0, atol=1e-4)
+
+
+def test_it_runs_alone_among_many():
+    scenario = load_scenario("tumbling_capture", CLOSING)
+    assert all(len(batch) == 1 for batch in batches_of([scenario, scenario], 8))
+
+
+@pytest.mark.parametrize(
+    ("given", "key"),
+    [
+        ("capture.closing.time=0.123", "capture.closing"),
+        ("capture.closing.hold=30", "capture.closing"),
+        ("capture.closing.axis=[0, 0, 0]", "capture.closing.axis"),
+        ("capture.retreat={tries: 0}", "capture.retreat.tries"),
+    ],
+)
+def test_settings_that_cannot_be(given, key):
+    with pytest.raises(ScenarioError, match=key):
+        load_scenario("tumbling_capture", [*CLOSING, given])
