@@ -131,7 +131,7 @@ class Retreat:
         2.0, "m", "by which the base moves straight away from the target", above=0
     )
     duration: float = setting(
-        15.0, "s", "of that motion, in which the arm returns to capture.approach.posture", above=0
+        20.0, "s", "of that motion, in which the arm returns to capture.approach.posture", above=0
     )
 
 
