@@ -91,8 +91,8 @@ class SupervisorPart(Part):
         builder.AddNamedSystem("modes", system)
         parts = builder.AddNamedSystem("parts", Demultiplexer([nq + nv, nv]))
         builder.Connect(system.GetOutputPort("motion"), parts.get_input_port())
-        for index in range(system.num_input_ports()):
-            builder.ExportInput(system.get_input_port(index), system.get_input_port(index).get_name())
+        for port in map(system.get_input_port, range(system.num_input_ports())):
+            builder.ExportInput(port, port.get_name())
         builder.ExportOutput(parts.get_output_port(0), "desired_state")
         builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
         for name in ("generalized_force", "restart", "mode", "mode_cause"):
@@ -134,8 +134,9 @@ class SupervisorPart(Part):
                 key="supervisor.damped_time",
                 unit="s",
                 label="Rates damped for",
-                of=lambda run: run.scenario.sample_time
-                * float((run["mode"] == Mode.RATE_DAMPING).sum()),
+                of=lambda run: (
+                    run.scenario.sample_time * float((run["mode"] == Mode.RATE_DAMPING).sum())
+                ),
             ),
             Metric(
                 key="supervisor.events",
@@ -168,7 +169,7 @@ def _events(run: View) -> Iterator[tuple[float, Mode]]:
 class NewPlan:
     """A motion from a state to rest, planned during a run.
 
-    With a row (``as_row``) of begin, duration, whether it is a retreat, q, v it stands in a context.
+    As a row (``as_row``) it stands in a context.
     """
 
     begin: float  # s
