@@ -119,9 +119,7 @@ class CaptureRollout:
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
         if given_up := _given_up(approach):
-            return dataclasses.replace(
-                approach, scenario=chosen, outcome=given_up, grasp=ungrasped
-            )
+            return dataclasses.replace(approach, scenario=chosen, outcome=given_up, grasp=ungrasped)
         handovers.meet(self._stop.loop)
         if beyond := handover.beyond_envelope():
             last = float(approach.time[-1])

@@ -354,7 +354,7 @@ class _Supervisor(LeafSystem):
         before, counters[3] = counters[3], float(asked)
         if asked and not before:
             return Cause.REQUEST
-        if counters[0] > self._settings.saturated_time:
+        if counters[0] > self._settings.saturated_time + 1e-9:
             return Cause.SATURATED
         if self._is_bounded:
             desired = self._row(context)[: state.size]

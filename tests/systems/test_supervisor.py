@@ -6,8 +6,8 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.runs.capture import make_rollout
-from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.systems.part import figures_of, nested, recorded
 from ffsm_drake.systems.supervisor import Cause, Mode, NewPlan
 
 BEYOND = (  # a target that spins faster than the limits let the law stop it at once
@@ -46,11 +46,11 @@ def test_saturation_is_damped_and_planned_anew(damped):
     assert (first, second, third) == (Mode.STOP, Mode.RATE_DAMPING, Mode.STOP)
     assert damped.series["mode_cause"].max() == Cause.SATURATED
     # as the counter of saturated time says, to the sample
-    counter, k = 0.0, 0
-    while counter <= 0.5 + 1e-12:
-        counter = max(0.0, counter + (0.01 if over[k] else -0.01))
-        k += 1
-    assert begin == pytest.approx(damped.time[k], abs=0.011)
+    counter, before = 0, over[damped.time < begin - 1e-9]
+    for is_over in before:
+        assert counter <= 50
+        counter = max(0, counter + (1 if is_over else -1))
+    assert counter == 51
     assert not over[damped.series["mode"].ravel() == Mode.RATE_DAMPING].any()
     assert np.abs(damped.tracked.error[damped.time > anew + 0.5]).max() < 1e-2
 
@@ -87,9 +87,12 @@ def test_a_plan_survives_its_row():
 
 
 def test_the_report_names_the_events(damped):
-    figures = compute_metrics(damped)["supervisor"]
+    placed = damped.parts["supervisor"]
+    record = recorded(placed, list(figures_of(placed, damped)))
+    figures = nested(record.figures)["supervisor"]
     assert figures["dampings"] == 1
     assert list(figures["events"]) == ["1 stop", "2 rate damping", "3 stop"]
+    assert record.sentence.startswith("Supervisor: stop from 0 s, rate damping from 0.56 s, stop")
 
 
 class Asking(LeafSystem):
