@@ -165,9 +165,9 @@ class CaptureRollout:
 def _given_up(approach: RunLog) -> Outcome | None:
     """The outcome of an approach from which the supervisor retreats; None of any other."""
     modes = approach.series.get("mode", np.zeros(1)).ravel()
-    if modes[-1] not in (Mode.RATE_DAMPING, Mode.RETREAT):
+    if modes[-1] == Mode.APPROACH:
         return None
-    since = float(approach.time[np.flatnonzero(modes == Mode.RATE_DAMPING)[0]])
+    since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
     message = f"the approach is given up at t = {since:g} s"
     return Outcome(status=MISSED, time=float(approach.time[-1]), message=message)
 

@@ -9,7 +9,8 @@ stays beyond the limits, an error leaves its bounds, or another block asks for i
 which lowers the kinetic energy at every sample while kappa L lambda_max(H^-1 Hhat) < 2 (see
 docs/supervisor.md), and plans anew from the measured (q, v): the scenario's polynomial to the
 target posture, in the first of 5 x 1.15^n s whose inverse dynamics take at most ``plan_share`` of
-every limit; before the grasp, back to where the approach began. The law starts afresh.
+every limit. The law starts afresh. Before the grasp, it plans at once, without
+damping, back to where the approach began.
 """
 
 import dataclasses
@@ -62,7 +63,7 @@ class Mode(enum.IntEnum):
 
 
 class Cause(enum.IntEnum):
-    """Why rate damping began."""
+    """Why the plan was given up."""
 
     NONE = 0
     SATURATED = 1
@@ -115,7 +116,7 @@ class SupervisorPart(Part):
             Signal(
                 name="mode_cause",
                 unit="1",
-                meaning=f"why rates were last damped: {causes}",
+                meaning=f"why a plan was last given up: {causes}",
                 heading="",
                 chart=STEPS,
             ),
@@ -326,7 +327,7 @@ class _Supervisor(LeafSystem):
             if cause:
                 new.set_value(self._cause, [float(cause)])
                 counters[:2] = 0.0
-                mode = Mode.RATE_DAMPING
+                mode = self._react(context, state, counters, new)
             else:
                 new.set_value(self._restart, _ZERO)
                 mode = self._mode_at(time, value(self._plan))
@@ -343,6 +344,28 @@ class _Supervisor(LeafSystem):
                     mode = self._mode_at(time, plan.as_row())
         new.set_value(self._mode, [float(mode)])
         new.set_value(self._counters, counters)
+
+    def _react(
+        self, context: Context, state: np.ndarray, counters: np.ndarray, new: DiscreteValues
+    ) -> Mode:
+        """Rate damping; before the grasp a retreat at once, if there is a plan for it.
+
+        Damping leaves the light joints of an empty arm to the disturbance.
+        """
+        time = context.get_time()
+        if not self._is_before_grasp(time):
+            return Mode.RATE_DAMPING
+        plan = self._plan_anew(time, state, int(counters[2]))
+        if plan is None:
+            return Mode.RATE_DAMPING
+        counters[2] += 1.0
+        new.set_value(self._plan, plan.as_row())
+        new.set_value(self._force, np.clip(self._command.Eval(context), -self._limit, self._limit))
+        new.set_value(self._restart, _ONE)
+        return Mode.RETREAT
+
+    def _is_before_grasp(self, time: float) -> bool:
+        return time < self._scenario.grasp_time - 0.5 * self._step
 
     def _trouble(self, context: Context, state: np.ndarray, counters: np.ndarray) -> Cause:
         """Why to damp the rates now, if there is a reason; ``counters`` are brought up to date."""
@@ -390,7 +413,7 @@ class _Supervisor(LeafSystem):
         """
         settings, (q, v) = self._settings, np.split(state, [self._nq])
         most = settings.plan_share * settings.retry_factor**plans * self._limit
-        retreats, duration = time < self._scenario.grasp_time - 0.5 * self._step, _SHORTEST
+        retreats, duration = self._is_before_grasp(time), _SHORTEST
         while duration <= _LONGEST:
             plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
             motion = plan.motion(self._scenario, self._coordinates)
