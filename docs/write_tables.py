@@ -26,7 +26,11 @@ DOCS = Path(__file__).parent
 BEGIN, END = "<!-- written by python docs/write_tables.py -->", "<!-- end -->"
 # keys of Drake's own settings that not every version has
 _OLDER_DRAKE = ("publish_every_time_step",)
-_BLOCK_KEYS = {"controller": "`controller`", "forces": "`blocks.forces.<name>`"}
+_BLOCK_KEYS = {
+    "controller": "`controller`",
+    "supervisor": "`supervisor`",
+    "forces": "`blocks.forces.<name>`",
+}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,11 +43,14 @@ from ffsm_drake.systems.registry import (
 from ffsm_drake.systems.sensing import sensing_of, wide_sensing_of
 from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
+from ffsm_drake.systems.supervisor import SupervisorPart
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER = str(FRAME_SIZE), "1"
 # Outputs of actuators that act on the plant beside the applied force.
 BESIDES = ("gyroscopic_force", "friction_force")
+# The output port of a block that wants the supervisor to act: above 0.5.
+ABORT = "abort_request"
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -83,10 +86,27 @@ BLOCKS: dict[str, Ports] = {
             "applied_force": VELOCITY,
             "measurement_is_new": STATE,
             "desired_frame": FRAME,
+            "restart": NUMBER,  # 1: this sample is a first one, whatever was before
         },
         outputs={"generalized_force": VELOCITY},
         optional_outputs={**dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY), SMALLEST: NUMBER},
         held=True,
+    ),
+    # Between the reference and the controller, and between that and the actuators.
+    "supervisor": Ports(
+        inputs={
+            "estimated_state": STATE,
+            "desired_state": STATE,
+            "desired_acceleration": VELOCITY,
+            "generalized_force": VELOCITY,
+        },
+        optional_inputs={ABORT: NUMBER},
+        outputs={
+            "desired_state": STATE,
+            "desired_acceleration": VELOCITY,
+            "generalized_force": VELOCITY,
+        },
+        optional_outputs={"restart": NUMBER},
     ),
     "actuation": Ports(
         inputs={"commanded_force": VELOCITY},
@@ -112,6 +132,7 @@ DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
 _SECTION_PARTS: dict[str, type[Part]] = {
     **{f"actuation.{name}": kind for name, kind in SECTIONS.items()},
     "flexible": Deflections,
+    "supervisor": SupervisorPart,
     DISTURBANCE: HarmonicDisturbance,
     "forces.environment": OrbitalEnvironment,
     GRIPPER: Gripper,
@@ -138,7 +159,10 @@ _SECTIONS: dict[str, Factory] = {
 # Blocks of which there may be several.
 _SEVERAL = ("sensing.<name>", "forces.<name>")
 # Names of systems that are part of every loop.
-_TAKEN = ("plant", "measurement", "states", "reference", "sensing", "controller", "actuation")
+_TAKEN = (
+    *("plant", "measurement", "states", "reference", "sensing", "controller", "actuation"),
+    "supervisor",
+)
 
 
 def kind_of(name: str) -> str:
@@ -205,6 +229,8 @@ class _Making:
         self._owns = [section_parts(scenario, given) for scenario in scenarios]
         if len({tuple(own) for own in self._owns}) > 1:
             raise NotAlike("the sections of the copies' scenarios differ")
+        if len(scenarios) > 1 and "supervisor" in self._owns[0]:
+            raise NotAlike("a law that starts afresh does so for all copies")
         self._setups = [
             BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
             for scenario, nominal in zip(scenarios, nominals, strict=True)
@@ -332,13 +358,14 @@ def _check_names(given: Iterable[str]) -> None:
             )
 
 
-def _in_order(names: Iterable[str]) -> tuple[str, ...]:
+def _in_order(names: Collection[str]) -> tuple[str, ...]:
     """The blocks of a loop, with the stages and forces among some names."""
     stages, forces = (
         dict.fromkeys(name for name in names if name.startswith(f"{kind}."))
         for kind in ("sensing", "forces")
     )
-    return ("reference", "sensing", *stages, "controller", "actuation", *forces)
+    supervisor = ("supervisor",) if "supervisor" in names else ()
+    return ("reference", "sensing", *stages, "controller", *supervisor, "actuation", *forces)
 
 
 def section_parts(scenario: Scenario, given: Iterable[str] = ()) -> dict[str, Part]:

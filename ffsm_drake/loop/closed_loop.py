@@ -28,7 +28,7 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, guarded, is_user_supplied
-from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
+from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
@@ -405,6 +405,7 @@ class _Wiring:
         self._coordinates, self._split, self._blocks = coordinates, split, blocks
         self._controller, self._actuation = blocks["controller"], blocks.get("actuation")
         self._forces = self._of_kind("forces")
+        self._supervisor = blocks.get("supervisor")
         rearranged = bool(split.names) or copies is not None
         self._states = self._add_states() if rearranged else {"state": (plant, "state")}
         self.sources: dict[str, Source] = dict(self._states)
@@ -438,6 +439,9 @@ class _Wiring:
         for name in (*ports.outputs, *ports.optional_outputs):
             if reference.HasOutputPort(name):
                 self.sources[name] = (reference, name)
+                if self._supervisor is not None and self._supervisor.HasInputPort(name):
+                    self._connect(name, self._supervisor.GetInputPort(name))
+                    self.sources[name] = (self._supervisor, name)
                 if self._controller.HasInputPort(name):
                     self._connect(name, self._controller.GetInputPort(name))
 
@@ -445,6 +449,8 @@ class _Wiring:
         """The actuators behind the controller, which hears of the force that they apply."""
         controller, actuation, name = self._controller, self._actuation, "applied_force"
         self.sources["generalized_force"] = applied = (controller, "generalized_force")
+        if self._supervisor is not None:
+            self.sources["generalized_force"] = applied = self._supervise(self._supervisor)
         if actuation is not None:
             self._connect("generalized_force", actuation.GetInputPort("commanded_force"))
             self._give_states(actuation)
@@ -465,6 +471,20 @@ class _Wiring:
         self.sources[name] = applied
         if controller.HasInputPort(name):
             self._connect(name, controller.GetInputPort(name))
+
+    def _supervise(self, supervisor: System) -> Source:
+        """The force that a supervisor commands, from the law's and what blocks ask for."""
+        self._connect("estimated_state", supervisor.GetInputPort("estimated_state"))
+        self._connect("generalized_force", supervisor.GetInputPort("generalized_force"))
+        asking = [each for each in self._blocks.values() if each.HasOutputPort(ABORT)]
+        if asking and supervisor.HasInputPort(ABORT):
+            self.sources[ABORT] = self._sum(ABORT, [(each, ABORT) for each in asking])
+            self._connect(ABORT, supervisor.GetInputPort(ABORT))
+            del self.sources[ABORT]
+        if self._controller.HasInputPort("restart") and supervisor.HasOutputPort("restart"):
+            restart = supervisor.GetOutputPort("restart")
+            self._builder.Connect(restart, self._controller.GetInputPort("restart"))
+        return supervisor, "generalized_force"
 
     def act(self) -> None:
         """All forces on the plant, along its own v: H q'' + C = tau + tau_d."""

@@ -26,6 +26,7 @@ from ffsm_drake.spacecraft.capture import planned_contact, target_path
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.reference import without_target
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.supervisor import Mode
 
 
 class CaptureRollout:
@@ -112,6 +113,8 @@ class CaptureRollout:
         ungrasped = handover.ungrasped(approach.time.size)
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
+        if given_up := _given_up(approach):
+            return dataclasses.replace(approach, scenario=chosen, outcome=given_up, grasp=ungrasped)
         handovers.meet(self._stop.loop)
         if beyond := handover.beyond_envelope():
             last = float(approach.time[-1])
@@ -183,6 +186,16 @@ class CaptureRollout:
             None if before is None or after is None else handover.joined(before, after, start)
             for before, after, handover in zip(approaches, logs, handovers.each, strict=True)
         ]
+
+
+def _given_up(approach: RunLog) -> Outcome | None:
+    """The outcome of an approach from which the supervisor retreats; None of any other."""
+    modes = approach.series.get("mode", np.zeros(1)).ravel()
+    if modes[-1] == Mode.APPROACH:
+        return None
+    since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
+    message = f"the approach is given up at t = {since:g} s"
+    return Outcome(status=MISSED, time=float(approach.time[-1]), message=message)
 
 
 def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:

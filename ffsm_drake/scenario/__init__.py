@@ -62,6 +62,7 @@ from ffsm_drake.scenario.schema import (
 )
 from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml, write_yaml
+from ffsm_drake.scenario.supervisor import Supervisor
 
 __all__ = [
     "as_dict",
@@ -103,6 +104,7 @@ __all__ = [
     "Sensing",
     "Shaper",
     "SolarPressure",
+    "Supervisor",
     "Thruster",
     "Thrusters",
     "Wheel",

@@ -23,6 +23,7 @@ from ffsm_drake.scenario.model import MassProperties, Model, Payload, Posture
 from ffsm_drake.scenario.reference import Planning, Reference
 from ffsm_drake.scenario.resolving import as_dict
 from ffsm_drake.scenario.sensing import CommandFilter, Estimator, Sensing
+from ffsm_drake.scenario.supervisor import Supervisor
 
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
@@ -112,6 +113,9 @@ class Scenario:
     )
     sensing: Sensing = setting(Sensing())
     actuation: Actuation = setting(Actuation())
+    supervisor: Supervisor | None = unitless(
+        None, "damps rates and plans anew where the plan cannot be followed; null: none"
+    )
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """A run of at least one and not too many samples and steps."""
@@ -251,6 +255,7 @@ _OF_THE_RUN = (
     "disturbance",
     "environment",
     "sensing",
+    "supervisor",
 )
 
 

@@ -17,7 +17,7 @@ NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 def without_limits(scenario: Scenario) -> Scenario:
-    """The scenario without quantisation and with the defaults of ``NOT_LINEAR``."""
+    """The scenario without quantisation and supervisor, and with the defaults of ``NOT_LINEAR``."""
     sensing, estimator, actuation = smooth_sensing(scenario), scenario.estimator, scenario.actuation
     if sensing is not scenario.sensing:  # the estimator keeps its assumptions
         estimator = _with_assumptions(scenario)
@@ -25,7 +25,9 @@ def without_limits(scenario: Scenario) -> Scenario:
         drives = _with_defaults(actuation.drives, NOT_LINEAR["drives"])
         actuation = dataclasses.replace(actuation, drives=drives)
     actuation = _with_defaults(actuation, NOT_LINEAR["actuation"])
-    return dataclasses.replace(scenario, sensing=sensing, estimator=estimator, actuation=actuation)
+    return dataclasses.replace(
+        scenario, sensing=sensing, estimator=estimator, actuation=actuation, supervisor=None
+    )
 
 
 def _with_defaults(settings: _T, names: Sequence[str]) -> _T:

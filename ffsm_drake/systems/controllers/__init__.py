@@ -99,6 +99,7 @@ def make_controller(
             coordinates=setup.coordinates,
             sample_time=setup.sample_time,
             place=f"controller '{scenario.controller}'",
+            restarts=scenario.supervisor is not None,
         )
     if law is not made:
         raise ScenarioError(

@@ -40,6 +40,7 @@ class SampledController(LeafSystem):
       measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without
         it all are new.
       desired_frame: optional (19), for a law that tracks a frame; see ``Sample.desired_frame``.
+      restart: optional (1), above 0.5 where the law starts afresh at this sample.
     Outputs, read from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint
         torques.
@@ -59,11 +60,12 @@ class SampledController(LeafSystem):
         sample_time: float,
         place: str = "",
         copies: Sequence[ControlLaw] = (),
+        restarts: bool = False,
     ) -> None:
         """Args: a law for ``coordinates``; the system's name; the control period L, s; what names
         the law in errors, by default the system's name; of several copies of the spacecraft the law
         of each, which ``law`` joins: it has a row for each copy in all arrays, and so has the
-        memory.
+        memory; whether there is a port ``restart``, for one spacecraft.
 
         Raises BlockError: a user-supplied law breaks its contract.
         """
@@ -77,10 +79,12 @@ class SampledController(LeafSystem):
             "coordinates": coordinates,
             "sample_time": sample_time,
             "place": place,
+            "restarts": restarts,
         }
         self._copies = len(self._laws)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
+        self._restart = self.DeclareVectorInputPort("restart", 1) if restarts else None
         self._declare_inputs(len(coordinates.names))
         self._declare_state(len(coordinates.names), self._first_memory(len(coordinates.names)))
         self.DeclareStateOutputPort("generalized_force", self._force)
@@ -114,6 +118,7 @@ class SampledController(LeafSystem):
         return memory
 
     def _declare_state(self, num_velocities: int, memory: State) -> None:
+        self._first = memory
         self._force = self.DeclareDiscreteState(np.zeros(self._copies * num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
         if self._copies > 1:
@@ -275,6 +280,8 @@ class SampledController(LeafSystem):
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, before = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
+        if self._restart is not None and self._restart.Eval(context)[0] > 0.5:
+            is_first, before = True, self._first
         force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay

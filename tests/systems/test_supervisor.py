@@ -1,0 +1,138 @@
+"""The supervisor: modes, rate damping, a plan anew, and a loop that it leaves alone."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.systems.part import figures_of, nested, recorded
+from ffsm_drake.systems.supervisor import Cause, Mode, NewPlan
+
+BEYOND = (  # a target that spins faster than the limits let the law stop it at once
+    "capture.approach=null",
+    "capture.rate=[0.2, 0.17, 0.22]",
+    "controller=tde_aismc",
+    "duration=4",
+)
+
+
+def changes(log):
+    """Begin and mode of each mode of a run."""
+    modes = log.series["mode"].ravel()
+    at = np.flatnonzero(np.diff(modes, prepend=-1))
+    return [(float(log.time[k]), Mode(int(modes[k]))) for k in at]
+
+
+@pytest.fixture(scope="module")
+def damped():
+    return make_rollout(load_scenario("tumbling_capture", [*BEYOND, "supervisor={}"])).run()
+
+
+def test_what_has_nothing_to_do_changes_no_bit():
+    scenario = load_scenario("flight_sensors", ["duration=1"])
+    alone = make_rollout(scenario).run()
+    watched = make_rollout(scenario.replace(supervisor={})).run()
+    for name, values in alone.series.items():
+        assert np.array_equal(values, watched.series[name]), name
+
+
+def test_saturation_is_damped_and_planned_anew(damped):
+    limit = damped.coordinates.vector(damped.scenario.actuation.limit, key="limit")
+    force = np.abs(damped.series["generalized_force"])
+    over = (force > limit * (1.0 + 1e-9)).any(axis=1)
+    (_, first), (begin, second), (anew, third) = changes(damped)
+    assert (first, second, third) == (Mode.STOP, Mode.RATE_DAMPING, Mode.STOP)
+    assert damped.series["mode_cause"].max() == Cause.SATURATED
+    # as the counter of saturated time says, to the sample
+    counter, before = 0, over[damped.time < begin - 1e-9]
+    for is_over in before:
+        assert counter <= 50
+        counter = max(0, counter + (1 if is_over else -1))
+    assert counter == 51
+    assert not over[damped.series["mode"].ravel() == Mode.RATE_DAMPING].any()
+    assert np.abs(damped.tracked.error[damped.time > anew + 0.5]).max() < 1e-2
+
+
+def test_damping_lowers_the_energy_at_every_sample(damped):
+    modes, model = damped.series["mode"].ravel(), make_true_plant(damped.scenario)
+    states = damped.series["state"][modes == Mode.RATE_DAMPING]
+    nq = len(damped.coordinates.position_names)
+    q, v = states[:, :nq], states[:, nq:]
+    energy = np.einsum("ni,nij,nj->n", v, model.calc_mass_matrix(q), v) / 2.0
+    assert energy.size > 50
+    assert (np.diff(energy[1:]) < 0.0).all()
+    nominal = make_nominal_plant(damped.scenario).calc_mass_matrix(q[-1])
+    ratio = np.linalg.eigvals(np.linalg.solve(model.calc_mass_matrix(q[-1]), nominal)).real.max()
+    assert damped.scenario.supervisor.damping * damped.scenario.sample_time * ratio < 2.0
+
+
+def test_the_new_plan_starts_where_the_spacecraft_is(damped):
+    anew = changes(damped)[2][0]
+    k = int(np.flatnonzero(np.isclose(damped.time, anew))[0])
+    measured = damped.series["measurement"][k]
+    desired = damped.series["desired_state"][k + 1]
+    assert np.abs(desired - measured).max() < 2e-3
+    assert damped.series["desired_state"].shape == damped.series["state"].shape
+
+
+def test_a_plan_survives_its_row():
+    model = make_nominal_plant(load_scenario("tumbling_capture"))
+    q, v = model.plant.GetPositions(model.context), np.full(11, 0.01)
+    plan = NewPlan(begin=2.0, duration=5.0, retreats=True, q=q, v=v)
+    again = NewPlan.from_row(plan.as_row(), q.size)
+    assert (again.begin, again.duration, again.retreats) == (2.0, 5.0, True)
+    assert np.array_equal(again.q, q)
+    assert np.array_equal(again.v, v)
+
+
+def test_the_report_names_the_events(damped):
+    placed = damped.parts["supervisor"]
+    record = recorded(placed, list(figures_of(placed, damped)))
+    figures = nested(record.figures)["supervisor"]
+    assert figures["dampings"] == 1
+    assert list(figures["events"]) == ["1 stop", "2 rate damping", "3 stop"]
+    assert record.sentence.startswith("Supervisor: stop from 0 s, rate damping from 0.56 s, stop")
+
+
+class Asking(LeafSystem):
+    """A force of nothing that asks for an abort from half a second on."""
+
+    def __init__(self, setup):
+        super().__init__()
+        size = len(setup.coordinates.names)
+        zeros = np.zeros(size)
+        self.DeclareVectorOutputPort(
+            "generalized_force", size, lambda context, output: output.SetFromVector(zeros)
+        )
+        self.DeclareVectorOutputPort(
+            "abort_request",
+            1,
+            lambda context, output: output.SetAtIndex(0, float(context.get_time() > 0.495)),
+            {self.time_ticket()},
+        )
+
+
+def test_a_block_asks_during_the_approach_and_the_servicer_retreats():
+    scenario = load_scenario("tumbling_capture", ["supervisor={}", "duration=21"])
+    log = make_rollout(scenario, blocks={"forces.asking": Asking}).run()
+    assert [mode for _, mode in changes(log)] == [Mode.APPROACH, Mode.RETREAT]
+    assert changes(log)[1][0] == pytest.approx(0.5)
+    assert log.series["mode_cause"].max() == Cause.REQUEST
+    assert log.outcome.status == "missed"
+    assert "given up at t = 0.5 s" in log.outcome.message
+    start = log.series["state"][0]
+    assert np.abs(log.series["state"][-1] - start)[7:12].max() < 1e-3  # the joints are back
+
+
+def test_what_it_cannot_damp_is_refused():
+    with pytest.raises(ScenarioError, match=r"supervisor\.damping"):
+        load_scenario("flight_sensors", ["supervisor={damping: 60}"])
+    with pytest.raises(ScenarioError, match="supervisor"):
+        load_scenario("free_floating", ["supervisor={}"])
+
+
+def test_it_needs_limits():
+    with pytest.raises(ScenarioError, match="limits"):
+        make_rollout(load_scenario("postcapture", ["supervisor={}", "actuation={}"]))
