@@ -174,18 +174,27 @@ class CaptureRollout:
             None if scenarios is None else [without_target(each) for each in scenarios],
             leg=Leg(last=sample, begin=handovers.start, end=handovers.keep),
         )
-        if all(log is None for log in approaches):
-            return approaches
-        handovers.meet(self._stop.loop, without=[log is None for log in approaches])
-        logs = self._stop.run_all(
-            scenarios,
-            leg=Leg(first=sample, begin=handovers.grasp),
-            without=handovers.ended,
-        )
-        return [
-            None if before is None or after is None else handover.joined(before, after, start)
-            for before, after, handover in zip(approaches, logs, handovers.each, strict=True)
-        ]
+        without = [log is None or not log.outcome.completed for log in approaches]
+        stops: list[RunLog | None] = [None] * len(approaches)
+        if not all(without):
+            handovers.meet(self._stop.loop, without=without)
+            stops = self._stop.run_all(
+                scenarios,
+                leg=Leg(first=sample, begin=handovers.grasp),
+                without=handovers.ended,
+            )
+        found = list[RunLog | None]()
+        for before, after, handover, each in zip(
+            approaches, stops, handovers.each, chosen, strict=True
+        ):
+            if before is not None and not before.outcome.completed:
+                grasp = handover.ungrasped(before.time.size)
+                found.append(dataclasses.replace(before, scenario=each, grasp=grasp))
+            elif before is None or after is None:
+                found.append(None)
+            else:
+                found.append(handover.joined(before, after, start))
+        return found
 
 
 def _given_up(approach: RunLog) -> Outcome | None:

@@ -1,6 +1,7 @@
 """Detection of divergence during a run or several, and a run's progress."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection
 
 import numpy as np
@@ -31,20 +32,12 @@ class Monitor:
             return EventStatus.ReachedTermination(self.loop.diagram, self.message)
         return EventStatus.DidNothing()
 
-    def forget(self) -> None:
-        """Forget a detected divergence; progress that was reported is not reported again."""
-        self.message = self.coordinate = ""
-
     def report(self, context: Context) -> None:
         """Report the progress, every whole second once."""
         if self.progress is not None and context.get_time() >= self.next_report - 1e-9:
             self.next_report += 1.0
             with callers_own():
                 self.progress(context.get_time(), self.loop.scenario.duration)
-
-    def bounds(self, states: np.ndarray) -> bool:
-        """True if every velocity in known states [q; v] is within the bound."""
-        return bool(self.bounded(states).all())
 
     def bounded(self, states: np.ndarray) -> np.ndarray:
         """Whether every velocity of each known state [q; v] is within the bound."""
@@ -58,15 +51,18 @@ class Monitor:
         """
         plant = self.loop.plant
         whole = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(context))
-        state = self.loop.split.known_part(whole)
-        if self.bounds(state):
+        return self.judge(context.get_time(), self.loop.split.known_part(whole))
+
+    def judge(self, time: float, state: np.ndarray) -> bool:
+        """As ``check``, of a known state [q; v] at a time, s."""
+        if self.bounded(state).all():
             return True
         velocity = state[self._first_velocity :]
         # The first that is not finite, else the fastest.
         worst = int(np.argmax(np.where(np.isfinite(velocity), np.abs(velocity), np.inf)))
         coordinates = self.loop.coordinates
         self._note(
-            context,
+            time,
             worst,
             f"{coordinates.names[worst]} moves at {velocity[worst]:.3g} "
             f"{coordinates.units[worst]}/s, "
@@ -82,15 +78,15 @@ class Monitor:
             return True
         worst = int(np.argmin(np.isfinite(force)))
         self._note(
-            context, worst, f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}"
+            context.get_time(),
+            worst,
+            f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}",
         )
         return False
 
-    def _note(self, context: Context, worst: int, what: str) -> None:
+    def _note(self, time: float, worst: int, what: str) -> None:
         self.coordinate = self.loop.coordinates.names[worst]
-        self.message = (
-            f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"
-        )
+        self.message = f"{self.loop.scenario.controller} diverged at t = {time:.2f} s: {what}"
 
 
 _SKIPS = 3  # steps that are not looked at
@@ -99,11 +95,12 @@ _SLOW = 0.1  # of the bound, below which a copy does not run away in so many
 
 class CopiesMonitor:
     """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: it is
-    put back to its start, again whenever it leaves its bounds. As a simulator's monitor, it stops a
-    run when all are parked.
+    put back to its start, a step after it left its bounds, so that the log has the update of its
+    last sample, and again whenever it leaves them. As a simulator's monitor, it stops a run when
+    all are parked.
 
     While all are slow it looks at every fourth step only, if the log is to show what happened in
-    between (``within``).
+    between.
     """
 
     message = ""
@@ -118,6 +115,9 @@ class CopiesMonitor:
             raise ValueError("the loop has one copy of the spacecraft")
         self.loop, self.copies = loop, loop.copies
         self.parked = set(parked)
+        self._looked = -math.inf  # time at which a copy was beyond its bounds, s
+        self._leaving = set[int]()  # those to be parked after a step
+        self.lost = set[int]()  # those parked before the update of their last sample
         self._bounds = np.array([scenario.divergence_speed for scenario in loop.scenarios])
         self._least = float(self._bounds.min())
         self._skips, self._skipped = 0 if every_step else _SKIPS, 0
@@ -130,11 +130,6 @@ class CopiesMonitor:
         elif not self.check(context):
             return EventStatus.ReachedTermination(self.loop.diagram, self.message)
         return self._nothing
-
-    def within(self, copy: int, states: np.ndarray) -> bool:
-        """True if every velocity in a copy's known states [q; v] is within its bound."""
-        velocities = states[..., len(self.loop.coordinates.position_names) :]
-        return bool(np.abs(velocities).max() <= self._bounds[copy])
 
     def report(self, context: Context) -> None:
         """Several runs report no progress."""
@@ -152,15 +147,22 @@ class CopiesMonitor:
             slow = square <= (_SLOW * self._least) ** 2 and not self.parked
             self._skipped = self._skips if slow else 0
             return True
+        if context.get_time() == self._looked:  # once in a step
+            return True
+        self._looked = context.get_time()
         known = self.loop.split.known_velocities(velocity.reshape(self.copies.number, -1))
         within = np.abs(known).max(axis=1) <= self._bounds  # false for NaN too
-        beyond = np.flatnonzero(~within).tolist()
-        self.parked |= set(beyond)
+        beyond = set(np.flatnonzero(~within).tolist())
+        lost = set(np.flatnonzero(~np.isfinite(known).all(axis=1)).tolist())
+        due = self._leaving | (beyond & self.parked) | lost
+        self.lost |= lost - self.parked
+        self._leaving = beyond - self.parked - lost
+        self.parked |= beyond
         if len(self.parked) == self.copies.number:
             self.message = "all runs diverge"
             return False
-        if beyond:
-            self._park(context, plant_context, start, beyond)
+        if due:
+            self._park(context, plant_context, start, sorted(due))
         return True
 
     def check_force(self, context: Context) -> bool:

@@ -33,20 +33,12 @@ from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.controllers import SMALLEST
-from ffsm_drake.systems.part import (
-    signals_of,
-)
+from ffsm_drake.systems.part import signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 # A logger sees the state before the update of its instant: at t_k these signals are those of
 # sample k - 1.
-_HELD = (
-    "measurement",
-    "generalized_force",
-    "applied_force",
-    "sliding_variable",
-    SMALLEST,
-)
+_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", SMALLEST)
 # Fields that can change without a new build, like the payload's true mass properties.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
@@ -107,7 +99,7 @@ class Rollout:
         )
         if meshcat is not None and target is not None:
             _show_apart(builder, loop, target)
-        self._logger, self._logged = _add_logger(builder, loop)
+        self._logger, self._rows = _add_logger(builder, loop)
         if meshcat is not None:
             visualizer = MeshcatVisualizer.AddToBuilder(
                 builder, builder.GetSubsystemByName("scene_graph"), meshcat
@@ -174,24 +166,18 @@ class Rollout:
         scenario = loop.scenario
         monitor = Monitor(loop, progress)
         # A monitor calls Python in every step. Where all steps are in the log, that shows
-        # afterwards whether a monitor would have stopped the run; if so, it is run again with the
-        # monitor.
+        # afterwards where a monitor would have stopped the run.
         watched = not self._checked_in_log
-        advance_time = 0.0
-        for with_monitor in (watched, True):
-            interrupted, failure, more_time = self._advance(monitor, leg, watched=with_monitor)
-            advance_time += more_time
-            if failure is not None and self._num_logged() < 2:
-                raise failure
-            times, series = self._read_log(
-                unfinished=interrupted or failure is not None or leg.last is not None
-            )
-            if failure is not None:
-                break
-            bounded = not monitor.message and monitor.bounds(series["state"])
-            if with_monitor or interrupted or bounded:
-                break
-            monitor.forget()
+        interrupted, failure, advance_time = self._advance(monitor, leg, watched=watched)
+        if failure is not None and self._num_logged() < 2:
+            raise failure
+        last = None if watched else self._first_beyond(monitor.bounded)
+        if last is not None:  # the log up to there is what a monitor would have left
+            interrupted, failure = False, None
+            monitor.judge(*self._logged(last))
+        times, series = self._read_log(
+            unfinished=interrupted or failure is not None or leg.last is not None, last=last
+        )
         if bad := bad_output(monitor.bounded(series["state"]), series, self._user_supplied):
             failure = BlockError(f"{bad.problem}; at t = {times[bad.sample]:.2f} s")
             if bad.sample == 0:
@@ -234,8 +220,8 @@ class Rollout:
           leg: the part of the runs; None for all of them.
           without: copies of the spacecraft that are put aside, as those that diverge are.
 
-        Returns: the log of each, as ``run`` gives it for the scenario alone; None of one that
-        diverges or fails, which is to be run alone.
+        Returns: the log of each, as ``run`` gives it for the scenario alone; None of one that was
+        put aside, or fails, or diverges at a step that is not in the log: it is to be run alone.
 
         Raises:
           ScenarioError: the scenarios need another build.
@@ -258,17 +244,19 @@ class Rollout:
             raise failure
         logs: list[RunLog | None] = [None] * loop.copies.number
         for copy, scenario in enumerate(loop.scenarios):
-            if copy in monitor.parked:
+            own = Monitor(dataclasses.replace(loop, scenario=scenario), None)
+            last = self._first_beyond(own.bounded, copy)
+            aside = copy in without or copy in monitor.lost
+            if aside or (last is not None and not self._checked_in_log):
                 continue
-            times, series = self._read_log(unfinished=leg.last is not None, copy=copy)
-            finite = np.isfinite(series["state"]).all(axis=1)
-            within = monitor.within(copy, series["state"])
-            if not within or bad_output(finite, series, self._user_supplied):
+            if last is not None:
+                own.judge(*self._logged(last, copy))
+            times, series = self._read_log(unfinished=leg.last is not None, copy=copy, last=last)
+            if bad_output(own.bounded(series["state"]), series, self._user_supplied):
                 continue
-            end = float(times[-1])
             logs[copy] = RunLog(
                 scenario=scenario,
-                outcome=Outcome(status=COMPLETED, time=end, message=f"completed {end:g} s"),
+                outcome=_outcome(own, float(times[-1]), None, interrupted=False),
                 coordinates=loop.coordinates,
                 split=loop.split,
                 tracks_frame=loop.tracks_frame,
@@ -329,7 +317,9 @@ class Rollout:
         interrupted, failure = False, None
         # The run beyond the point of divergence is discarded.
         unremarked = (
-            contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
+            np.errstate(over="ignore", invalid="ignore")
+            if self._checked_in_log
+            else contextlib.nullcontext()
         )
         signals = 0
         try:
@@ -379,33 +369,65 @@ class Rollout:
     def _num_logged(self) -> int:
         return int(self._logger.FindLog(self._simulator.get_context()).num_samples())
 
+    def _logged(self, sample: int, copy: int = 0) -> tuple[float, np.ndarray]:
+        """Time and known state [q; v] of a copy of the spacecraft at a sample of the log."""
+        log = self._logger.FindLog(self._simulator.get_context())
+        part = _part_of(self._rows["state"], copy, self.loop)
+        return float(log.sample_times()[sample]), log.data()[part, sample].copy()
+
+    def _first_beyond(
+        self, bounded: Callable[[np.ndarray], np.ndarray], copy: int = 0
+    ) -> int | None:
+        """The first sample of the log at which a copy's known state is not within its bounds, or is
+        not finite.
+        """
+        log = self._logger.FindLog(self._simulator.get_context())
+        states = log.data()[_part_of(self._rows["state"], copy, self.loop)].T
+        beyond = np.flatnonzero(~bounded(states))
+        return int(beyond[0]) if beyond.size else None
+
     def _read_log(
-        self, *, unfinished: bool, copy: int = 0
+        self,
+        *,
+        unfinished: bool,
+        copy: int = 0,
+        last: int | None = None,
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Sample times and the aligned series (copied) of a copy of the spacecraft."""
+        """Sample times and the aligned series (copied) of a copy of the spacecraft.
+
+        Args:
+          unfinished: the run may have ended before the update of its last sample.
+          copy: the copy of the spacecraft.
+          last: the sample at which the run diverged, which is its last; None: the log's.
+        """
         loop, context = self.loop, self._simulator.get_context()
         held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
         log = self._logger.FindLog(context)
         times, rows = log.sample_times().copy(), log.data()
-        logged = {name: _part_of(part, copy, loop) for name, part in self._logged.items()}
-        if unfinished and times.size == 0:
+        parts = {name: _part_of(part, copy, loop) for name, part in self._rows.items()}
+        end = times.size if last is None else last + 1
+        times = times[:end]
+        if unfinished and end == 0:
             raise KeyboardInterrupt
-        if unfinished and times.size > 1:
+        if unfinished and end > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
-            parts = {
-                name: rows[part, 1:] if name in held else rows[part, :-1]
-                for name, part in logged.items()
+            series = {
+                name: rows[part, 1:end] if name in held else rows[part, : end - 1]
+                for name, part in parts.items()
             }
-            return times[:-1], {name: part.T.copy() for name, part in parts.items()}
+            return times[:-1], {name: values.T.copy() for name, values in series.items()}
         series = {}
-        for name, part in logged.items():
-            if name in held:
-                # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
-                last = loop.diagram.GetOutputPort(name).Eval(context)
-                own = _part_of(slice(0, last.size), copy, loop)
-                series[name] = np.vstack([rows[part, 1:].T, last[own]])
+        for name, part in parts.items():
+            if name not in held:
+                series[name] = rows[part, :end].T.copy()
+                continue
+            # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
+            if end < rows.shape[1]:
+                now = rows[part, end]
             else:
-                series[name] = rows[part].T.copy()
+                values = loop.diagram.GetOutputPort(name).Eval(context)
+                now = values[_part_of(slice(0, values.size), copy, loop)]
+            series[name] = np.vstack([rows[part, 1:end].T, now])
         return times, series
 
 

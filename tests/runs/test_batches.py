@@ -287,7 +287,7 @@ def test_a_run_that_diverges_leaves_the_others_alone(others):
     )
     scenarios = [varied(tame, 0), varied(diverging, 1), varied(tame, 2), varied(diverging, 3)]
     logs = run_once(scenarios)
-    assert [log is None for log in logs] == [False, True, False, True]
+    assert [log.outcome.status for log in logs] == ["completed", "diverged"] * 2
     records = simulate_many(scenarios, batch=4)
     assert [record.outcome.status for record in records] == ["completed", "diverged"] * 2
     for record, each in zip(records, scenarios, strict=True):
@@ -301,8 +301,8 @@ def test_a_copy_that_is_too_fast_for_one_step_diverges():
     assert speeds[1] == fastest > 1.5 * others  # the disturbance's step, from rest
     tight = dataclasses.replace(calm, divergence_speed=float(0.5 * (others + fastest)))
     logs = run_once([calm, tight, dataclasses.replace(calm, random_seed=1)])
-    assert [log is None for log in logs] == [False, True, False]
-    assert alone(tight).outcome.status == "diverged"
+    assert [log.outcome.status for log in logs] == ["completed", "diverged", "completed"]
+    assert logs[1].outcome == alone(tight).outcome
 
 
 @settings(max_examples=5, deadline=None)
@@ -499,7 +499,7 @@ def test_captures_go_side_by_side(shared, runs):
     logs = run_once(scenarios)
     for log, scenario in zip(logs, scenarios, strict=True):
         own = run_once(scenario)
-        assert (log is None) == (own.outcome.status != "completed")
+        assert (log is None) == (own.outcome.status == "missed")
         if log is not None:
             record, expected = (make_record(each, start=0.0) for each in (log, own))
             assert_equal(record, expected)
@@ -626,7 +626,7 @@ def check_together_or_apart(base, change):
     if batches_of(scenarios, 2) != [[0, 1]]:
         return False
     for log, alone_log in zip(run_once(scenarios), own, strict=True):
-        assert (log is None) == (alone_log.outcome.status != "completed"), change
+        assert (log is None) <= (alone_log.outcome.status != "completed"), change
         if log is not None:
             assert log.scenario == alone_log.scenario
             assert set(log.series) == set(alone_log.series), change
