@@ -8,6 +8,7 @@ linearisation wires in its place.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 import shlex
@@ -18,7 +19,7 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, one_line
-from ffsm_drake.common.guard import passes
+from ffsm_drake.common.guard import calling, is_user_supplied, passes
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -311,8 +312,46 @@ class Load:
             yield self.other_law
 
 
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, tuple) and [*map(type, value)] == [str, str]
+
+
+# Methods of a part that return several things -> whether one of them is right, and what is.
+_ITEMS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "check": (_is_pair, "pairs of texts, key and problem"),
+    "signals": (lambda value: isinstance(value, Signal), "Signal"),
+    "constants": (lambda value: isinstance(value, Constant), "Constant"),
+    "metrics": (lambda value: isinstance(value, Metric), "Metric"),
+    "limits": (lambda value: isinstance(value, Limit), "Limit"),
+}
+
+
+def _checked_items(part: type, name: str) -> Callable[..., tuple[Any, ...]]:
+    """A user-supplied part's method, which gives what it should or raises BlockError."""
+    own, (is_right, wanted) = part.__dict__[name], _ITEMS[name]
+
+    @functools.wraps(own)
+    def checked(*arguments: Any, **more: Any) -> tuple[Any, ...]:
+        place = f"user-supplied '{part.__name__}': {name}"
+        items = calling(place, lambda: tuple(own(*arguments, **more)))
+        for item in items:
+            if not is_right(item):
+                raise BlockError(f"{place} must give {wanted}, not {type(item).__name__}")
+        return items
+
+    return checked
+
+
 class Part:
     """What fills a block; derive a frozen, keyword-only dataclass from it."""
+
+    def __init_subclass__(cls) -> None:
+        """Check what a user-supplied part's methods return."""
+        super().__init_subclass__()
+        if is_user_supplied(cls):
+            for name in _ITEMS:
+                if name in cls.__dict__:
+                    setattr(cls, name, _checked_items(cls, name))
 
     title: ClassVar[str] = ""  # heading of its rows and panels; "": the class's name
     section: ClassVar[str] = "Parts"  # of the report, where its panels stand

@@ -13,6 +13,7 @@ from ffsm_drake.control_design.stability.one_axis import axis_loop
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 # times 2/L: above it no loop is stable whose inertia is at least a sixth of the nominal one
@@ -55,7 +56,7 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
     ``loop`` is the loop at the starting gains; default: that of the start.
     """
     law = axis_law(linearizer)
-    gain = None if law is None else law.reaching_gain
+    gain = reaching_gain_of(law)
     if law is None or gain is None or not gain.changes:
         return {}
     loop = linearizer.at(0.0) if loop is None else loop
@@ -78,7 +79,7 @@ def forecast_reaching_gain(
     """
     scenario = planned.scenario
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
-    size, gain = len(planned.coordinates.names), law.reaching_gain
+    size, gain = len(planned.coordinates.names), reaching_gain_of(law)
     if gain is None or gain.rate is None:
         return times, np.tile(np.zeros(size) if gain is None else gain.start, (points, 1))
     switching = law.initial_state().get("switching_gain", np.zeros(size))

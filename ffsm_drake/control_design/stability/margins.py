@@ -33,6 +33,7 @@ from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, checked, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import VibrationMode
+from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 
@@ -239,7 +240,7 @@ def stability(
     if axes is not None and axes.forecast_k_s.max() > axes.k_s.max():
         held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
         expected = linearizer.along(POSTURES, held=held)
-    gain = None if linearizer.law is None else linearizer.law.reaching_gain
+    gain = reaching_gain_of(linearizer.law)
     if gain is not None and gain.is_adapted and np.isfinite(gain.largest).all():
         worst = int(np.argmax([loop.spectral_radius for loop in expected]))
         bounds = {"reaching_gain": gain.largest}
@@ -279,7 +280,7 @@ def _axis_margins(
 
     table = np.array([limits(maps.index(each)) for each in maps])
     times, k_s = forecast_reaching_gain(law, planned, loop)
-    gain, zero = law.reaching_gain, np.zeros(len(maps))
+    gain, zero = reaching_gain_of(law), np.zeros(len(maps))
     return AxisMargins(
         law=law,
         euler=euler,
@@ -299,7 +300,7 @@ def adaptation_remark(linearizer: Linearizer) -> str:
     linearizer's motion; else empty.
     """
     scenario, law = linearizer.given, axis_law(linearizer)
-    gain = None if law is None else law.reaching_gain
+    gain = reaching_gain_of(law)
     if law is None or gain is None or not gain.changes:
         return ""
     if linearizer.at(0.0).spectral_radius >= 1.0:

@@ -22,6 +22,7 @@ from ffsm_drake.control_design.stability.moving import (
     motion_stability,
 )
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.controllers.checked import reaching_gain_of
 
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
@@ -162,7 +163,7 @@ def _at_larger_gains(
 
 def _bounds(linearizer: Linearizer) -> np.ndarray:
     """The bounds of K_s (nv); empty where adaptation cannot change it."""
-    gain = None if linearizer.law is None else linearizer.law.reaching_gain
+    gain = reaching_gain_of(linearizer.law)
     if gain is None or not (gain.is_adapted and gain.changes):
         return np.empty(0)
     return gain.largest

@@ -3,6 +3,7 @@
 Shipped laws are not checked in a run; the tests hold them to the contract.
 """
 
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -74,6 +75,25 @@ def _check_names(found: Mapping[str, Any], known: Mapping[str, Any], what: str) 
             raise BlockError(f"{what} returned no '{name}'; it must return all its memory")
 
 
+def attribute_of(law: ControlLaw, name: str, default: Any) -> Any:
+    """A law's attribute; the default only where it has none, not where a property fails."""
+    missing = inspect.getattr_static(law, name, None) is None
+    return getattr(law, name, default) if missing else getattr(law, name)
+
+
+def reaching_gain_of(law: ControlLaw | None) -> ReachingGain | None:
+    """K_s of a law as it says each time it is asked.
+
+    Raises BlockError: a user-supplied law gives something else.
+    """
+    gain = None if law is None else attribute_of(law, "reaching_gain", None)
+    if gain is not None and not _is_reaching(gain, np.size(getattr(gain, "start", ()))):
+        wanted = _ATTRIBUTES["reaching_gain"][2]
+        name = type(law).__name__
+        raise BlockError(f"controller '{name}': reaching_gain must be {wanted}, not {gain!r:.80}")
+    return gain
+
+
 def check_law(law: ControlLaw, place: str, memory: Mapping[str, np.ndarray], size: int) -> None:
     """Check what a user-supplied law says of itself; its memory, and its number nv of velocities.
 
@@ -82,7 +102,7 @@ def check_law(law: ControlLaw, place: str, memory: Mapping[str, np.ndarray], siz
     if not has_user_code(law):
         return
     for name, (default, is_right, wanted) in _ATTRIBUTES.items():
-        value = calling(f"{place}: {name}", getattr, law, name, default)
+        value = calling(f"{place}: {name}", attribute_of, law, name, default)
         if not is_right(value, size):
             raise BlockError(f"{place}: {name} must be {wanted}, not {described(value)}")
     held = calling(place, lambda: getattr(law, "held", dict)())
