@@ -19,7 +19,7 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, one_line
-from ffsm_drake.common.guard import calling, is_user_supplied, passes
+from ffsm_drake.common.guard import is_user_supplied, passes
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -332,11 +332,12 @@ def _checked_items(part: type, name: str) -> Callable[..., tuple[Any, ...]]:
 
     @functools.wraps(own)
     def checked(*arguments: Any, **more: Any) -> tuple[Any, ...]:
-        place = f"user-supplied '{part.__name__}': {name}"
-        items = calling(place, lambda: tuple(own(*arguments, **more)))
+        given = own(*arguments, **more)
+        items = tuple(given) if isinstance(given, Iterable) else (given,)
         for item in items:
             if not is_right(item):
-                raise BlockError(f"{place} must give {wanted}, not {type(item).__name__}")
+                problem = f"{name} must give {wanted}, not {type(item).__name__}"
+                raise BlockError(f"user-supplied '{part.__name__}': {problem}")
         return items
 
     return checked
