@@ -167,3 +167,16 @@ def test_a_block_that_cannot_be_linearised(monkeypatch):
     assert found.status == "cannot say"
     assert found.sentence == "motion: cannot say; reason"
     assert math.isnan(found.radius)
+
+
+@pytest.mark.parametrize(
+    ("override", "leg", "left_out"),
+    [
+        ({"supervisor": {}}, "stop", "the supervisor"),
+        ({"capture": {"closing": {}}}, "approach", "the gripper's closing"),
+    ],
+)
+def test_what_the_linear_loop_leaves_out_is_said(override, leg, left_out):
+    found = linear_verdict(load_scenario("tumbling_capture", [override]))
+    sentences = {each.leg: each.sentence for each in found.legs}
+    assert f"without limits, noise and {left_out}" in sentences[leg]

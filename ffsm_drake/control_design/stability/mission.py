@@ -29,7 +29,18 @@ Status = Literal["stable", "errors grow", "cannot say", "unstable"]
 _STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
 # Distance of a spectral radius from 1 within which a user-supplied block may be the cause.
 _MARGINAL = 1e-6
-_SCOPE = "moving as planned, without limits and noise"
+
+
+def _scope(scenario: Scenario, leg: Leg) -> str:
+    """What the linear loop of a leg covers, and what it leaves out."""
+    left = ["limits", "noise"]
+    if scenario.supervisor is not None:
+        left.append("the supervisor")
+    capture = scenario.capture
+    if leg == "approach" and capture is not None and capture.closing is not None:
+        left.append("the gripper's closing")
+    alone = ", the servicer alone" if leg == "approach" else ""
+    return f"moving as planned, without {', '.join(left[:-1])} and {left[-1]}{alone}"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -128,7 +139,7 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
         rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
         sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
-        f"instants, {_SCOPE}{', the servicer alone' if leg == 'approach' else ''}",
+        f"instants, {_scope(linearizer.given, leg)}",
     )
 
 
