@@ -143,6 +143,16 @@ SPECIAL = {
             ),
         },
     ),
+    "supervisor": st.none()
+    | st.fixed_dictionaries(
+        {"damping": st.floats(0.01, 0.5)},  # of samples up to 1 s
+        optional={
+            "end_share": st.floats(0.01, 1.0),
+            "plan_share": st.floats(0.01, 1.0),
+            "retry_factor": st.floats(0.01, 1.0),
+            "error": st.none() | POSITIVE,
+        },
+    ),
     "model": st.fixed_dictionaries(
         {},
         optional={
@@ -207,9 +217,11 @@ def values(kind, key=""):
 
 
 def consistent(data):
-    """With a capture the base turns about an eigenaxis."""
+    """With a capture the base turns about an eigenaxis; a supervisor plans postures."""
     if data.get("capture") is not None:
         data.setdefault("reference", {})["base_rotation"] = "eigenaxis"
+    if data.get("supervisor") is not None:
+        data.get("reference", {}).pop("frame", None)
     return data
 
 
