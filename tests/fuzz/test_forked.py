@@ -79,7 +79,7 @@ HOSTILE_YAML = st.one_of(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(2500, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("count", [100, pytest.param(5000, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("area", ["urdf", "scenario"])
 def test_hostile_inputs_end_cleanly(area, count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
