@@ -61,3 +61,7 @@ def test_any_law_in_any_scenario(name, law, share):
 )
 def test_some(name, law):
     check(name, law, 0.3)
+
+
+def test_a_measurement_within_the_samples_compared_is_no_counter():
+    check("slow_navigation", "task_time_delay", 0.625)
