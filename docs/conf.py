@@ -21,6 +21,7 @@ extensions = [
     "sphinx_copybutton",
     "offline_math",
     "plain_docstrings",
+    "settings_tables",
 ]
 exclude_patterns = ["_ext"]
 html_theme = "furo"

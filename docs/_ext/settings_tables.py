@@ -1,9 +1,8 @@
-"""Writes the tables of docs/scenario.md and docs/blocks.md from the package: ``python
-docs/write_tables.py``.
+"""The tables of the pages scenario and blocks, made from the package as the site is built.
 
 Types, defaults and meanings of the keys come from ffsm_drake.scenario, gains from the control laws,
-ports from ffsm_drake.loop.blocks. A table stands between the lines ``<!-- written by ... -->`` and
-``<!-- end -->`` of its page.
+ports from ffsm_drake.loop.blocks. A table takes the place of the line ``<!-- table -->`` of its
+page; ``python docs/_ext/settings_tables.py`` prints all of them.
 """
 
 import dataclasses
@@ -11,10 +10,8 @@ import inspect
 import re
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
-from ffsm_drake.common.files import write_text
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
@@ -22,8 +19,7 @@ from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.registry import SHIPPED, find_factory
 
-DOCS = Path(__file__).parent
-BEGIN, END = "<!-- written by python docs/write_tables.py -->", "<!-- end -->"
+MARK = "<!-- table -->"
 # keys of Drake's own settings that not every version has
 _OLDER_DRAKE = ("publish_every_time_step",)
 _BLOCK_KEYS = {
@@ -195,14 +191,23 @@ def block_table() -> str:
     return "\n".join(lines)
 
 
-PAGES: dict[str, Callable[[], str]] = {"scenario.md": scenario_table, "blocks.md": block_table}
+PAGES: dict[str, Callable[[], str]] = {"scenario": scenario_table, "blocks": block_table}
 
 
-def written(page: str) -> str:
-    """A page's text with its table as the package has it now."""
-    before, rest = (DOCS / page).read_text(encoding="utf-8").split(BEGIN)
-    _, after = rest.split(END)
-    return f"{before}{BEGIN}\n\n{PAGES[page]()}\n\n{END}{after}"
+def with_table(page: str, text: str) -> str:
+    """A page's text with its table."""
+    before, after = text.split(MARK)
+    return before + PAGES[page]() + after
+
+
+def _fill_in(_: Any, page: str, source: list[str]) -> None:
+    if page in PAGES:
+        source[0] = with_table(page, source[0])
+
+
+def setup(app: Any) -> dict[str, Any]:
+    app.connect("source-read", _fill_in)
+    return {"parallel_read_safe": True}
 
 
 def _escaped(text: str) -> str:
@@ -217,5 +222,5 @@ def _escaped(text: str) -> str:
 
 
 if __name__ == "__main__":
-    for name in PAGES:
-        write_text(DOCS / name, written(name))
+    for table in PAGES.values():
+        print(table(), end="\n\n")
