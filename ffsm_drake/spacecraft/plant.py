@@ -168,7 +168,7 @@ def _load(
         first = plant.num_model_instances()
         source = _parse(plant, model)
         if apart is not None:
-            _free(plant, apart)
+            _free(plant, apart, model.end_effector)
         try:
             add_flexible(plant, model) if flexible else lock_joints(plant, model)
         except DRAKE_ERRORS as error:
@@ -243,11 +243,22 @@ def _weld(plant: MultibodyPlant, model: Model) -> None:
         raise ModelError(f"model.grasp: {model.grasp}: {cause_of(error)}") from error
 
 
-def _free(plant: MultibodyPlant, name: str) -> None:
-    """Remove the joints of a body (scoped name)."""
-    body = find_body(plant, name, key="payload.body")
-    for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
-        if body.index() in (joint.parent_body().index(), joint.child_body().index()):
+def _free(plant: MultibodyPlant, name: str, end_effector: str) -> None:
+    """Remove the joints that hold a body (scoped name) to the side of the end effector; what else
+    is fixed to the body stays with it.
+    """
+    body = find_body(plant, name, key="payload.body").index()
+    gripper = find_frame(plant, end_effector, key="model.end_effector").body().index()
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    ends = {joint: {joint.parent_body().index(), joint.child_body().index()} for joint in joints}
+    side, grown = set[BodyIndex](), {gripper}
+    while grown > side:
+        side = set(grown)
+        for pair in ends.values():
+            if body not in pair and pair & side:
+                grown |= pair
+    for joint, pair in ends.items():
+        if body in pair and pair & side:
             plant.RemoveJoint(joint)
 
 

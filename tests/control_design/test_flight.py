@@ -243,6 +243,14 @@ def test_noise_that_forgets_at_once_is_white():
         assert found == pytest.approx(mine[2:-2], rel=1e-3)
 
 
+def test_the_limit_of_a_loop_that_diverges_at_once_is_unknown():
+    gains = ["controllers.computed_torque.k_d=1e6", "controllers.computed_torque.k_p=1e9"]
+    scenario = load_scenario("postcapture", ["controller=computed_torque", *gains])
+    found = find_limit(scenario)
+    assert not np.isfinite(found.error).all()
+    assert not np.isfinite(found.distance)
+
+
 def test_the_limit_says_nothing_of_sensors_it_does_not_know(monkeypatch):
     lab = types.ModuleType("lab_of_the_sensors")
     lab.Sensors = lambda setup: make_sensing(

@@ -58,6 +58,13 @@ REFUSED = {
     )
 }
 
+# What runs, and is foreseen as unstable: `one_sample` divides a step of a held measurement by one
+# sample's time.
+WARNED = [
+    frozenset({("law", law), ("estimator", "one_sample"), ("sensors", "late")})
+    for law in ("proposed", "tdc")
+]
+
 APPROACH = 6.0  # s
 MOTION = 10.0
 HOLD = 2.0
@@ -73,7 +80,7 @@ _PANEL = {"mass": 2.0, "frequency": 0.5, "damping_ratio": 0.01}
 _LAWS = {
     "proposed": "tde_aismc",
     "tdc": "tdc",
-    "own law": "own_law:MyPdPlus",
+    "own law": "own_computed_torque:Mine",
     "task-space law": "task_time_delay",
 }
 
@@ -88,10 +95,11 @@ def _always(scenario):
         "target_posture": {**at_origin, "joints": _on_the_way(scenario, 0.15)},
         "reference": {"duration": MOTION, "base_rotation": "eigenaxis"},
         "disturbance": {"amplitude_scale": 0.2},
-        "python_path": [str(ROOT / "examples"), str(ROOT / "tests")],
+        "python_path": [str(ROOT / "examples"), str(ROOT / "tests"), str(Path(__file__).parent)],
         "controllers": {
             "tde_aismc": {**_ERRORS, "k_s_initial": 0.5, "k_s_max": 0.5, "g_initial": 0.0},
             "tdc": _ERRORS,
+            "Mine": {"k_p": {"all": 9.0, "joints": 64.0}, "k_d": {"all": 6.0, "joints": 16.0}},
             "task_time_delay": {**_FRAME, "k_p_plan": OMEGA**2, "k_d_plan": 2.0 * OMEGA},
         },
         "planning": {"segments": 4, "time_weight": 0.0, "effort_weight": 1.0},
@@ -123,7 +131,7 @@ _SENSORS = {
     "own sensor": {"sensing": _NOISY, "blocks": {"sensing": {"tracker": "slow_tracker:Held"}}},
 }  # fmt: skip
 _WHEELS = {
-    f"wheel_{k}": {"axis": axis, "inertia": 0.08, "torque_limit": 8.0, "speed_limit": 628.0}
+    f"wheel_{k}": {"axis": axis, "inertia": 0.08, "torque_limit": 16.0, "speed_limit": 628.0}
     for k, axis in enumerate(_AXES, start=1)
 }
 _BASE_ACTUATORS = {

@@ -1,5 +1,6 @@
 """Clearance: known distances, what is left out, and shapes that agree with the pictures."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -9,7 +10,7 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake import load_scenario
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
-from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.spacecraft.plant import configuration, models_dir
 
 BEYOND = 0.012  # m; by which a picture may stand out of its shape
 
@@ -130,6 +131,27 @@ def test_a_target_apart_is_measured_where_it_is():
     # at the grasp the fingers reach 45 mm around the ring
     assert away.distance == pytest.approx(0.2 - 0.045, abs=0.01)
     assert apart.nearest(pose([0.0, 0.0, -0.15])).distance < -0.05
+
+
+def test_what_is_fixed_to_a_target_moves_with_it(tmp_path):
+    text = (models_dir() / "urdf" / "debris.urdf").read_text("utf-8")
+    nozzle = (
+        '<link name="nozzle"><collision><geometry><sphere radius="0.1"/></geometry></collision>'
+        '</link><joint name="fixed" type="fixed"><parent link="debris"/><child link="nozzle"/>'
+        '<origin xyz="0 0 0.4"/></joint></robot>'
+    )
+    (tmp_path / "debris.urdf").write_text(text.replace("</robot>", nozzle))
+    model = dataclasses.replace(
+        load_scenario("tumbling_capture").model,
+        directives=None,
+        servicer="package://ffsm_drake/urdf/servicer.urdf",
+        debris=str(tmp_path / "debris.urdf"),
+    )
+    apart = ApproachClearance(model, "debris::debris")
+    plant, context = apart.plant, apart.plant_context
+    assert len(plant.GetFloatingBaseBodies()) == 2
+    X_PN = plant.GetFrameByName("nozzle").CalcPose(context, plant.GetFrameByName("debris"))
+    np.testing.assert_allclose(X_PN.translation(), [0.0, 0.0, 0.4])
 
 
 def test_a_flexible_panel_counts_where_it_is_deflected():

@@ -253,8 +253,11 @@ class Linearizer:
 
     def _unknown(self) -> tuple[SampleMap, ...]:
         """The map of a loop that diverged within the warm-up."""
-        unknown = np.full((self._width,) * 2, np.nan)
-        return (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
+        states = self._width + self._memory.size
+        forces, noises = len(self.loop.coordinates.names), self._noise.size
+        shapes = {"a": (states, states), "b": (states, noises)}
+        shapes |= {"c": (forces, states), "d": (forces, noises)}
+        return (SampleMap(**{name: np.full(shape, np.nan) for name, shape in shapes.items()}),)
 
     def along(
         self,
