@@ -128,13 +128,13 @@ def disturb(old, draw):
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_signals_at_any_instant(tmp_path, monkeypatch, run):
-    """As many as the variable SIGNALS says, 40 without."""
+    """As many as the variable SIGNALS says, 15 without."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     Path("c.yaml").write_text(SPEC)
     run("postcapture", "duration=0.2").save("old")
     draw, ends, unclean = random.Random(28), {}, []
-    for _ in range(int(os.environ.get("SIGNALS", "40"))):
+    for _ in range(int(os.environ.get("SIGNALS", "15"))):
         try:
             end = disturb("old", draw)
         except (AssertionError, subprocess.TimeoutExpired, OSError) as error:

@@ -41,7 +41,7 @@ def check(name, law, share):
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     name=st.sampled_from(sorted(shipped_scenarios())),
     law=st.sampled_from(controller_names()),

@@ -131,7 +131,7 @@ def test_nothing_is_said_of_actuators_that_have_room():
 
 
 @pytest.mark.slow
-@settings(max_examples=4, deadline=None, derandomize=True)
+@settings(max_examples=3, deadline=None, derandomize=True)
 @given(numbers=crafts)
 def test_following_what_helps_makes_a_craft_settle(numbers):
     record = simulate(scenario := craft(**numbers), check_stability=False)

@@ -127,8 +127,8 @@ def test_misses_and_false_alarms_are_named(verdicts):
 @pytest.mark.slow
 def test_it_goes_on_where_it_stopped(verdicts, tmp_path, capsys):
     out = tmp_path / "verdicts.json"
-    verdicts.main(["--number", "1", "--captures", "1", "--out", str(out)])
-    assert "capture 0: " in capsys.readouterr().out
+    verdicts.main(["--number", "1", "--captures", "0", "--out", str(out)])
+    assert "mission 0: " in capsys.readouterr().out
     verdicts.main(["--number", "2", "--captures", "1", "--out", str(out)])
     printed = capsys.readouterr().out
     assert printed.startswith("mission 1: ")

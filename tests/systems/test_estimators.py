@@ -478,9 +478,9 @@ def test_a_capture_whose_approach_changes_the_wrists_inertia_is_followed():
 
 @pytest.mark.slow
 def test_no_random_motion_of_the_joints_makes_the_coupled_filter_diverge():
-    """Ten of these thirty diverged with the gain of the initial posture."""
+    """A third of such motions diverged with the gain of the initial posture."""
     rng = np.random.default_rng(0)
-    for _ in range(30):
+    for _ in range(10):
         start, end = (posture(rng.uniform(-2.5, 2.5, 5).tolist()) for _ in range(2))
         overrides = [f"initial_posture.joints={start}", f"target_posture.joints={end}"]
         log = make_rollout(load_scenario("flight_sensors", [*FAR[:2], *overrides])).run()

@@ -112,7 +112,7 @@ def test_actuators_have_their_bits(case):
 @pytest.mark.parametrize("case", CASES)
 def test_actuators_have_their_bits_in_long_runs(case):
     name, overrides = CASES[case]
-    scenario = load_scenario(name, ["duration=4", *overrides])
+    scenario = load_scenario(name, ["duration=2", *overrides])
     check([varied(scenario, number % 4, limits=False) for number in range(16)])
 
 
