@@ -367,9 +367,20 @@ class _Supervisor(LeafSystem):
     def _is_before_grasp(self, time: float) -> bool:
         return time < self._scenario.grasp_time - 0.5 * self._step
 
+    def _is_closing(self, time: float) -> bool:
+        """Whether the gripper closes on the target: what becomes of it, the gripper decides."""
+        capture = self._scenario.capture
+        if capture is None or capture.closing is None:
+            return False
+        first = self._scenario.grasp_time - capture.closing.duration - 0.5 * self._step
+        return first <= time and self._is_before_grasp(time)
+
     def _trouble(self, context: Context, state: np.ndarray, counters: np.ndarray) -> Cause:
         """Why to damp the rates now, if there is a reason; ``counters`` are brought up to date."""
         value = context.get_discrete_state().value
+        if self._is_closing(context.get_time()) and not value(self._plan)[1]:
+            counters[0] = 0.0
+            return Cause.NONE
         if not value(self._restart)[0]:  # the law's force was commanded
             over = (np.abs(self._command.Eval(context)) > self._largest).any()
             counters[0] = max(0.0, counters[0] + (self._step if over else -self._step))

@@ -1,5 +1,7 @@
 """The supervisor: modes, rate damping, a plan anew, and a loop that it leaves alone."""
 
+import functools
+
 import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
@@ -97,9 +99,9 @@ def test_the_report_names_the_events(damped):
 
 
 class Asking(LeafSystem):
-    """A force of nothing that asks for an abort from half a second on."""
+    """A force of nothing that asks for an abort from half a second on, or another time."""
 
-    def __init__(self, setup):
+    def __init__(self, setup, begin=0.5):
         super().__init__()
         size = len(setup.coordinates.names)
         zeros = np.zeros(size)
@@ -109,7 +111,7 @@ class Asking(LeafSystem):
         self.DeclareVectorOutputPort(
             "abort_request",
             1,
-            lambda context, output: output.SetAtIndex(0, float(context.get_time() > 0.495)),
+            lambda context, output: output.SetAtIndex(0, float(context.get_time() > begin - 0.005)),
             {self.time_ticket()},
         )
 
@@ -124,6 +126,17 @@ def test_a_block_asks_during_the_approach_and_the_servicer_retreats():
     assert "given up at t = 0.5 s" in log.outcome.message
     start = log.series["state"][0]
     assert np.abs(log.series["state"][-1] - start)[7:12].max() < 1e-3  # the joints are back
+
+
+def test_while_the_gripper_closes_it_waits():
+    given = ["supervisor={}", "capture.closing={}", "duration=21"]
+    scenario = load_scenario("tumbling_capture", given)
+    asking = functools.partial(Asking, begin=19.5)
+    log = make_rollout(scenario, blocks={"forces.asking": asking}).run()
+    (_, first), (begin, second) = changes(log)[:2]
+    assert (first, second) == (Mode.APPROACH, Mode.RATE_DAMPING)
+    assert begin == pytest.approx(20.0)  # at the grasp
+    assert log.outcome.completed
 
 
 def test_what_it_cannot_damp_is_refused():
