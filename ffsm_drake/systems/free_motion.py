@@ -10,12 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
+
+# Evaluations of the rate: at most so many, and for each second; motions of half a minute take
+# about 1500, of ten minutes 9000.
+_MOST, _MOST_PER_SECOND = 10_000, 100
 
 
 class MomentumMotion(PlannedMotion, abc.ABC):
@@ -97,15 +102,28 @@ class MomentumMotion(PlannedMotion, abc.ABC):
 
         begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
         first = self._parts[-1](begin) if self._parts else self._first
-        return solve_ivp(
-            self._rate,
+        evaluations, most = 0, _MOST + _MOST_PER_SECOND * self._duration
+
+        def rate(time: float, q: np.ndarray) -> np.ndarray:
+            nonlocal evaluations
+            evaluations += 1
+            if evaluations > most:
+                what = f"the motion cannot be integrated beyond t = {time:.3g} s"
+                raise ScenarioError("reference", f"{what}: it is too fast, or its posture far off")
+            return self._rate(time, q)
+
+        found = solve_ivp(
+            rate,
             (begin, end),
             first,
             method="DOP853",
             dense_output=True,
             rtol=self.accuracy,
             atol=0.01 * self.accuracy,
-        ).sol
+        )
+        if not found.success:
+            raise ScenarioError("reference", f"the motion cannot be integrated: {found.message}")
+        return found.sol
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         """q (n, nq) at times (n,)."""

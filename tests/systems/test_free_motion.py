@@ -5,6 +5,7 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.spacecraft.free_floating import driven_model, free_floating
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.reference import make_motion
@@ -178,6 +179,13 @@ def test_bad_input(overrides, problem):
     with pytest.raises(ScenarioError) as error:
         load_scenario("postcapture", [*FREE, *overrides])
     assert problem in str(error.value).replace("'", "")
+
+
+def test_a_motion_that_cannot_be_integrated_is_refused_within_a_bound():
+    """At 1e9 rad an angle's rounding alone is beyond the tolerance."""
+    scenario = load_scenario("reaction_null", ["initial_posture.joints.shoulder_roll=1e9"])
+    with pytest.raises(ScenarioError, match="cannot be integrated"):
+        make_closed_loop(scenario)
 
 
 def test_a_target_turns_about_its_true_centre_of_mass():
