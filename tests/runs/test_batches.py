@@ -187,7 +187,7 @@ def test_sensors_of_all_copies_have_their_bits(each, delay):
 @pytest.mark.parametrize("controller", SETTLING)
 def test_every_law_has_its_bits(controller):
     check_side_by_side(
-        load_scenario("postcapture", [SHORT, f"controller={controller}"]), 4, batch=4
+        load_scenario("postcapture", [SHORT, f"controller={controller}"]), 4, batches=(4,)
     )
 
 
