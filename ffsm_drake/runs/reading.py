@@ -347,10 +347,12 @@ def _of_numbers(dataset: "xr.Dataset", outcome: Outcome) -> Iterator[str]:
             yield f"{name} must be finite, and is not at sample {first}"
     for name in ("position", "desired_position", "target_quaternion"):
         if name in dataset:
-            norm = np.linalg.norm(dataset[name].values[:, :4], axis=1)
-            # a run that diverges ends in any norm but zero
+            quaternion = dataset[name].values[:, :4]
+            norm = np.linalg.norm(quaternion, axis=1)
+            # a run that diverges ends in any norm but zero, and but one that is no number any more
             off = np.abs(norm - 1.0) >= _NORM_TOLERANCE if whole else norm < 1.0 - _NORM_TOLERANCE
             off &= np.isfinite(norm)
+            off |= np.isfinite(quaternion).all(axis=1) & ~np.isfinite(norm)
             if off.any():
                 first = int(np.argmax(off))
                 yield f"{name} must hold unit quaternions, but sample {first} has {norm[first]:g}"
