@@ -92,14 +92,18 @@ def push(setup: BlockSetup):
     return builder.Build()
 
 
-def missed_at_first() -> RunRecord:
-    """The pushed arm misses the target; the servicer retreats, waits and tries again."""
+def missed_at_first(*more: str) -> RunRecord:
+    """The pushed arm misses the target; the servicer retreats, waits and tries again.
+
+    Args: further overrides.
+    """
     given = [
         "description=A missed grasp, the retreat, and the second try",
         "duration=118",
         "capture.closing={}",
         "capture.retreat={}",
         "capture.envelope.position=0.015",
+        *more,
     ]
     scenario = load_scenario("tumbling_capture", given)
     return simulate(scenario, blocks={"forces.push": push}, check_stability=False)

@@ -260,11 +260,11 @@ class ClosedLoop:
         afresh: bool = False,
     ) -> None:
         """Continue the plant and the blocks from another loop of the same wiring, as they are; with
-        ``afresh`` the controller begins at the plant's state.
+        ``afresh`` the controller begins at the plant's state, and the supervisor with it.
         """
         self.set_whole_states(root_context, before.whole_states(context_before))
         for name, block in self.blocks.items():
-            if name == "reference" or (afresh and name == "controller"):
+            if name == "reference" or (afresh and name in ("controller", "supervisor")):
                 continue
             context = block.GetMyMutableContextFromRoot(root_context)
             source = before.blocks[name].GetMyContextFromRoot(context_before)

@@ -32,6 +32,7 @@ from ffsm_drake.systems.gripper import Gripper, Met
 from ffsm_drake.systems.reference import make_motion, without_target
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.retreat import RetreatReference
+from ffsm_drake.systems.supervisor import SupervisorPart
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
@@ -204,11 +205,12 @@ class ClosingRun:
             return False
         name = "closing" if tries == 1 else f"closing_{tries}"
         part = Gripper(self._capture.compliance or Compliance())
+        blocks = self._supervised({**self.blocks, GRIPPER: part}, waits=True)
         limp = self._closing.joints == "limp"
         applied = self.logs[-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
         rollout = Rollout(
             without_target(self.scenario),
-            blocks={**self.blocks, GRIPPER: part},
+            blocks=blocks,
             joint_force=applied.mean(axis=0) if limp else None,
         )
 
@@ -293,6 +295,8 @@ class ClosingRun:
                 (f"approach_{tries + 1}", self.handover.sample - self._samples),
             ]
         self.blocks["reference"] = reference
+        own = reference.first if reference.again is None else reference.again
+        self.blocks = self._supervised(self.blocks, begin=own)
         self.outcome = None
         rollout = Rollout(without_target(self.scenario), blocks=self.blocks)
         flown = self._leg(rollout, names, self._go_on(afresh=True))
@@ -303,6 +307,12 @@ class ClosingRun:
             time = (self.sample - 1) * period
             self.outcome = dataclasses.replace(failed, time=time, message=message)
         return flown and again
+
+    def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
+        """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
+        if self._chosen.supervisor is None:
+            return blocks
+        return {**blocks, "supervisor": SupervisorPart(**how)}
 
     def _center(self, motion: np.ndarray) -> np.ndarray:
         """The target's centre of mass (3) in a motion (13)."""

@@ -33,6 +33,7 @@ from pydrake.systems.primitives import Demultiplexer
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Reference, Scenario
+from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
@@ -79,6 +80,12 @@ class SupervisorPart(Part):
     section = "Supervisor"
     about = "Modes: " + ", ".join(f"{mode.value} {mode.words}" for mode in Mode) + "."
 
+    def __init__(self, *, begin: float = 0.0, waits: bool = False) -> None:
+        """Args: time of the run at which the scenario's own plan begins, s; whether nothing is
+        asked, as while a gripper closes on the target: what becomes of it, the gripper decides.
+        """
+        self._begin, self._waits = begin, waits
+
     @classmethod
     def of(cls, scenario: Scenario) -> "SupervisorPart | None":
         """That of a scenario."""
@@ -86,7 +93,7 @@ class SupervisorPart(Part):
 
     def build(self, setup: BlockSetup) -> Diagram:
         """The block."""
-        system = _Supervisor(setup)
+        system = _Supervisor(setup, begin=self._begin, waits=self._waits)
         nq, nv = len(setup.coordinates.position_names), len(setup.coordinates.names)
         builder = DiagramBuilder()
         builder.AddNamedSystem("modes", system)
@@ -221,9 +228,12 @@ class _Supervisor(LeafSystem):
     ``restart`` (1: the law starts afresh at this sample), ``mode``, ``mode_cause``.
     """
 
-    def __init__(self, setup: BlockSetup) -> None:
+    def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
         super().__init__()
-        self._scenario, self._model = setup.scenario, setup.nominal
+        self._scenario, self._model, self._waits = setup.scenario, setup.nominal, waits
+        # of a loop that ends before the grasp
+        self._is_empty = setup.scenario.payload.nominal == NOTHING
+        self._begin, self._grasp_time = begin, begin + setup.scenario.grasp_time
         self._coordinates = coordinates = setup.coordinates
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         settings = setup.scenario.supervisor
@@ -257,7 +267,7 @@ class _Supervisor(LeafSystem):
         self._planned_acceleration = self.DeclareVectorInputPort("desired_acceleration", nv)
         self._command = self.DeclareVectorInputPort("generalized_force", nv)
         self._request = self.DeclareVectorInputPort("abort_request", 1)
-        first = Mode.APPROACH if self._scenario.grasp_time > 0.0 else Mode.STOP
+        first = Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP
         self._mode = self.DeclareDiscreteState([float(first)])
         self._cause = self.DeclareDiscreteState(1)
         # 1 while the law starts afresh at each sample, the force being that of damping
@@ -268,7 +278,7 @@ class _Supervisor(LeafSystem):
         self._filtered = self.DeclareDiscreteState(nv)
         self._held = self.DeclareDiscreteState(states)  # measured at the last sample of damping
         self._plan = self.DeclareDiscreteState(3 + states)  # ``NewPlan``; duration 0: none
-        self._ends = self._rest
+        self._ends = self._begin + self._rest
         own, read = self.all_state_ticket(), self.input_port_ticket
         self.DeclareVectorOutputPort(
             "motion",
@@ -365,21 +375,12 @@ class _Supervisor(LeafSystem):
         return Mode.RETREAT
 
     def _is_before_grasp(self, time: float) -> bool:
-        return time < self._scenario.grasp_time - 0.5 * self._step
-
-    def _is_closing(self, time: float) -> bool:
-        """Whether the gripper closes on the target: what becomes of it, the gripper decides."""
-        capture = self._scenario.capture
-        if capture is None or capture.closing is None:
-            return False
-        first = self._scenario.grasp_time - capture.closing.duration - 0.5 * self._step
-        return first <= time and self._is_before_grasp(time)
+        return self._is_empty or time < self._grasp_time - 0.5 * self._step
 
     def _trouble(self, context: Context, state: np.ndarray, counters: np.ndarray) -> Cause:
         """Why to damp the rates now, if there is a reason; ``counters`` are brought up to date."""
         value = context.get_discrete_state().value
-        if self._is_closing(context.get_time()) and not value(self._plan)[1]:
-            counters[0] = 0.0
+        if self._waits:
             return Cause.NONE
         if not value(self._restart)[0]:  # the law's force was commanded
             over = (np.abs(self._command.Eval(context)) > self._largest).any()
@@ -443,7 +444,8 @@ class _Supervisor(LeafSystem):
             if plan[2]:
                 return Mode.RETREAT
             return Mode.STOP if time < plan[0] + plan[1] - 1e-9 else Mode.HOLD
-        since = time - self._scenario.grasp_time
-        if self._scenario.grasp_time > 0.0 and since < 0.5 * self._step:
-            return Mode.APPROACH if since < -0.5 * self._step else Mode.GRASP
+        if self._is_before_grasp(time):
+            return Mode.APPROACH
+        if self._grasp_time > 0.0 and time < self._grasp_time + 0.5 * self._step:
+            return Mode.GRASP
         return Mode.STOP if time < self._ends - 1e-9 else Mode.HOLD

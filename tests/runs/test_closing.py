@@ -9,6 +9,7 @@ import pytest
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.runs.batches import batches_of
 from ffsm_drake.runs.metrics import phases_of
+from ffsm_drake.systems.supervisor import Mode
 
 # From a posture near that at the grasp, so that two seconds are enough.
 NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
@@ -84,12 +85,17 @@ def test_the_second_try_captures_what_a_push_made_the_first_one_miss():
     spec = importlib.util.spec_from_file_location("animate", file)
     animate = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(animate)
-    record = animate.missed_at_first()
+    record = animate.missed_at_first("supervisor={}")
     phases = phases_of(record.dataset)
     assert list(phases) == ["approach", "retreat", "approach_2", "closing_2", "stop"]
     assert record.outcome.completed
     assert record.metrics["gripper"]["closings"] == 1
     assert np.abs(record.dataset["error"].values[-100:]).max() < 2e-3
+    # the supervisor takes the empty gripper for what it is, at whatever time
+    modes = {name: set(part["mode"].values.ravel()) for name, part in phases.items()}
+    stop = modes.pop("stop")
+    assert set.union(*modes.values()) == {Mode.APPROACH}
+    assert stop == {Mode.GRASP, Mode.STOP, Mode.HOLD}
 
 
 def test_it_runs_alone_among_many():
