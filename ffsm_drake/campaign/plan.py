@@ -68,7 +68,8 @@ def status_text(store: Store) -> str:
     done = store.num_results()
     lines = [
         f"{store.path}: {spec.description or 'campaign'}",
-        f"{done} of {spec.runs} runs ({100.0 * done / spec.runs:.1f} %)",
+        f"{done} of {store.runs} runs ({100.0 * done / max(store.runs, 1):.1f} %)"
+        + (f" of shard {store.shard}" if store.shard.count > 1 else ""),
         "",
         f"{'controller':<12}"
         + "".join(f"{name.replace('_', ' '):>13}" for name in OUTCOMES)

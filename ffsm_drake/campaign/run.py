@@ -5,7 +5,7 @@ import dataclasses
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
@@ -21,7 +21,7 @@ from ffsm_drake.campaign.evaluate import (
     evaluate_run,
 )
 from ffsm_drake.campaign.spec import Spec, load_spec
-from ffsm_drake.campaign.store import Store, check_columns, create_store, open_store
+from ffsm_drake.campaign.store import Shard, Store, check_columns, create_store, open_store
 from ffsm_drake.common.errors import (
     CampaignError,
     FfsmError,
@@ -154,12 +154,13 @@ def start_campaign(
     path: Path,
     *,
     workers: Workers,
+    shard: Shard | None = None,
     stop: Stop | None = None,
     batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Run a campaign into a new database; ``stop`` ends it early, ``progress`` is called after
-    every batch of results; ``batch`` as for ``run_campaign``.
+    """Run a campaign, or only the cases of a ``shard``, into a new database; ``stop`` ends it
+    early, ``progress`` is called after every batch of results; ``batch`` as for ``run_campaign``.
 
     Raises:
       CampaignError, RecordError: a value cannot be used, or the database cannot be made.
@@ -167,7 +168,7 @@ def start_campaign(
       InterruptedCampaign: ``stop`` was set; ``resume_campaign`` finishes.
     """
     check_cases(spec)
-    with create_store(path, spec, make_cases(spec)) as store:
+    with create_store(path, spec, make_cases(spec), shard=shard) as store:
         _drive(store, workers, stop, batch, progress)
 
 
@@ -184,6 +185,19 @@ def resume_campaign(
         _drive(store, workers, stop, batch, progress)
 
 
+def merge_campaigns(databases: Sequence[Path], out: Path) -> None:
+    """Join databases of one campaign, such as its shards, in a new one: that of a single run.
+    ``resume_campaign`` runs what none of them holds.
+
+    Raises:
+      CampaignError: they are not of one campaign, two hold the same run, or ``out`` exists.
+    """
+    with open_store(databases[0]) as first:
+        cases = (first.case(index) for index in range(first.spec.cases))
+        with create_store(out, first.spec, cases) as merged:
+            merged.add_results_of(databases)
+
+
 def _drive(
     store: Store,
     workers: Workers,
@@ -191,7 +205,7 @@ def _drive(
     batch: int | None,
     progress: Callable[[Progress], None] | None,
 ) -> None:
-    campaign, start, total = store.spec.to_json(), time.perf_counter(), store.spec.runs
+    campaign, start, total = store.spec.to_json(), time.perf_counter(), store.runs
     before = store.num_results()
     counted = {"session": 0, "failed": 0, "unsettled": 0}
 
@@ -240,7 +254,7 @@ def _drive(
 def _stored(done: int, store: Store) -> str:
     """What is left of a campaign that cannot go on."""
     return (
-        f"{done} of {store.spec.runs} runs are stored, 'ffsm campaign resume {store.path}' runs "
+        f"{done} of {store.runs} runs are stored, 'ffsm campaign resume {store.path}' runs "
         "the others"
     )
 

@@ -1,19 +1,21 @@
 """The campaign's database: SQLite, one writer (the driver), one row per case and controller.
 
-Tables: ``campaign`` (key, value: the specification and its fingerprint), ``cases`` (case_index,
-random_seed, one column per value), ``results`` (case_index, controller, outcome, metrics,
-circumstances), ``software`` (the versions that the results refer to). The view ``runs`` joins them
-all: one row per run, for any SQL reader.
+Tables: ``campaign`` (key, value: the specification, its fingerprint, the shard), ``cases``
+(case_index, random_seed, one column per value), ``results`` (case_index, controller, outcome,
+metrics, circumstances), ``software`` (the versions that the results refer to). The view ``runs``
+joins them all: one row per run, for any SQL reader.
 """
 
 import contextlib
 import csv
+import dataclasses
 import datetime
 import fcntl
 import importlib
 import itertools
 import json
 import os
+import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -42,15 +44,23 @@ PATIENCE = 5.0  # s to wait for another program's lock
 class Store:
     """An open database. Use ``create_store`` and ``open_store``."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, spec: Spec) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, path: Path, spec: Spec, shard: "Shard"
+    ) -> None:
         self._connection = connection
         self.path = path
         self.spec = spec
+        self.shard = shard  # the part of the cases that runs into this database
         self._results = result_columns(spec)
         # of the view ``runs``
         self.columns = (
             *("case_index", "controller", "random_seed"), *spec.names, *self._results, "software",
         )  # fmt: skip
+
+    @property
+    def runs(self) -> int:
+        """Number of runs that this database shall hold."""
+        return self.shard.size(self.spec.cases) * len(self.spec.controllers)
 
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
         """The rows of any SELECT."""
@@ -65,7 +75,7 @@ class Store:
         while rows := list(self.query(chunk, (last, _CHUNK))):
             last = rows[-1][0]
             done = set(self.query(stored, (rows[0][0], last)))
-            for case in map(self._case, rows):
+            for case in map(self._case, filter(self.shard.holds, rows)):
                 yield from (
                     (case, name) for name in self.spec.controllers if (case.index, name) not in done
                 )
@@ -96,8 +106,8 @@ class Store:
         cases = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
         if cases != (self.spec.cases, 0, self.spec.cases - 1):
             raise self._damaged(f"its {cases[0]} cases are not the {self.spec.cases} specified")
-        if (stored := self.num_results()) > self.spec.runs:
-            raise self._damaged(f"it holds {stored} results of {self.spec.runs} runs")
+        if (stored := self.num_results()) > self.runs:
+            raise self._damaged(f"it holds {stored} results of {self.runs} runs")
         self._check_cells()
 
     def _check_columns(self) -> None:
@@ -149,14 +159,47 @@ class Store:
         """Store the results of a batch, all or none."""
         with _one_line_errors(self.path), self._connection:
             for case, row in zip(batch.cases, rows, strict=True):
-                cells = (case.index, batch.controller, *map(row.get, self._results))
-                values = f"{_places(cells)}, (SELECT id FROM software WHERE versions = ?)"
-                self._connection.execute(
-                    "INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],)
+                self._insert(case.index, batch.controller, row)
+
+    def _insert(self, case: int, controller: str, row: Row) -> None:
+        cells = (case, controller, *map(row.get, self._results))
+        values = f"{_places(cells)}, (SELECT id FROM software WHERE versions = ?)"
+        self._connection.execute(
+            "INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],)
+        )
+        self._connection.execute(
+            f"INSERT INTO results VALUES ({values})", (*cells, row["software"])
+        )
+
+    def add_results_of(self, paths: Iterable[Path]) -> None:
+        """Store all results of other databases of this campaign, all or none.
+
+        Raises:
+          CampaignError: one holds another campaign or other cases, or two hold the same run.
+        """
+        with _one_line_errors(self.path), self._connection:
+            for path in paths:
+                with open_store(path) as other:
+                    self._add_results_of(other)
+
+    def _add_results_of(self, other: "Store") -> None:
+        if other.spec.fingerprint != self.spec.fingerprint:
+            raise CampaignError(f"{other.path}: holds another campaign than the first database")
+        cases = "SELECT * FROM cases ORDER BY case_index"
+        for own, read in zip(self.query(cases), other.query(cases), strict=True):
+            if own != read:
+                raise CampaignError(
+                    f"{other.path}: case {own[0]} has other values than in the first database"
                 )
-                self._connection.execute(
-                    f"INSERT INTO results VALUES ({values})", (*cells, row["software"])
-                )
+        for run in other.query("SELECT * FROM runs"):
+            row = dict(zip(self.columns, run, strict=True))
+            case, controller = row["case_index"], row["controller"]
+            try:
+                self._insert(case, controller, row)
+            except sqlite3.IntegrityError:
+                raise CampaignError(
+                    f"{other.path}: a database before it holds case {case} with {controller} too"
+                ) from None
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
         """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it
@@ -230,6 +273,33 @@ class Store:
                 writer.write_table(pa.table(cells, schema=schema))
 
 
+@dataclasses.dataclass(frozen=True)
+class Shard:
+    """Every ``count``-th case of a campaign, from the one with index ``number`` - 1."""
+
+    number: int = 1  # from 1
+    count: int = 1
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """The shard written as I/N. Raises CampaignError for other text."""
+        match = re.fullmatch(r"([1-9][0-9]{0,6})/([1-9][0-9]{0,6})", text)
+        if match is None or int(match[1]) > int(match[2]):
+            raise CampaignError(f"--shard: must be I/N with I from 1 to N, not {text!r}")
+        return cls(int(match[1]), int(match[2]))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def holds(self, row: Sequence[Any]) -> bool:
+        """Whether a row of ``cases`` belongs to it."""
+        return bool(row[0] % self.count == self.number - 1)
+
+    def size(self, cases: int) -> int:
+        """Number of cases, of so many in all."""
+        return len(range(self.number - 1, cases, self.count))
+
+
 def check_columns(spec: Spec) -> None:
     """Raise CampaignError unless every value of a case can have a column; SQL ignores case."""
     taken = dict.fromkeys(
@@ -247,9 +317,12 @@ def check_columns(spec: Spec) -> None:
 
 
 @contextlib.contextmanager
-def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Store]:
-    """Make a new database with all cases, and hold it for writing; where that or the block fails
-    before any result is stored, it is removed.
+def create_store(
+    path: Path, spec: Spec, cases: Iterable[Case], *, shard: Shard | None = None
+) -> Iterator[Store]:
+    """Make a new database with all cases, of which it will run those of ``shard`` (default: all),
+    and hold it for writing; where that or the block fails before any result is stored, it is
+    removed.
 
     Raises:
       CampaignError: the file exists, or cannot be used.
@@ -273,7 +346,7 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
         written_whole(path) as temporary,
         contextlib.closing(sqlite3.connect(temporary)) as connection,
     ):
-        _fill(connection, spec, cases, folder=path.parent)
+        _fill(connection, spec, cases, folder=path.parent, shard=shard or Shard())
     files = [path.with_name(f"{path.name}{suffix}") for suffix in ("", "-wal", "-shm", "-journal")]
     opened = False
     try:
@@ -329,7 +402,7 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.rollback()
         try:
             spec = spec_from_json(notes["specification"], path.parent)
-            store = Store(connection, path, spec)
+            store = Store(connection, path, spec, Shard.parse(notes.get("shard", str(Shard()))))
         except (
             LookupError, TypeError, AttributeError, ValueError, RecursionError, FfsmError,
         ) as error:  # fmt: skip
@@ -348,7 +421,12 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
 
 
 def _fill(
-    connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path
+    connection: sqlite3.Connection,
+    spec: Spec,
+    cases: Iterable[Case],
+    *,
+    folder: Path,
+    shard: Shard,
 ) -> None:
     values = [_quoted(name) for name in spec.names]
     columns = result_columns(spec)
@@ -376,6 +454,7 @@ def _fill(
             "format": str(FORMAT),
             "specification": spec.to_json(folder),
             "fingerprint": spec.fingerprint,
+            "shard": str(shard),
             "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         }
         connection.executemany("INSERT INTO campaign VALUES (?, ?)", notes.items())

@@ -45,6 +45,7 @@ def campaign() -> None:
     """
 
 
+_file = click.Path(path_type=Path, dir_okay=False)
 _workers_option = click.option(
     "--workers",
     type=click.IntRange(min=1),
@@ -58,7 +59,7 @@ _scheduler_option = click.option(
 _source = click.argument("source", metavar="SPEC|DATABASE")
 _database_option = click.option(
     "--database",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_file,
     help="Default: out/campaigns/NAME.db.",
 )
 _cases_option = click.option(
@@ -90,23 +91,51 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 @_cases_option
 @_workers_option
 @_scheduler_option
+@click.option("--shard", metavar="I/N", default="1/1", help="Only every N-th case, from the I-th.")
 def run(
-    spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None
+    spec: str,
+    database: Path | None,
+    cases: int | None,
+    workers: int | None,
+    scheduler: str | None,
+    shard: str,
 ) -> None:
     """Run a campaign into a new database.
 
     Ctrl-C stops after the current runs (exit code 130); 'resume' continues, as it does after a
-    crash.
+    crash. The N shards of a job array run into a database each; 'merge' joins them.
 
     \b
     Examples:
       ffsm campaign run payload_uncertainty
+      ffsm campaign run payload_uncertainty --shard 1/4
       ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
     """
     from ffsm_drake.campaign.run import start_campaign
+    from ffsm_drake.campaign.store import Shard
 
-    path = database or _default_database(spec)
-    _drive(partial(start_campaign, _load(spec, cases)), path, workers, scheduler)
+    part = Shard.parse(shard)
+    path = database or _default_database(spec, "" if part == Shard() else f"-{shard}")
+    start = partial(start_campaign, _load(spec, cases), shard=part)
+    _drive(start, path, workers, scheduler)
+
+
+@campaign.command()
+@click.argument("databases", metavar="DATABASE...", nargs=-1, required=True, type=_file)
+@click.option("--out", type=_file, required=True, metavar="DATABASE", help="The new database.")
+def merge(databases: tuple[Path, ...], out: Path) -> None:
+    """Join the databases of a campaign's shards: the tables are those of one run, bit for bit.
+
+    Refuses databases of different campaigns, and runs that two of them hold.
+
+    \b
+    Example:
+      ffsm campaign merge shard-*.db --out whole.db
+    """
+    from ffsm_drake.campaign.run import merge_campaigns
+
+    merge_campaigns(databases, out)
+    _print_status(out)
 
 
 @campaign.command()
@@ -246,8 +275,8 @@ def _load(spec: str, cases: int | None) -> "Spec":
     return loaded if cases is None else spec_from_data({**loaded.data, "cases": cases})
 
 
-def _default_database(spec: str) -> Path:
-    return _FOLDER / f"{Path(spec).stem}.db"
+def _default_database(spec: str, suffix: str = "") -> Path:
+    return _FOLDER / f"{Path(spec).stem}{suffix.replace('/', '-of-')}.db"
 
 
 def _locate(source: str, database: Path | None) -> Path:

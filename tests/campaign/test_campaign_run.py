@@ -33,10 +33,10 @@ from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
 from ffsm_drake.campaign.cases import make_cases
-from ffsm_drake.campaign.evaluate import Evaluator
+from ffsm_drake.campaign.evaluate import CIRCUMSTANCES, Evaluator
 from ffsm_drake.campaign.run import resume_campaign, start_campaign
 from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.campaign.store import create_store, open_store
+from ffsm_drake.campaign.store import Shard, create_store, open_store
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
 from ffsm_drake.common.time_limit import time_limit
@@ -589,3 +589,70 @@ def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path
     assert [progress.done for progress in seen] == list(range(28, 33))
     assert seen[-1].remaining == 0.0
     assert table(tmp_path / "x.db") == table(database)
+
+
+def all_columns(path):
+    """Every row without its circumstances, numbers by their bits."""
+    with open_store(path) as store:
+        kept = [name for name in store.columns if name not in CIRCUMSTANCES]
+        rows = [dict(zip(store.columns, row, strict=True)) for row in store.query(
+            "SELECT * FROM runs ORDER BY case_index, controller"
+        )]  # fmt: skip
+    return [
+        [value.hex() if isinstance(value, float) else value for value in map(row.get, kept)]
+        for row in rows
+    ]
+
+
+def run_shards(spec, folder, count):
+    paths = [folder / f"{number}.db" for number in range(1, count + 1)]
+    for number, path in enumerate(paths, start=1):
+        start_campaign(load_spec(spec), path, workers=HERE, shard=Shard(number, count))
+    return paths
+
+
+@pytest.mark.smoke
+def test_merged_shards_are_one_run(spec, database, tmp_path):
+    """Also from a shard that was interrupted: what is missing is run by 'resume'."""
+    paths = run_shards(spec, tmp_path, 3)
+    assert [count(path) for path in paths] == [12, 10, 10]
+    assert "12 of 12 runs (100.0 %) of shard 1/3" in invoke("status", paths[0]).output
+    result = invoke("merge", *reversed(paths), "--out", tmp_path / "whole.db")
+    assert result.exit_code == 0, result.output
+    assert "32 of 32 runs (100.0 %)\n" in result.output
+    assert all_columns(tmp_path / "whole.db") == all_columns(database)
+    with contextlib.closing(sqlite3.connect(paths[1])) as connection, connection:
+        connection.execute("DELETE FROM results WHERE case_index = 4")
+    assert invoke("merge", *paths, "--out", tmp_path / "part.db").exit_code == 0
+    assert count(tmp_path / "part.db") == 30
+    for path in (paths[1], tmp_path / "part.db"):
+        resume_campaign(path, workers=HERE)
+    assert count(paths[1]) == 10
+    assert all_columns(tmp_path / "part.db") == all_columns(database)
+
+
+def test_databases_that_cannot_be_merged(spec, database, tmp_path):
+    out = tmp_path / "whole.db"
+    same = tmp_path / "same.db"
+    same.write_bytes(database.read_bytes())
+    faults = {
+        "a database before it holds case 0 with asmc too": (),
+        "case 3 has other values": ("UPDATE cases SET random_seed = 1 WHERE case_index = 3",),
+        "--shard: must be I/N with I from 1 to N, not '5/4'": (
+            "UPDATE campaign SET value = '5/4' WHERE key = 'shard'",
+        ),
+        "it holds 32 results of 16 runs": (
+            "UPDATE campaign SET value = '1/2' WHERE key = 'shard'",
+        ),
+    }
+    for said, statements in faults.items():
+        with contextlib.closing(sqlite3.connect(same)) as connection, connection:
+            for statement in statements:
+                connection.execute(statement)
+        one_line_error(invoke("merge", database, same, "--out", out), said)
+        assert not out.exists()
+    other = run_shards(write_spec(tmp_path / "o.yaml", seed=6, cases=2), tmp_path, 2)
+    one_line_error(invoke("merge", database, *other, "--out", out), "holds another campaign")
+    one_line_error(invoke("merge", database, "--out", database), "exists; finish it with")
+    for text in ("0/2", "3/2", "1", "a/b", "1/0", "1/2/3", ""):
+        one_line_error(invoke("run", spec, "--shard", text), "--shard: must be I/N")

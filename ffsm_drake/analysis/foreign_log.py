@@ -1,0 +1,161 @@
+"""Logs of any simulator: named columns of a CSV or netCDF file, as the state of a spacecraft."""
+
+import csv
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ffsm_drake.common.errors import RecordError, did_you_mean, one_line
+from ffsm_drake.common.files import check_regular
+
+_MAX_LOG = 2_000_000_000  # bytes
+_LEAST = 10  # samples
+# What a column is -> names that it may have; {} stands for w, x, y, z or the joint's name. A name
+# with a point is a variable of a netCDF file and a label along its second dimension.
+_NAMES = {
+    "time": ("time", "t"),
+    "quaternion": (
+        "base_quaternion_{}", "quaternion_{}", "quat_{}", "q{}", "position.base_quaternion_{}",
+    ),
+    "position": ("base_position_{}", "position_{}", "pos_{}", "{}", "position.base_position_{}"),
+    "angular": (
+        "base_angular_velocity_{}", "angular_velocity_{}", "omega_{}", "w{}",
+        "velocity.base_rotation_{}",
+    ),
+    "linear": (
+        "base_velocity_{}", "linear_velocity_{}", "velocity_{}", "vel_{}", "v{}",
+        "velocity.base_position_{}",
+    ),
+    "angles": ("{}", "{}_position", "{}_pos", "q_{}", "position.{}"),
+    "rates": ("{}_rate", "{}_velocity", "{}_vel", "dq_{}", "v_{}", "velocity.{}"),
+    "efforts": ("{}_effort", "{}_torque", "tau_{}", "applied_force.{}"),
+    "torque": ("base_torque_{}", "applied_force.base_rotation_{}"),
+    "force": ("base_force_{}", "applied_force.base_position_{}"),
+}  # fmt: skip
+_OPTIONAL = ("efforts", "torque", "force")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignLog:
+    """Samples of a spacecraft's motion as a log gives them, in whatever axes and units."""
+
+    time: np.ndarray  # (n), s
+    quaternion: np.ndarray  # (n, 4) of R_WB, w first
+    position: np.ndarray  # (n, 3) p_WB, m
+    angular: np.ndarray  # (n, 3) w_WB, rad/s
+    linear: np.ndarray  # (n, 3) v_WB, m/s
+    angles: np.ndarray  # (n, joints), rad or m
+    rates: np.ndarray  # (n, joints)
+    efforts: np.ndarray | None  # (n, joints) at the joints, N m or N; None: not logged
+    torque: np.ndarray | None  # (n, 3) on the base, world axes, N m
+    force: np.ndarray | None  # (n, 3) on the base at its origin, world axes, N
+
+    def replace(self, **changes: np.ndarray) -> "ForeignLog":
+        """A copy with other columns."""
+        return dataclasses.replace(self, **changes)
+
+
+def read_log(
+    path: Path, joints: Sequence[str], *, columns: Mapping[str, str] | None = None
+) -> ForeignLog:
+    """Read a log with a column for every coordinate and its rate.
+
+    Args:
+      path: CSV with a first line of names, or netCDF; further columns are ignored.
+      joints: the joints' names.
+      columns: other names: of what this package calls ``base_quaternion_w``, ``joint_1``,
+        ``joint_1_rate`` and so on -> the log's name.
+
+    Raises:
+      RecordError: it cannot be read, a column is missing, or a value is not a finite number.
+    """
+    try:
+        check_regular(path, limit=_MAX_LOG)
+        found = (_read_csv if path.suffix.lower() == ".csv" else _read_netcdf)(path)
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        raise RecordError(f"{path}: cannot be read: {one_line(error)}") from error
+    for name, given in (columns or {}).items():
+        if given not in found:
+            hint = did_you_mean(given, found)
+            raise RecordError(f"{path}: has no column '{given}', given for '{name}'{hint}")
+        found[name] = found[given]
+    read = {
+        what: _columns(found, what, labels, path)
+        for what, labels in {
+            "time": ("",), "quaternion": "wxyz", "angles": joints, "rates": joints,
+            "efforts": joints, **dict.fromkeys(("position", "angular", "linear"), "xyz"),
+            **dict.fromkeys(("torque", "force"), "xyz"),
+        }.items()
+    }  # fmt: skip
+    time = read.pop("time")
+    assert time is not None
+    if len(time) < _LEAST:
+        raise RecordError(f"{path}: has {len(time)} samples; at least {_LEAST} are needed")
+    return ForeignLog(time=time[:, 0], **read)  # type: ignore[arg-type]
+
+
+def _columns(
+    found: Mapping[str, np.ndarray], what: str, labels: Sequence[str], path: Path
+) -> np.ndarray | None:
+    """Some columns of a log (n, labels); None where optional ones are missing altogether."""
+    names = [[pattern.format(label) for pattern in _NAMES[what]] for label in labels]
+    taken = [next((name for name in each if name in found), None) for each in names]
+    missing = [each for each, name in zip(names, taken, strict=True) if name is None]
+    if what in _OPTIONAL and len(missing) == len(names):
+        return None
+    if missing:
+        raise RecordError(
+            f"{path}: has no column {missing[0][0]} (or {', '.join(missing[0][1:])}); name it with "
+            f"--column {missing[0][0]}=COLUMN; there are {', '.join(list(found)[:40])}"
+        )
+    values = np.stack([found[name] for name in taken if name is not None], axis=1)
+    if not (finite := np.isfinite(values)).all():
+        row, column = np.argwhere(~finite)[0]
+        raise RecordError(f"{path}: {taken[column]} is not a finite number in sample {row}")
+    return values
+
+
+def _read_csv(path: Path) -> dict[str, np.ndarray]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        reader = csv.reader(file, skipinitialspace=True)
+        names = [name.strip().lstrip("# ") for name in next(reader, [])]
+        if not names:
+            raise ValueError("it is empty")
+        if repeated := {name for name in names if names.count(name) > 1}:
+            raise ValueError(f"two columns are called {min(repeated)}")
+        rows = []
+        for row in filter(None, reader):
+            if len(row) != len(names):
+                raise ValueError(
+                    f"line {reader.line_num} has {len(row)} values for {len(names)} columns"
+                )
+            rows.append([_number(text) for text in row])
+    return dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan  # a column of text is nobody's
+
+
+def _read_netcdf(path: Path) -> dict[str, np.ndarray]:
+    """Variables along the first dimension, and along a second one by its labels."""
+    import xarray as xr
+
+    found: dict[str, np.ndarray] = {}
+    with xr.open_dataset(path, engine="netcdf4", decode_times=False) as data:
+        numbers = {str(n): v for n, v in data.variables.items() if v.dtype.kind in "fiu"}
+        for name, variable in numbers.items():
+            values = np.asarray(variable.values, dtype=float)
+            if values.ndim == 1:
+                found[name] = values
+            elif values.ndim == 2:
+                along = variable.dims[1]
+                labels = data[along].values if along in data.variables else range(values.shape[1])
+                found |= {f"{name}.{x}": values[:, i] for i, x in enumerate(labels)}
+    return found

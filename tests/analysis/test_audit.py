@@ -1,0 +1,262 @@
+"""Audits of other simulators' logs: MuJoCo and Drake make true ones, every mistake made in these is
+named.
+"""
+
+import csv
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ffsm_drake import load_scenario, simulate
+from ffsm_drake.analysis.audit import audit
+from ffsm_drake.cli import main
+from ffsm_drake.common.errors import RecordError
+from ffsm_drake.spacecraft.plant import models_dir
+
+URDF = models_dir() / "urdf" / "servicer.urdf"
+JOINTS = [f"joint_{i}" for i in range(1, 6)]
+NAMES = [
+    "time", *(f"base_position_{x}" for x in "xyz"), *(f"base_quaternion_{x}" for x in "wxyz"),
+    *JOINTS, *(f"base_velocity_{x}" for x in "xyz"),
+    *(f"base_angular_velocity_{x}" for x in "xyz"), *(f"{name}_rate" for name in JOINTS),
+    *(f"{name}_effort" for name in JOINTS),
+]  # fmt: skip
+QUATERNION = [f"base_quaternion_{x}" for x in "wxyz"]
+PERIOD = 0.01
+
+
+def mujoco_log(
+    *,
+    gravity=(0.0, 0.0, 0.0),
+    heavy=1.0,
+    damping=0.0,
+    step=0.002,
+    push=0.0,
+    integrator=mujoco.mjtIntegrator.mjINT_RK4,
+):
+    """The shipped servicer, its arm swung by torques for 5 s: columns by name."""
+    spec = mujoco.MjSpec.from_file(str(URDF))
+    spec.compiler.fusestatic = False
+    spec.body("base").add_freejoint()
+    spec.body("link_3").mass *= heavy
+    spec.body("link_3").inertia *= heavy
+    spec.option.gravity, spec.option.timestep = gravity, step
+    spec.option.integrator = integrator
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.dof_damping[:6] = damping
+    data = mujoco.MjData(model)
+    data.qpos[3:7] = [0.7, 0.1, -0.5, 0.5]
+    data.qpos[7:] = [0.2, 0.4, 1.0, 0.6, -0.7]
+    data.qvel[:] = [0.02, -0.01, 0.03, 0.05, -0.08, 0.06, 0.1, -0.2, 0.15, 0.1, -0.1]
+    rows = []
+    for k in range(501):
+        t = k * PERIOD
+        data.qfrc_applied[6:] = np.array([2.0, 4.0, 2.0, 0.3, 0.05]) * np.cos(
+            np.array([1.0, 1.5, 2.0, 2.5, 3.0]) * t
+        )
+        data.qfrc_applied[0] = push if t > 2.0 else 0.0
+        rows.append([t, *data.qpos, *data.qvel, *data.qfrc_applied[6:]])
+        for _ in range(round(PERIOD / step)):
+            mujoco.mj_step(model, data)
+    return dict(zip(NAMES, np.array(rows).T, strict=True))
+
+
+@pytest.fixture(scope="module")
+def true_log():
+    return mujoco_log()
+
+
+def write(path, columns):
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(np.array(list(columns.values())).T.tolist())
+    return path
+
+
+def statement(found, name):
+    return next(check.statement for check in found.checks if check.name == name)
+
+
+def test_a_log_of_mujoco_is_physics(true_log, tmp_path):
+    """Its free joint has the linear velocity in world axes, the angular one in body axes."""
+    found = audit(write(tmp_path / "log.csv", true_log), URDF)
+    assert found.is_physics, str(found)
+    assert statement(found, "angular velocity").startswith("in body axes")
+    assert statement(found, "base velocity").startswith("in world axes")
+    assert "conserved within" in statement(found, "momentum")
+    assert "follows the work" in statement(found, "energy")
+
+
+def test_a_record_of_this_package_is_physics(tmp_path):
+    """Also with forces on its base, held over each period."""
+    record = simulate(load_scenario("postcapture", ["duration=1.5", "disturbance.harmonics={}"]))
+    record.save(tmp_path / "run")
+    found = audit(tmp_path / "run" / "record.nc", models_dir() / "postcapture.dmd.yaml")
+    assert found.is_physics, str(found)
+    assert statement(found, "angular velocity").startswith("in world axes")
+    assert "follows the work" in statement(found, "energy")
+
+
+def rotated(log, vector, back=False):
+    """Three columns turned from body to world axes, or back."""
+    w, u = log["base_quaternion_w"], np.array([log[f"base_quaternion_{x}"] for x in "xyz"])
+    values = np.array([log[f"{vector}_{x}"] for x in "xyz"])
+    u = -u if back else u
+    twice = 2.0 * np.cross(u, values, axis=0)
+    turned = values + w * twice + np.cross(u, twice, axis=0)
+    return {f"{vector}_{x}": row for x, row in zip("xyz", turned, strict=True)}
+
+
+def test_frames_are_told_apart(true_log, tmp_path):
+    other = true_log | rotated(true_log, "base_velocity", back=True)
+    other |= rotated(true_log, "base_angular_velocity")
+    found = audit(write(tmp_path / "log.csv", other), URDF)
+    assert found.is_physics, str(found)
+    assert statement(found, "angular velocity").startswith("in world axes")
+    assert statement(found, "base velocity").startswith("in body axes")
+
+
+def exchanged(log, *pairs):
+    changes = {}
+    for first, second in pairs:
+        changes |= {first: log[second], second: log[first]}
+    return log | changes
+
+
+def scaled(log, factor, *names):
+    return log | {name: log[name] * factor for name in names}
+
+
+def taken(log, rows, *, renumbered=False):
+    some = {name: values[rows] for name, values in log.items()}
+    return some | ({"time": PERIOD * np.arange(len(rows))} if renumbered else {})
+
+
+DEGREE = 180.0 / np.pi
+RATES = [f"{name}_rate" for name in JOINTS]
+KEPT = np.delete(np.arange(501), [50, 51, 200, 333, 334, 335])
+STALE = np.where(np.isin(np.arange(501), [70, 150, 260]), np.arange(501) - 1, np.arange(501))
+# mistake -> how it is made in a true log, the cause that names it, words of the statement
+BROKEN = {
+    "exchanged joints": (
+        lambda log: exchanged(log, ("joint_2", "joint_3"), ("joint_2_rate", "joint_3_rate")),
+        "joint_order", "joint_2 and joint_3 are exchanged",
+    ),
+    "exchanged rates": (
+        lambda log: exchanged(log, ("joint_2_rate", "joint_3_rate")),
+        "joint_order", "not its own: that of joint_3 is",
+    ),
+    "joint the other way": (
+        lambda log: scaled(log, -1.0, "joint_2", "joint_2_rate"),
+        "joint_sign", "joint_2 turns the other way",
+    ),
+    "joints in degrees": (
+        lambda log: scaled(log, DEGREE, *JOINTS, *RATES), "degrees", "every joint is in degrees",
+    ),
+    "rates in degrees": (
+        lambda log: scaled(log, DEGREE, *RATES), "degrees", "degrees per second",
+    ),
+    "scalar last": (
+        lambda log: log | dict(zip(QUATERNION, [log[f"base_quaternion_{x}"] for x in "xyzw"],
+                                   strict=True)),
+        "quaternion_order", "scalar stands last",
+    ),
+    "quaternion inverse": (
+        lambda log: scaled(log, -1.0, *QUATERNION[1:]), "quaternion_inverse", "R_BW",
+    ),
+    "quaternion not normalized": (
+        lambda log: scaled(log, np.linspace(1.0, 1.02, 501), *QUATERNION),
+        "quaternion_norm", "1 to 1.02, not 1",
+    ),
+    "wrong frame": (
+        lambda log: log | rotated(log | rotated(log, "base_velocity"), "base_velocity"),
+        "base_velocity", "in world or in body axes",
+    ),
+    "dropped samples": (lambda log: taken(log, KEPT), "dropped_samples", "about 6 samples"),
+    "dropped samples, renumbered": (
+        lambda log: taken(log, KEPT, renumbered=True), "dropped_samples", "about 6 samples",
+    ),
+    "repeated samples": (
+        lambda log: taken(log, STALE) | {"time": log["time"]}, "repeated_samples", "3 samples",
+    ),
+    "order of time": (
+        lambda log: taken(log, [*range(100), *range(90, 501)]), "time_order", "10 samples",
+    ),
+    "milliseconds": (lambda log: scaled(log, 1e3, "time"), "time_unit", "milliseconds"),
+    "another link mass": (
+        lambda _: mujoco_log(heavy=1.5), "mass", "link_3 has 1.5 times the mass",
+    ),
+    "gravity": (
+        lambda _: mujoco_log(gravity=(0.0, 0.0, -9.81)), "gravity",
+        "gravity of 9.81 m/s^2 acts along [0.00, 0.00, -1.00]",
+    ),
+    "damping": (lambda _: mujoco_log(damping=5.0), "damping", "N s/m and 5 N m s"),
+    "unknown force": (lambda _: mujoco_log(push=3.0), "external_force", "not logged"),
+    "heavier units": (
+        lambda log: scaled(log, 2.0, *(f"{name}_effort" for name in JOINTS)),
+        "mass_or_effort_scale", "2 times those of the URDF",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", BROKEN)
+def test_a_mistake_is_named(mistake, true_log, tmp_path):
+    make, cause, words = BROKEN[mistake]
+    found = audit(write(tmp_path / "log.csv", make(true_log)), URDF)
+    assert set(found.causes) == {cause}, str(found)
+    assert words in str(found)
+
+
+def test_the_drift_of_a_coarse_integrator_is_named(tmp_path):
+    """MuJoCo's default steps lose momentum; a shorter step loses less."""
+    euler = mujoco.mjtIntegrator.mjINT_EULER
+    path = tmp_path / "log.csv"
+    found = audit(write(path, mujoco_log(integrator=euler, step=0.01)), URDF)
+    assert found.causes == ("drift",), str(found)
+    assert audit(path, URDF, tolerance=0.15).causes == ()
+    write(path, mujoco_log(integrator=euler, step=0.0005))
+    assert audit(path, URDF, tolerance=5e-3).is_physics
+
+
+@pytest.mark.smoke
+def test_the_command(true_log, tmp_path):
+    """Columns by other names; exit codes; errors of one line."""
+    log = {("t_sim" if name == "time" else name): v for name, v in true_log.items()}
+    path = write(tmp_path / "log.csv", log)
+    words = ["audit", str(path), "--urdf", str(URDF)]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2
+    assert "has no column time (or t); name it with --column time=COLUMN" in result.output
+    result = CliRunner().invoke(main, [*words, "--column", "time=t_sim", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.output)["is_physics"] is True
+    bad = write(tmp_path / "bad.csv", scaled(log, 1.01, *QUATERNION))
+    words[1] = str(bad)
+    result = CliRunner().invoke(main, [*words, "--column", "time=t_sim"])
+    assert result.exit_code == 3
+    assert result.output.endswith("Is this log physics? no: quaternion_norm\n")
+
+
+def test_logs_that_cannot_be_read(true_log, tmp_path):
+    path = tmp_path / "log.csv"
+    for text, said in {
+        "": "it is empty",
+        "x,y\n1,2\n": "has no column time",
+        "time,time\n1,2\n": "two columns are called time",
+        "time,t\n1\n": "line 2 has 1 values for 2 columns",
+    }.items():
+        path.write_text(text)
+        with pytest.raises(RecordError, match=said):
+            audit(path, URDF)
+    with pytest.raises(RecordError, match="has 3 samples; at least 10"):
+        audit(write(path, taken(true_log, [0, 1, 2])), URDF)
+    with pytest.raises(RecordError, match="joint_1 is not a finite number in sample 0"):
+        audit(write(path, scaled(true_log, np.nan, "joint_1")), URDF)
+    (tmp_path / "log.nc").write_bytes(b"no netCDF")
+    with pytest.raises(RecordError, match="cannot be read"):
+        audit(tmp_path / "log.nc", URDF)
