@@ -358,10 +358,7 @@ class _Supervisor(LeafSystem):
     def _react(
         self, context: Context, state: np.ndarray, counters: np.ndarray, new: DiscreteValues
     ) -> Mode:
-        """Rate damping; before the grasp a retreat at once, if there is a plan for it.
-
-        Damping leaves the light joints of an empty arm to the disturbance.
-        """
+        """Rate damping; before the grasp a retreat at once, if there is a plan for it."""
         time = context.get_time()
         if not self._is_before_grasp(time):
             return Mode.RATE_DAMPING
@@ -420,12 +417,14 @@ class _Supervisor(LeafSystem):
         return bool((np.abs(filtered) <= settings.end_share * self._limit).all())
 
     def _plan_anew(self, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
-        """A plan from the measured state after a number of others; None where none keeps within
-        its share of the limits.
+        """A plan from the measured state after a number of others. Where none keeps within its
+        share of the limits: None, but with an empty gripper, whose light joints rate damping would
+        leave to the disturbance, the one that takes least of them.
         """
         settings, (q, v) = self._settings, np.split(state, [self._nq])
         most = settings.plan_share * settings.retry_factor**plans * self._limit
         retreats, duration = self._is_before_grasp(time), _SHORTEST
+        least, gentlest = np.inf, None
         while duration <= _LONGEST:
             plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
             motion = plan.motion(self._scenario, self._coordinates)
@@ -433,10 +432,13 @@ class _Supervisor(LeafSystem):
             force = self._model.calc_tracking_force(
                 *np.split(rows, [self._nq, self._nq + self._nv], axis=1)
             )
-            if (np.abs(force) <= most).all():
+            share = float((np.abs(force) / most).max())
+            if share <= 1.0:
                 return plan
+            if retreats and share < least:
+                least, gentlest = share, plan
             duration *= _GROWTH
-        return None
+        return gentlest
 
     def _mode_at(self, time: float, plan: np.ndarray) -> Mode:
         """The mode outside rate damping."""

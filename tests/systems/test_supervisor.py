@@ -139,6 +139,14 @@ def test_while_the_gripper_closes_it_waits():
     assert log.outcome.completed
 
 
+def test_an_empty_gripper_retreats_even_where_no_plan_keeps_within_its_share():
+    given = ["supervisor={plan_share: 1e-4}", "duration=21", "capture.approach.duration=2"]
+    log = make_rollout(
+        load_scenario("tumbling_capture", given), blocks={"forces.asking": Asking}
+    ).run()
+    assert [mode for _, mode in changes(log)] == [Mode.APPROACH, Mode.RETREAT]
+
+
 def test_what_it_cannot_damp_is_refused():
     with pytest.raises(ScenarioError, match=r"supervisor\.damping"):
         load_scenario("flight_sensors", ["supervisor={damping: 60}"])
