@@ -22,6 +22,7 @@ ROOMS = (
     "campaign",
     "show",
     "studies",
+    "interfaces",
     "cli",
 )
 # neighbours: neither imports the other

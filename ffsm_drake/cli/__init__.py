@@ -15,7 +15,7 @@ from ffsm_drake.cli.paper import reproduce
 from ffsm_drake.cli.plan import plan
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
-from ffsm_drake.cli.show import diagram, plot, replay
+from ffsm_drake.cli.show import diagram, export, plot, replay
 from ffsm_drake.common.workers import ONE_THREAD
 
 
@@ -49,6 +49,6 @@ def main() -> None:
 
 for command in (
     new, plan, run, compare, analyze, audit, stability, design, campaign, replay, plot, diagram,
-    scenarios, validate, schema, reproduce, doctor, completion,
+    export, scenarios, validate, schema, reproduce, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

@@ -1,4 +1,4 @@
-"""Commands that draw: plot, diagram, replay."""
+"""Commands that draw: plot, diagram, replay; and export."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -124,4 +124,29 @@ def replay(
         replay_live(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
         return
     write_recording(record, file, speed=speed, ghost=ghost, path=path, forces=forces)
+    click.echo(f"Written to {file}")
+
+
+@click.command()
+@run_argument
+@click.option(
+    "--to",
+    "file",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Its ending says what it is: .mat, .csv or .parquet.",
+)
+def export(run: Path, file: Path) -> None:
+    """Write a recorded run's series for other programs.
+
+    \b
+    Examples:
+      ffsm export out/postcapture --to run.mat
+      ffsm export out/postcapture --to run.csv
+    """
+    from ffsm_drake.interfaces.tables import export as write
+    from ffsm_drake.runs.record import RunRecord
+
+    write(RunRecord.load(run), file)
     click.echo(f"Written to {file}")
