@@ -1,0 +1,287 @@
+"""A mission as an environment of Gymnasium: one step is one control sample, or several.
+
+The run is that of ``simulate``: a thread runs it, and its control law asks for an action at each
+step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
+"""
+
+import dataclasses
+import queue
+import threading
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.setup import BlockSetup
+
+ACTIONS = ("force", "residual", "setpoint")
+WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
+_FURTHEST = 100.0  # m or rad; observations are bounded, as many learners want it
+_UNLIMITED = 100.0  # N m or N; where the scenario limits no force
+_ENVIRONMENTS = {
+    "PostCapture-v0": "postcapture",
+    "TumblingCapture-v0": "tumbling_capture",
+    "FreeFloating-v0": "free_floating",
+}
+
+
+def register() -> None:
+    """Register the environments; Gymnasium calls it by its entry point, in the namespace ffsm."""
+    for name, scenario in _ENVIRONMENTS.items():
+        gymnasium.register(
+            id=name,
+            entry_point="ffsm_drake.interfaces.gym:MissionEnv",
+            kwargs={"scenario": scenario},
+        )
+
+
+class _StoppedError(Exception):
+    """The environment was reset or closed within a run."""
+
+
+class _Exchange:
+    """Where the run's law and the environment, in two threads, meet at every step."""
+
+    def __init__(self, samples_per_step: int) -> None:
+        self.from_run = queue.SimpleQueue[Any]()
+        self.to_run = queue.SimpleQueue[np.ndarray | None]()
+        self._every, self._count = samples_per_step, 0
+        self._action = np.zeros(0)
+        self._since = list[tuple[np.ndarray, np.ndarray]]()  # errors and forces since the last step
+
+    def ask(self, sample: Sample) -> np.ndarray:
+        """The action at a sample. Raises _StoppedError."""
+        if self._count % self._every == 0:
+            self.from_run.put((sample, self.spent()))
+            action = self.to_run.get()
+            if action is None:
+                raise _StoppedError
+            self._action = action
+        self._count += 1
+        return self._action
+
+    def told(self, error: np.ndarray, force: np.ndarray) -> None:
+        """Keep what the law saw and commanded at a sample."""
+        self._since.append((error, force))
+
+    def spent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Errors and forces (n, nv) since the last step."""
+        since, self._since = self._since, []
+        if not since:
+            return np.zeros((0, 0)), np.zeros((0, 0))
+        errors, forces = zip(*since, strict=True)
+        return np.array(errors), np.array(forces)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Steered(ControlLaw):
+    """A law whose force is an action's, or another law's changed by it."""
+
+    exchange: _Exchange
+    kind: str  # one of ACTIONS
+    scale: np.ndarray  # of actions (nv); zero for undriven coordinates
+    inner: ControlLaw | None  # None: the action alone
+
+    def initial_state(self) -> State:
+        return {} if self.inner is None else self.inner.initial_state()
+
+    def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
+        if self.inner is None or not isinstance(before, _Steered) or before.inner is None:
+            return state
+        return self.inner.resume(state, before.inner, reference)
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        change = np.zeros_like(self.scale)
+        change[self.scale > 0.0] = self.exchange.ask(sample)
+        change *= self.scale
+        if self.inner is None:
+            force = change
+        else:
+            if self.kind == "setpoint":
+                force, state = self.inner.step(sample._replace(e=sample.e + change), state)
+            else:
+                force, state = self.inner.step(sample, state)
+                force = force + change
+        self.exchange.told(np.array(sample.e), np.array(force))
+        return force, state
+
+
+class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """A scenario whose control law is the agent, or a law that the agent corrects.
+
+    Observations (float32) are, by ``observation_names``: errors e and their rates (nv each; rad, m;
+    what the law sees), measured positions q (nq) and velocities v (nv). Actions lie between -1 and
+    1, one for each driven coordinate (``action_names``).
+
+    ``info`` has ``reward_terms``; at the end ``ending`` (as a run's last line says it) and
+    ``is_success`` (settled). An episode is terminated where the run diverges or misses its target,
+    truncated where the run's time is over.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "postcapture",
+        overrides: tuple[Any, ...] = (),
+        *,
+        action: str = "force",
+        law: str | None = None,
+        samples_per_step: int = 1,
+        scale: Mapping[str, float] | float | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> None:
+        """Args:
+          scenario: a shipped name, a file, or a Scenario.
+          overrides: as for ``load_scenario``.
+          action: "force", the generalized force; "residual", a force on top of a law's;
+            "setpoint", an offset of the desired positions of a law.
+          law: of the last two; default: the scenario's.
+          samples_per_step: control samples in which an action is held.
+          scale: of actions by coordinate or group; default: forces by the limits (100 N m or N
+            where there is none), a tenth of them for residuals, set-points by 0.1 rad or m.
+          weights: of the reward's terms, see ``WEIGHTS``.
+
+        Raises ScenarioError, BlockError, ModelError as ``simulate``; FfsmError for an unknown
+        action or weight.
+        """
+        if action not in ACTIONS:
+            raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
+        if unknown := set(weights or {}) - set(WEIGHTS):
+            raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
+        self.scenario = (
+            scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
+        )
+        self._kind, self._law = action, law or self.scenario.controller
+        self._every, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
+        self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
+        self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
+        self._scale = np.where(coordinates.is_driven, self._scales(scale), 0.0)
+        names = coordinates.names
+        self.action_names = tuple(
+            name for name, driven in zip(names, coordinates.is_driven, strict=True) if driven
+        )
+        self.observation_names = (
+            *(f"error.{name}" for name in names),
+            *(f"error_rate.{name}" for name in names),
+            *(f"position.{name}" for name in coordinates.position_names),
+            *(f"velocity.{name}" for name in names),
+        )
+        ones = np.ones(len(self.action_names), np.float32)
+        self.action_space = gymnasium.spaces.Box(-ones, ones, dtype=np.float32)
+        most = np.full(len(self.observation_names), _FURTHEST, np.float32)
+        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+        tolerance = [
+            self.scenario.tolerance_of(name, group)
+            for name, group in zip(names, coordinates.group_of, strict=True)
+        ]
+        self._tolerance = np.array(tolerance)
+        self._exchange: _Exchange | None = None
+        self._thread: threading.Thread | None = None
+        self._seen = np.zeros(len(self.observation_names), np.float32)
+        self.log: RunLog | None = None  # of the last complete episode
+
+    def _scales(self, given: Mapping[str, float] | float | None) -> np.ndarray:
+        if given is not None:
+            by_name = given if isinstance(given, Mapping) else {"all": given}
+            return self.coordinates.vector(by_name, key="scale", default=0.0)
+        if self._kind == "setpoint":
+            return np.full(len(self.coordinates.names), 0.1)
+        return self._limit * (0.1 if self._kind == "residual" else 1.0)
+
+    def _made_law(self, setup: BlockSetup) -> ControlLaw:
+        exchange, inner = self._exchange, None
+        assert exchange is not None
+        if self._kind != "force":
+            settings = self.scenario.controllers.get(self._law, {})
+            own = dataclasses.replace(setup, name=self._law, settings=settings)
+            factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
+            inner = call_factory(factory, own, place=self._law)
+            if not isinstance(inner, ControlLaw) or inner.tracks_frame:
+                raise BlockError(f"{self._law}: must be a control law of coordinates")
+        return _Steered(exchange=exchange, kind=self._kind, scale=self._scale, inner=inner)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """A new run; ``seed`` is its ``random_seed``, by default drawn."""
+        super().reset(seed=seed)
+        self.close()
+        drawn = int(self.np_random.integers(2**31)) if seed is None else seed
+        scenario = self.scenario.replace(random_seed=drawn)
+        self._exchange = exchange = _Exchange(self._every)
+        rollout = make_rollout(scenario, blocks={"controller": self._made_law})
+
+        def fly() -> None:
+            try:
+                exchange.from_run.put(rollout.run())
+            except Exception as error:  # whatever it is, it is the other thread's
+                exchange.from_run.put(error)
+            finally:
+                rollout.release()
+
+        self._thread = threading.Thread(target=fly, daemon=True)
+        self._thread.start()
+        self._take()
+        return self._seen, {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """As Gymnasium's."""
+        if self._exchange is None:
+            raise FfsmError("the episode is over, or did not begin: call reset")
+        self._exchange.to_run.put(np.clip(np.asarray(action, dtype=float), -1.0, 1.0))
+        log, (errors, forces) = self._take()
+        terms = {"tracking": 0.0, "effort": 0.0}
+        if errors.size:
+            terms["tracking"] = -float(np.minimum(np.abs(errors) / self._tolerance, 1e3).mean())
+            terms["effort"] = -float(((forces / self._limit) ** 2).mean())
+        info: dict[str, Any] = {"reward_terms": terms}
+        if log is not None:
+            self.log = log
+            terms["settled"] = float(log.ending.is_settled)
+            terms["failure"] = -float(log.ending.is_failure)
+            info |= {"ending": log.ending.sentence, "is_success": log.ending.is_settled}
+        reward = sum(self._weights[name] * value for name, value in terms.items())
+        ended = log is not None
+        completed = log is not None and log.outcome.completed
+        return self._seen, reward, ended and not completed, completed, info
+
+    def close(self) -> None:
+        """End the run, if there is one."""
+        if self._exchange is not None and self._thread is not None:
+            self._exchange.to_run.put(None)
+            self._thread.join()
+        self._exchange = self._thread = None
+
+    def _take(self) -> tuple[RunLog | None, tuple[np.ndarray, np.ndarray]]:
+        """Wait for the run's next step, or its end; keep what it sees."""
+        assert self._exchange is not None
+        found = self._exchange.from_run.get()
+        if isinstance(found, Exception):
+            self._thread = None
+            self.close()
+            raise found
+        if isinstance(found, RunLog):
+            spent = self._exchange.spent()
+            self._thread = None
+            self.close()
+            return found, spent
+        sample, spent = found
+        seen = np.concatenate([sample.e, sample.e_dot, sample.q, sample.v])
+        self._seen = np.clip(seen, -_FURTHEST, _FURTHEST).astype(np.float32)
+        return None, spent
+
+
+def _finite(limit: np.ndarray) -> np.ndarray:
+    """Limits (nv), where there is none 100 N m or N."""
+    return np.where(np.isfinite(limit) & (limit > 0.0), limit, _UNLIMITED)

@@ -1,0 +1,114 @@
+"""Missions as environments: Gymnasium's own checks, the bits of a run, and how episodes end."""
+
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from ffsm_drake import FfsmError, load_scenario, simulate
+from ffsm_drake.systems.controllers import controller_names
+
+gymnasium = pytest.importorskip("gymnasium", reason="needs gymnasium, an extra")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from ffsm_drake.interfaces.gym import MissionEnv  # noqa: E402
+
+
+def flown(env, seed, action=None):
+    """Rewards, the last info, and how an episode under one action ended."""
+    env.reset(seed=seed)
+    action = np.zeros(env.action_space.shape) if action is None else action
+    rewards, over = [], False
+    while not over:
+        observation, reward, ended, cut, info = env.step(action)
+        assert observation in env.observation_space
+        rewards.append(reward)
+        over = ended or cut
+    return rewards, info, ended
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("postcapture", {"overrides": ("duration=0.2",)}),
+        ("tumbling_capture", {"overrides": ("duration=20.5",), "samples_per_step": 200}),
+        ("free_floating", {"overrides": ("duration=0.2",), "samples_per_step": 5}),
+    ],
+)
+def test_gymnasium_finds_nothing_to_complain_of(name, settings):
+    check_env(MissionEnv(name, **settings), skip_render_check=True)
+
+
+LAWS = sorted(
+    set(controller_names()) - {"resolved_rate", "task_computed_torque", "task_time_delay"}
+)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_under_actions_of_zero_has_the_bits_of_a_run(law):
+    name = "planar_detumble" if law == "torque_against_momentum" else "postcapture"
+    scenario = load_scenario(name, ["duration=0.3", f"controller={law}"])
+    env = MissionEnv(scenario, action="residual")
+    flown(env, 7)
+    data = simulate(scenario.replace(random_seed=7), check_stability=False).dataset
+    state = np.hstack([data.position.values, data.velocity.values])
+    np.testing.assert_array_equal(env.log.series["state"], state)
+
+
+def test_a_capture_goes_through_its_legs():
+    scenario = load_scenario("tumbling_capture", ["duration=20.5"])
+    env = MissionEnv(scenario, action="residual", samples_per_step=50)
+    rewards, info, ended = flown(env, 3)
+    assert not ended
+    assert len(rewards) == 42  # of 50 of the 2051 samples
+    assert env.log.grasp is not None
+    record = simulate(scenario.replace(random_seed=3), check_stability=False)
+    np.testing.assert_array_equal(
+        env.log.series["state"][-1, 7:12], record.dataset.position.values[-1, 7:12]
+    )
+    assert info["ending"] == record.ending.sentence
+
+
+def test_an_action_acts_and_may_end_the_episode():
+    env = MissionEnv("postcapture", ("duration=20", "divergence_speed=0.5"), samples_per_step=10)
+    rewards, info, ended = flown(env, 0, np.ones(env.action_space.shape))
+    assert ended
+    assert "diverged" in info["ending"]
+    assert info["reward_terms"]["failure"] == -1.0
+    assert rewards[-1] < -5.0
+
+
+def test_set_points_move_a_law():
+    last = []
+    for offset in (0.0, 1.0):
+        env = MissionEnv("postcapture", ("duration=2",), action="setpoint", law="tdc")
+        flown(env, 1, np.full(env.action_space.shape, offset))
+        last.append(env.log.series["state"][-1, 7:12])
+    assert (last[1] - last[0] > 0.005).all()
+
+
+def test_a_reset_within_an_episode_begins_anew():
+    env = MissionEnv("postcapture", ("duration=1",))
+    first, _ = env.reset(seed=4)
+    env.step(np.ones(env.action_space.shape))
+    again, _ = env.reset(seed=4)
+    np.testing.assert_array_equal(first, again)
+    env.close()
+    with pytest.raises(FfsmError, match="call reset"):
+        env.step(np.ones(env.action_space.shape))
+
+
+def test_what_is_asked_wrongly_is_named():
+    with pytest.raises(FfsmError, match="force, residual, setpoint"):
+        MissionEnv("postcapture", action="torque")
+    with pytest.raises(FfsmError, match="weights: knows tracking"):
+        MissionEnv("postcapture", weights={"speed": 1.0})
+
+
+@pytest.mark.skipif(
+    not entry_points(group="gymnasium.envs", name="ffsm"), reason="the package was installed before"
+)
+def test_it_is_registered():
+    assert "ffsm/PostCapture-v0" in gymnasium.registry
