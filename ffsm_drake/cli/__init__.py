@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.audit import audit
+from ffsm_drake.cli.benchmark import benchmark
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import CommandGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
@@ -48,7 +49,7 @@ def main() -> None:
 
 
 for command in (
-    new, plan, run, compare, analyze, audit, stability, design, campaign, replay, plot, diagram,
-    export, scenarios, validate, schema, reproduce, doctor, completion,
+    new, plan, run, compare, analyze, audit, stability, design, campaign, benchmark, replay, plot,
+    diagram, export, scenarios, validate, schema, reproduce, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

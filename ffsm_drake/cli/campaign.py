@@ -46,7 +46,7 @@ def campaign() -> None:
 
 
 _file = click.Path(path_type=Path, dir_okay=False)
-_workers_option = click.option(
+workers_option = click.option(
     "--workers",
     type=click.IntRange(min=1),
     help="Processes on this machine (default: one per processor).",
@@ -70,7 +70,7 @@ _cases_option = click.option(
 @campaign.command()
 @click.argument("spec")
 @_cases_option
-@_workers_option
+@workers_option
 def plan(spec: str, cases: int | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and estimate its run time.
 
@@ -82,14 +82,14 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
     """
     from ffsm_drake.campaign.plan import plan_text
 
-    click.echo(plan_text(_load(spec, cases), workers=workers or _processors()))
+    click.echo(plan_text(_load(spec, cases), workers=workers or processors()))
 
 
 @campaign.command()
 @click.argument("spec")
 @_database_option
 @_cases_option
-@_workers_option
+@workers_option
 @_scheduler_option
 @click.option("--shard", metavar="I/N", default="1/1", help="Only every N-th case, from the I-th.")
 def run(
@@ -141,7 +141,7 @@ def merge(databases: tuple[Path, ...], out: Path) -> None:
 @campaign.command()
 @_source
 @_database_option
-@_workers_option
+@workers_option
 @_scheduler_option
 def resume(source: str, database: Path | None, workers: int | None, scheduler: str | None) -> None:
     """Run the remaining cases of an interrupted campaign.
@@ -316,9 +316,9 @@ def _drive(
     crew = (
         cluster_workers(scheduler)
         if scheduler is not None
-        else local_workers(workers or _processors())
+        else local_workers(workers or processors())
     )
-    with stop_on_signals() as stop, crew as opened, closing(_ProgressLine()) as progress:
+    with stop_on_signals() as stop, crew as opened, closing(ProgressLine()) as progress:
         drive(path, workers=opened, stop=stop, progress=progress)
     _print_status(path)
     click.echo(f"Next: ffsm campaign report {path}")
@@ -332,16 +332,18 @@ def _print_status(path: Path) -> None:
         click.echo(status_text(store))
 
 
-def _processors() -> int:
+def processors() -> int:
+    """The processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class _ProgressLine:
+class ProgressLine:
     """A campaign's progress on standard error: a bar that fills up on a terminal, plain lines
     elsewhere.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        self._name = f"{name}: " if name else ""
         self._terminal = sys.stderr.isatty()
         self._period = 0.2 if self._terminal else 30.0  # s between lines
         self._last = -math.inf
@@ -353,9 +355,9 @@ class _ProgressLine:
         self._last = now
         if self._terminal:
             bar = "#" * (24 * progress.done // max(progress.total, 1))
-            click.echo(f"\r[{bar:.<24}] {progress!s:<90}", nl=False, err=True)
+            click.echo(f"\r[{bar:.<24}] {self._name}{progress!s:<90}", nl=False, err=True)
         else:
-            click.echo(str(progress), err=True)
+            click.echo(f"{self._name}{progress}", err=True)
 
     def close(self) -> None:
         """End the line."""

@@ -1,0 +1,314 @@
+"""The benchmark: published missions, every law, three seeds; lower bounds beside the figures.
+
+A mission's runs are a campaign of three cases that differ in their random seed. It is resumed after
+an interruption, and a database holds the laws that were asked for together.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import math
+import statistics
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.campaign.run import Progress, check_cases, resume_campaign, start_campaign
+from ffsm_drake.campaign.spec import Spec, spec_from_data
+from ffsm_drake.campaign.store import open_store
+from ffsm_drake.common.errors import CampaignError, FfsmError, did_you_mean, one_line
+from ffsm_drake.common.workers import Stop, Workers
+from ffsm_drake.control_design.momentum import momentum_budget
+from ffsm_drake.scenario import Scenario, load_scenario, override_scenario, scenario_to_dict
+from ffsm_drake.scenario.strict_yaml import read_yaml
+from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.limits import FORCE, tightest
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import controller_names
+from ffsm_drake.systems.limits import limits_of
+from ffsm_drake.systems.plan import load_plan
+from ffsm_drake.systems.reference import make_motion
+
+SEEDS = 3
+_AT_START, _PLANNED = "angular_momentum", "planned_time"
+_SHOWN = ("itae", "isv", "settled_time", "propellant", "predicted_radius_expected")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Published:
+    """A published figure."""
+
+    figure: str  # column of a campaign's results, angular_momentum or planned_time
+    value: float
+    source: str
+    controller: str = ""  # of a column
+    within: float = 0.0  # share of the value
+    at_most: bool = False  # the figure may be anything below
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Mission:
+    """A scenario with its source."""
+
+    name: str
+    scenario: Scenario
+    source: str = ""
+    published: str = ""
+    assumed: tuple[str, ...] = ()
+    checks: tuple[Published, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Standing:
+    """A law's row in the leaderboard of a mission: means over the seeds that settled."""
+
+    controller: str
+    outcomes: tuple[str, ...]  # of each seed
+    figures: Mapping[str, float | None]  # by column; None: no run has it
+    sample: float | None  # s; least time of a run over its control samples
+    message: str = ""  # why it does not apply, or the first failure
+
+    @property
+    def settled(self) -> int:
+        return self.outcomes.count("settled")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Board:
+    """The result of a mission, best law first."""
+
+    mission: Mission
+    standings: tuple[Standing, ...]
+    bounds: Mapping[str, float]  # least times, s, by what they follow from
+    motion: float  # s; of the planned motion
+
+    @property
+    def ratio(self) -> float | None:
+        """Time of the planned motion over the least that momentum and limits allow; None without
+        momentum or limits.
+        """
+        bound = self.bounds.get("momentum")
+        return self.motion / bound if bound else None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Reproduced:
+    """A published figure beside the one of this package."""
+
+    mission: str
+    published: Published
+    found: float | None
+
+    @property
+    def holds(self) -> bool:
+        if self.found is None:
+            return False
+        if self.published.at_most:
+            return self.found <= self.published.value
+        return abs(self.found / self.published.value - 1.0) <= self.published.within
+
+
+@functools.cache
+def _listed() -> dict[str, Any]:
+    text = (Path(__file__).parent / "missions.yaml").read_text(encoding="utf-8")
+    listed: dict[str, Any] = read_yaml(text)
+    return listed
+
+
+def mission_names() -> tuple[str, ...]:
+    """The missions of the benchmark."""
+    return tuple(_listed())
+
+
+def load_mission(name: str) -> Mission:
+    """A mission by name, or one of the user's own by the file of its scenario.
+
+    Raises:
+      CampaignError, ScenarioError: there is none of that name, or the scenario cannot be used.
+    """
+    if name in _listed():
+        data = _listed()[name]
+        return Mission(
+            name=name,
+            scenario=load_scenario(name),
+            source=data["source"],
+            published=data["published"],
+            assumed=tuple(data["assumed"]),
+            checks=tuple(Published(**each) for each in data.get("checks", ())),
+        )
+    if Path(name).suffix not in (".yaml", ".yml"):
+        raise CampaignError(
+            f"{name}: no such mission; choose {', '.join(mission_names())}, or give a scenario's "
+            f"file{did_you_mean(name, mission_names())}"
+        )
+    return Mission(name=Path(name).stem, scenario=load_scenario(name), source=name)
+
+
+def _spec(scenario: Scenario, controllers: Sequence[str]) -> Spec:
+    return spec_from_data(
+        {
+            "base": scenario_to_dict(scenario),
+            "controllers": list(controllers),
+            "cases": SEEDS,
+            "sampling": "random",
+            # as it is: only the seeds differ
+            "parameters": {"duration": {"distribution": "list", "values": [scenario.duration]}},
+        }
+    )
+
+
+def run_mission(
+    mission: Mission,
+    controllers: Sequence[str],
+    folder: Path,
+    *,
+    workers: Workers,
+    stop: Stop | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Board:
+    """Run laws on a mission, or what is left of it, and rank them with those that ran before.
+
+    Args:
+      controllers: the laws; none: every law.
+      folder: of the databases.
+
+    Raises:
+      CampaignError, InterruptedCampaign, WorkersError: as ``start_campaign``.
+    """
+    misfits, usable = dict[str, str](), list[str]()
+    for name in controllers or controller_names():
+        try:
+            check_cases(_spec(override_scenario(mission.scenario, [f"controller={name}"]), [name]))
+            usable.append(name)
+        except FfsmError as error:
+            if controllers:  # asked for by name
+                raise
+            misfits[name] = one_line(error)
+    if usable:
+        spec = _spec(mission.scenario, usable)
+        path = folder / f"{mission.name}-{spec.fingerprint[:12]}.db"
+        given = {"workers": workers, "stop": stop, "progress": progress}
+        if path.exists():
+            resume_campaign(path, **given)  # type: ignore[arg-type]
+        else:
+            start_campaign(spec, path, **given)  # type: ignore[arg-type]
+    return _board(mission, folder, misfits)
+
+
+def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
+    rows = dict(_rows(mission, folder))
+    standings = [_standing(mission, name, found) for name, found in rows.items()]
+    standings += [
+        Standing(
+            controller=name, outcomes=(), figures=dict.fromkeys(_SHOWN), sample=None, message=why
+        )
+        for name, why in misfits.items()
+        if name not in rows
+    ]
+
+    def place(standing: Standing) -> tuple[Any, ...]:
+        itae = standing.figures["itae"]
+        has_run = any(name != "error" for name in standing.outcomes)
+        return -standing.settled, not has_run, math.inf if itae is None else itae
+
+    return Board(
+        mission=mission,
+        standings=tuple(sorted(standings, key=place)),
+        bounds=bounds_of(mission),
+        motion=_planned_time(mission.scenario),
+    )
+
+
+def _rows(mission: Mission, folder: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """The finished runs of each law in a folder's databases of the mission as it is now."""
+    for path in sorted(folder.glob(f"{mission.name}-*.db")):
+        with contextlib.suppress(CampaignError), open_store(path) as store:
+            if (
+                store.spec.fingerprint
+                != _spec(mission.scenario, store.spec.controllers).fingerprint
+            ):
+                continue
+            for name in store.spec.controllers:
+                with contextlib.suppress(CampaignError):  # interrupted
+                    yield name, [store.result(case, name) for case in range(SEEDS)]
+
+
+def _standing(mission: Mission, name: str, rows: Sequence[Mapping[str, Any]]) -> Standing:
+    settled = [row for row in rows if row["outcome"] == "settled"]
+
+    def mean(column: str) -> float | None:
+        values = [row[column] for row in settled or rows if row.get(column) is not None]
+        return statistics.fmean(values) if values else None
+
+    scenario = mission.scenario
+    ran = [row["wall_time"] for row in rows if row["outcome"] not in ("error", "refused")]
+    return Standing(
+        controller=name,
+        outcomes=tuple(row["outcome"] for row in rows),
+        figures={column: mean(column) for column in _SHOWN},
+        sample=min(ran) * scenario.sample_time / scenario.duration if ran else None,
+        message=next((row["message"] for row in rows if row["message"]), ""),
+    )
+
+
+def bounds_of(mission: Mission) -> dict[str, float]:
+    """Least times of a mission, s: in which its limits of force and torque take the momentum out,
+    and that of the plan where there is an optimal one.
+    """
+    scenario, bounds = mission.scenario, dict[str, float]()
+    if (budget := momentum_budget(scenario)) is not None:
+        least = budget.least_time
+    else:
+        momenta, limits = _at_start(scenario)
+        least = {
+            group: float((np.abs(momenta[group]) / limits[group]).max())
+            for group in momenta
+            if group in scenario.driven
+        }
+    if (time := max(least.values(), default=0.0)) > 0.0:
+        bounds["momentum"] = time
+    if scenario.reference.kind == "optimal":
+        bounds["planner"] = _planned_time(scenario)
+    return bounds
+
+
+def _planned_time(scenario: Scenario) -> float:
+    """Time of the planned motion, s; of an optimal one without what its small rates take."""
+    coordinates = make_nominal_plant(scenario).coordinates
+    if scenario.reference.kind == "optimal":
+        return load_plan(scenario.reference.plan or "", coordinates).duration
+    motion = make_motion(scenario, coordinates)
+    return float(motion.end - motion.begin)
+
+
+def _at_start(scenario: Scenario) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Angular momentum about the centre of mass, N m s, and linear momentum, N s, at the start,
+    and the limits of what takes them out, N m and N, by group of the base.
+    """
+    model = make_nominal_plant(scenario)
+    coordinates = model.coordinates
+    motion = make_motion(scenario, coordinates)
+    q, v = np.split(motion.rows(np.zeros(1))[0], [len(coordinates.position_names)])
+    v = v[: len(coordinates.names)]
+    base = free_floating(model, q)
+    limits = tightest(limits_of(scenario, model.plant), FORCE).upper
+    momenta = {"base_rotation": base.spin_map @ v, "base_position": base.momentum(v)[3:]}
+    return momenta, {group: limits[coordinates.groups[group]] for group in momenta}
+
+
+def check_mission(board: Board) -> Iterator[Reproduced]:
+    """The published figures of a mission beside those found."""
+    mission = board.mission
+    standings = {each.controller: each for each in board.standings}
+    for published in mission.checks:
+        found: float | None
+        if published.figure == _AT_START:
+            found = float(np.linalg.norm(_at_start(mission.scenario)[0]["base_rotation"]))
+        elif published.figure == _PLANNED:
+            found = _planned_time(mission.scenario)
+        else:
+            standing = standings.get(published.controller)
+            found = None if standing is None else standing.figures[published.figure]
+        yield Reproduced(mission=mission.name, published=published, found=found)

@@ -1,0 +1,177 @@
+"""The benchmark: laws ranked, resumed, with a user's law beside the shipped ones; lower bounds and
+published figures.
+"""
+
+import contextlib
+import dataclasses
+import json
+import re
+import sqlite3
+
+import numpy as np
+import pytest
+from campaign_tools import HERE
+from click.testing import CliRunner
+
+from ffsm_drake.campaign import benchmark
+from ffsm_drake.campaign.benchmark import (
+    Published,
+    Reproduced,
+    bounds_of,
+    check_mission,
+    load_mission,
+    mission_names,
+    run_mission,
+)
+from ffsm_drake.cli import main
+from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.scenario import override_scenario
+from ffsm_drake.show.benchmark import benchmark_data, benchmark_page, board_text
+
+LAW = """
+import dataclasses
+from ffsm_drake import ControlLaw
+
+@dataclasses.dataclass(frozen=True)
+class Idle(ControlLaw):
+    def step(self, sample, state):
+        return 0.0 * sample.velocity, state
+"""
+
+
+@pytest.fixture(scope="module")
+def mission():
+    short = load_mission("postcapture")
+    scenario = override_scenario(short.scenario, ["duration=0.3"])
+    checks = (Published(figure="isv", value=1e9, at_most=True, source="a test", controller="tdc"),)
+    return dataclasses.replace(short, scenario=scenario, checks=checks)
+
+
+@pytest.fixture(scope="module")
+def folder(mission, tmp_path_factory):
+    """The runs of two laws. Not to be written to."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
+    return folder
+
+
+def copied(folder, to):
+    for path in folder.glob("*.db"):
+        (to / path.name).write_bytes(path.read_bytes())
+    return to
+
+
+@pytest.mark.smoke
+def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
+    """Every law; one that cannot be built does not apply."""
+    monkeypatch.setattr(benchmark, "controller_names", lambda: ("tdc", "asmc", "no_such_law"))
+    board = run_mission(mission, [], folder, workers=HERE)
+    ranked = [standing.controller for standing in board.standings]
+    assert ranked == ["asmc", "tdc", "no_such_law"]
+    assert [standing.settled for standing in board.standings] == [3, 3, 0]
+    asmc, tdc, unfit = board.standings
+    assert 0.0 < asmc.figures["itae"] < tdc.figures["itae"]
+    assert asmc.sample > 0.0
+    assert unfit.outcomes == ()
+    assert "no_such_law" in unfit.message
+    (found,) = check_mission(board)
+    assert found.found == tdc.figures["isv"]
+    assert found.holds
+    assert "does not apply: no_such_law" in board_text(board)
+
+
+def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
+    """Only what is missing is run."""
+    (path,) = copied(folder, tmp_path).glob("*.db")
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DELETE FROM results WHERE case_index = 1 AND controller = 'tdc'")
+    runs = []
+    laws = ["tdc", "asmc"]
+    board = run_mission(mission, laws, tmp_path, workers=HERE, progress=runs.append)
+    assert runs[-1].session == 1
+    again = run_mission(mission, laws, folder, workers=HERE)
+    for first, second in zip(board.standings, again.standings, strict=True):
+        assert first.figures == second.figures
+
+
+def test_a_users_law_gets_its_row(mission, folder, tmp_path, monkeypatch):
+    (tmp_path / "idle_law.py").write_text(LAW)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    board = run_mission(mission, ["idle_law:Idle"], copied(folder, tmp_path), workers=HERE)
+    assert [each.controller for each in board.standings] == ["asmc", "tdc", "idle_law:Idle"]
+    with pytest.raises(Exception, match="no_such_law"):
+        run_mission(mission, ["no_such_law:Law"], tmp_path, workers=HERE)
+
+
+def test_other_scenarios_do_not_mix(mission, folder, tmp_path):
+    """Runs of a mission that has changed since are left out."""
+    changed = dataclasses.replace(
+        mission, scenario=override_scenario(mission.scenario, ["duration=0.2"])
+    )
+    board = run_mission(changed, ["tdc"], copied(folder, tmp_path), workers=HERE)
+    assert [each.controller for each in board.standings] == ["tdc"]
+
+
+def test_least_times_of_the_published_stop():
+    """3.86 N m s against 2.5 N m, and the least time of the shipped plan."""
+    mission = load_mission("planar_detumble")
+    bounds = bounds_of(mission)
+    assert bounds["momentum"] == pytest.approx(3.86 / 2.5, rel=0.01)
+    assert bounds["planner"] == pytest.approx(2.889, abs=0.002)
+    assert bounds["momentum"] < bounds["planner"]
+
+
+def test_published_figures_can_fail():
+    figure = Published(figure="isv", value=100.0, within=0.02, source="")
+    most = dataclasses.replace(figure, at_most=True)
+
+    def holds(published, found):
+        return Reproduced(mission="", published=published, found=found).holds
+
+    assert [holds(figure, x) for x in (99.0, 101.9, 103.0, None)] == [True, True, False, False]
+    assert [holds(most, x) for x in (1.0, 100.0, 100.1, None)] == [True, True, False, False]
+
+
+def test_every_mission_says_its_source_and_what_is_assumed():
+    for name in mission_names():
+        mission = load_mission(name)
+        assert mission.source
+        assert mission.published
+        assert mission.assumed
+    with pytest.raises(CampaignError, match="did you mean 'paper'"):
+        load_mission("papre")
+
+
+def test_the_page_opens_offline_and_holds_every_number(mission, folder):
+    board = run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
+    checks = list(check_mission(board))
+    page = benchmark_page([board], checks)
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert "1000000000" in page or "10⁹" in page
+    data = benchmark_data([board], checks)
+    assert data["missions"]["postcapture"]["laws"]["tdc"]["outcomes"] == ["settled"] * 3
+    assert data["published_figures"][0]["reproduced"] is True
+    assert json.loads(json.dumps(data)) == data
+    assert np.isfinite(data["missions"]["postcapture"]["laws"]["tdc"]["itae"])
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path):
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text("extends: postcapture\nduration: 0.2\n")
+    words = [
+        "benchmark",
+        str(scenario),
+        "-c",
+        "tdc",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    for _ in range(2):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 0, result.output
+        assert "tdc  " in result.output
+    assert (tmp_path / "o" / "benchmark.html").is_file()
+    assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
