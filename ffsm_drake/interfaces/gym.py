@@ -8,7 +8,7 @@ import dataclasses
 import queue
 import threading
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -128,7 +128,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     truncated where the run's time is over.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
 
     def __init__(
         self,
