@@ -1,7 +1,9 @@
 """Thrusters and wheels in the closed loop: they give the base's force and torque."""
 
+import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -14,16 +16,37 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import Demultiplexer
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.products import times
+from ffsm_drake.scenario import Fault
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
+from ffsm_drake.systems.actuation.thrusters import ThrusterHealth, ThrusterMemory, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 
 # Control samples in which wheels recover an impulse of pulses that they could not counter at once.
 # Commands beyond their limits are not: the controller reads applied_force and repeats them.
 _RECOVERY = 10
+Hit = tuple[str, Fault, int]  # unit, fault, the control sample from which on it is there
 _LARGEST = 1e300  # N m and N; products of larger numbers overflow
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Health:
+    """Which of the base's actuators work; as a vector: gains, floors, 1 of wheels that stop."""
+
+    thrusters: ThrusterHealth
+    stops: np.ndarray  # (m) 1 of a wheel that stops
+
+    @classmethod
+    def unpacked(cls, values: np.ndarray, num_wheels: int) -> "Health":
+        """From the vector (2 n + m)."""
+        ofs, stops = np.split(values, [values.size - num_wheels])
+        return cls(ThrusterHealth(*np.split(ofs, 2)), stops)
+
+    def packed(self) -> np.ndarray:
+        """As the vector."""
+        return np.concatenate([self.thrusters.gain, self.thrusters.floor, self.stops])
 
 
 class BaseActuators(LeafSystem):
@@ -46,7 +69,10 @@ class BaseActuators(LeafSystem):
         with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
           (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
           (3), the part of applied_force's torque that is theirs;
+        with faults told_force (nv), told_thrusters (n), told_wheels (2 m: momenta and motors'
+          torques), what seems to be applied to whom the faults are unknown;
         memory, which the next update keeps.
+    With faults there is an input ``health``, of the units as far as known.
     The base turns within a sample. Its attitude at the middle, from the angular velocity at the
     start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
     of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
@@ -64,6 +90,7 @@ class BaseActuators(LeafSystem):
         *,
         sample_time: float,
         copies: int = 1,
+        faults: Sequence[Hit] | None = None,
     ) -> None:
         super().__init__()
         # of one spacecraft vectors, which are faster than rows
@@ -89,6 +116,13 @@ class BaseActuators(LeafSystem):
                 "wheel_reaction": 3,
             }
             self._stored = self.DeclareVectorInputPort("stored_momentum", 3 * copies)
+        self._faults, self._known = faults, (b"", thrusters, wheels)
+        self._health = None
+        if faults is not None:
+            n, m = (0 if each is None else len(each.names) for each in (thrusters, wheels))
+            self.sizes |= {"told_force": nv, "told_thrusters": n, "told_wheels": 2 * m}
+            self._health = self.DeclareVectorInputPort("health", 2 * n + m)
+            self._broken = self.DeclareDiscreteState(self.health(-1).packed())
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
@@ -118,16 +152,18 @@ class BaseActuators(LeafSystem):
         rotation: np.ndarray,
         turning: np.ndarray,
         begins: bool,
+        broken: np.ndarray | None = None,
+        known: np.ndarray | None = None,
     ) -> np.ndarray:
         """The output ``sample`` (...), a row for each copy, as a pure function of the command
         (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
-        ``turning`` (..., 6), ``begins``.
+        ``turning`` (..., 6), ``begins``. With faults ``Health`` as it is and as far as it is known.
 
         A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
         such a run has diverged.
         """
         commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
-        thrusters, wheels = self._thrusters, self.wheels
+        thrusters, wheels = self._working(known)
         back = rotation.swapaxes(-1, -2)
         pairs = (*commanded.shape[:-1], 2, 3)
         # torque, force in the base's axes
@@ -163,8 +199,24 @@ class BaseActuators(LeafSystem):
                 owed = owed + more * self._sample_time
             kept += [owed, fuel.packed()]
             wanted[..., 0, :] -= fired[..., 0, :]
+        told, told_parts = applied.copy(), list[np.ndarray]()
+        if broken is not None:
+            health = Health.unpacked(broken, 0 if wheels is None else len(wheels.names))
+            if thrusters is not None:
+                told_parts.append(firing.force)
+                parts[0] = health.thrusters.level(firing.level) * self._thrusters.force
+                really = times(thrusters.wrenches, parts[0]).reshape(pairs)
+                applied[..., :6] = np.matmul(really, back).reshape(owed.shape)
         if wheels is not None:
             torques = wheels.give(wanted[..., 0, :], momentum, w_WB)
+            if broken is not None:
+                told[..., :3] = (
+                    times(rotation, torques.on_base)
+                    + missing
+                    + (0.0 if thrusters is None else told[..., :3])
+                )
+                told_parts.append(np.concatenate([momentum, torques.on_wheels]))
+                torques = wheels.stopping(torques, health.stops, momentum, w_WB)
             by_wheels = times(rotation, torques.on_base) + missing
             applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
             parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
@@ -177,7 +229,32 @@ class BaseActuators(LeafSystem):
                 unloads * 1.0,
                 *kept,
             ]
+        if broken is not None:
+            parts += [told, *told_parts]
         return np.concatenate([applied, *parts, *kept], axis=-1)
+
+    def health(self, sample: int) -> Health:
+        """Of the units at a control sample."""
+        there = [(name, fault) for name, fault, since in self._faults or () if sample >= since]
+        names, wheels = (
+            () if each is None else each.names for each in (self._thrusters, self.wheels)
+        )
+        of_thrusters = [(name, fault) for name, fault in there if fault.kind != "stops"]
+        stopped = {name for name, fault in there if fault.kind == "stops"}
+        stops = np.array([float(name in stopped) for name in wheels])
+        return Health(ThrusterHealth.of(names, of_thrusters), stops)
+
+    def _working(self, known: np.ndarray | None) -> tuple[ThrusterSet | None, WheelSet | None]:
+        """Thrusters and wheels with what is known of them; as before where that leaves some wrench
+        out.
+        """
+        if known is None:
+            return self._thrusters, self.wheels
+        key = known.tobytes()
+        if key != self._known[0]:
+            made = working(self._thrusters, self.wheels, known)
+            self._known = (key, *(made or (self._thrusters, self.wheels)))
+        return self._known[1:]
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         value, rows = context.get_discrete_state().value, self._rows
@@ -187,8 +264,17 @@ class BaseActuators(LeafSystem):
             rotation=value(self._rotation).reshape(*self._rows[:-1], 3, 3),
             turning=value(self._turning).reshape(rows),
             begins=bool(value(self._begins).item()),
+            broken=None if self._faults is None else value(self._broken),
+            known=self._health_known(context),
         )
         output.SetFromVector(sample.ravel()[self._by_name])
+
+    def _health_known(self, context: Context) -> np.ndarray | None:
+        port = self._health
+        if port is None or not port.HasValue(context):
+            return None
+        known: np.ndarray = port.Eval(context)
+        return known
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         sample, rows = round(context.get_time() / self._sample_time), self._rows
@@ -196,6 +282,8 @@ class BaseActuators(LeafSystem):
         if sample > 0:
             memory = self._sample.Eval(context)[-memory.size :]
             values.set_value(self._memory, memory)
+        if self._faults is not None:
+            values.set_value(self._broken, self.health(sample).packed())
         if self._thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
         state, nv = self._state.Eval(context).reshape(rows), self.sizes["applied_force"]
@@ -209,6 +297,25 @@ class BaseActuators(LeafSystem):
             missing = self._stored.Eval(context).reshape(rows) - times(now, in_base)
             turning = [times(now.swapaxes(-1, -2), w_WB), missing / self._sample_time]
             values.set_value(self._turning, np.concatenate(turning, axis=-1).ravel())
+
+
+def working(
+    thrusters: ThrusterSet | None, wheels: WheelSet | None, known: np.ndarray
+) -> tuple[ThrusterSet | None, WheelSet | None] | None:
+    """Thrusters and wheels without what does not work (``Health``); None where the others cannot
+    give every wrench.
+    """
+    health = Health.unpacked(known, 0 if wheels is None else len(wheels.names))
+    try:
+        if thrusters is not None:
+            thrusters = ThrusterSet(
+                thrusters.settings, sample_time=thrusters.sample_time, health=health.thrusters
+            )
+        if wheels is not None:
+            wheels = wheels.without(health.stops, alone=thrusters is None)
+    except ScenarioError:
+        return None
+    return thrusters, wheels
 
 
 def _part_after_part(sizes: list[int], copies: int) -> np.ndarray:
@@ -236,6 +343,8 @@ class BaseBlock(Diagram):
         outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
         builder.ExportInput(base.GetInputPort("commanded_force"), "commanded_force")
         builder.ExportInput(base.GetInputPort("state"), "state")
+        if base.HasInputPort("health"):
+            builder.ExportInput(base.GetInputPort("health"), "health")
         if base.wheels is not None:
             stored = self._stored = builder.AddNamedSystem(
                 "gyroscopic", Gyroscopic(coordinates, copies=copies)

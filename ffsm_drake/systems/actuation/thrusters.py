@@ -11,7 +11,8 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.products import times
-from ffsm_drake.scenario import Scenario, Thruster, Thrusters, thrusters_of
+from ffsm_drake.scenario import Fault, Scenario, Thruster, Thrusters, thrusters_of
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import (
     SchmittTrigger,
@@ -38,6 +39,7 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.thrusters"
 STANDARD_GRAVITY = 9.80665  # m/s^2; defines the specific impulse
+LEAK, WEAKNESS = 0.2, 0.5  # shares of the force, of faults without a size
 _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
@@ -51,6 +53,7 @@ class Firing(NamedTuple):
     open_share: np.ndarray  # (..., n) share of the sample for which each is open
     # (..., 1) the part of the wanted wrench that the last allocation could give, 0 to 1
     given: np.ndarray
+    level: np.ndarray  # (..., n) the same force as a share of each thruster's, if it works
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -73,14 +76,45 @@ class ThrusterMemory:
         return cls(*(values[..., i * n : (i + 1) * n] for i in range(len(_PACKED))))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class ThrusterHealth:
+    """What thrusters give of what they are told to; both (n)."""
+
+    gain: np.ndarray  # multiplies the force; 1 of one that works
+    floor: np.ndarray  # share of its force that it gives at least; 0 of one that works
+
+    @classmethod
+    def of(cls, names: Sequence[str], faults: Sequence[tuple[str, Fault]]) -> "ThrusterHealth":
+        """With faults, by thruster."""
+        gain, floor = np.ones(len(names)), np.zeros(len(names))
+        for name, fault in faults:
+            if fault.kind in ("stuck_on", "leaking"):
+                size = LEAK if fault.size is None else min(1.0, fault.size)
+                floor[names.index(name)] = 1.0 if fault.kind == "stuck_on" else size
+            else:
+                size = WEAKNESS if fault.size is None else min(1.0, fault.size)
+                gain[names.index(name)] = 0.0 if fault.kind == "stuck_off" else 1.0 - size
+        return cls(gain, floor)
+
+    def level(self, told: np.ndarray) -> np.ndarray:
+        """Shares of the force (n) in place of those that were told."""
+        return np.maximum(self.gain * told, self.floor)
+
+
 _PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
 
 
 class ThrusterSet:
     """Allocation, modulation and thrust of a set of thrusters: pure functions of arrays."""
 
-    def __init__(self, settings: Thrusters, *, sample_time: float) -> None:
-        """Raises ScenarioError: with its failures the set cannot give every wrench."""
+    def __init__(
+        self, settings: Thrusters, *, sample_time: float, health: ThrusterHealth | None = None
+    ) -> None:
+        """Args: the thrusters; s; which of them work, as far as known: those that leak are left
+        alone.
+
+        Raises ScenarioError: with its failures the set cannot give every wrench.
+        """
         units = thrusters_of(settings)
         self.names = tuple(units)
         self.settings, self.sample_time = settings, sample_time
@@ -92,7 +126,12 @@ class ThrusterSet:
         self.wrenches = np.vstack([np.cross(positions, directions).T, directions.T])
         failures = np.array([settings.failures.get(name, "") for name in units])
         self._works, self._stuck_on = failures == "", failures == "stuck_on"
-        self._leak = self.wrenches[:, self._stuck_on] @ self.force[self._stuck_on]
+        self._leaks = self._stuck_on * self.force
+        if health is not None:
+            self._works &= (health.gain > 0.0) & (health.floor == 0.0)
+            self._leaks = np.maximum(self._leaks, health.floor * self.force)
+            self.force = np.where(self._works, health.gain, 1.0) * self.force
+        self._leak = self.wrenches @ self._leaks
         cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
         self._allocation = self._make_allocation(cost)
         pwpf = settings.pwpf
@@ -119,8 +158,8 @@ class ThrusterSet:
                 key = f"{_KEY}.{'units' if settings.layout is None else 'layout'}"
                 problem = f"no thrusters give {error}; add some"
             raise ScenarioError(key, problem) from error
-        if self._stuck_on.any() and allocation.solve(-self._leak)[1] < 1.0:
-            stuck = ", ".join(np.array(self.names)[self._stuck_on])
+        if self._leak.any() and allocation.solve(-self._leak)[1] < 1.0:
+            stuck = ", ".join(np.array(self.names)[self._leaks > 0.0])
             raise ScenarioError(key, f"the others cannot hold against {stuck} stuck on")
         return allocation
 
@@ -197,7 +236,7 @@ class ThrusterSet:
             rise=self.settings.rise_time,
             fall=self.settings.fall_time,
         )
-        force = share * self.force
+        force = np.maximum(share * self.force, self._leaks)
         # What is left of rounding would be a pulse of its own.
         left = open_for - opened
         left[left < 1e-9 * self.sample_time] = 0.0
@@ -205,7 +244,7 @@ class ThrusterSet:
             memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0
         )
         return Firing(
-            times(self.wrenches, force), force, opened / self.sample_time, memory.given
+            times(self.wrenches, force), force, opened / self.sample_time, memory.given, share
         ), after
 
 
@@ -225,6 +264,13 @@ class FiredThrusters(Part):
         """Those of a scenario."""
         settings = scenario.actuation.thrusters
         return None if settings is None else cls(settings=settings, units=thrusters_of(settings))
+
+    @classmethod
+    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
+        """Of every thruster."""
+        part = cls.of(scenario)
+        kinds = ["stuck_on", "stuck_off", "leaking", "weak"]
+        return {} if part is None else {f"thrusters.{name}": kinds for name in part.units}
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Forces, open valves, and what of the wanted wrench they could give."""

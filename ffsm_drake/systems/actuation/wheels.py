@@ -61,8 +61,16 @@ class WheelTorques:
 class WheelSet:
     """Torques of a set of wheels: pure functions of arrays."""
 
-    def __init__(self, settings: Wheels, *, sample_time: float, alone: bool) -> None:
-        """Args: the wheels; s; whether there are no thrusters beside them.
+    def __init__(
+        self,
+        settings: Wheels,
+        *,
+        sample_time: float,
+        alone: bool,
+        works: np.ndarray | None = None,
+    ) -> None:
+        """Args: the wheels; s; whether there are no thrusters beside them; which are driven, by
+        default all.
 
         Raises ScenarioError: alone they cannot give every torque. Beside them thrusters give the
         torque about an axis that the wheels leave out.
@@ -90,8 +98,10 @@ class WheelSet:
                 "viscous_friction",
             )
         )
-        self._share = np.linalg.pinv(self.axes, rcond=1e-9)
-        left, sizes, _ = np.linalg.svd(self.axes)
+        self._works = np.ones(len(self.names)) if works is None else works * 1.0
+        driven = self.axes if works is None else self.axes * self._works
+        self._share = np.linalg.pinv(driven, rcond=1e-9)
+        left, sizes, _ = np.linalg.svd(driven)
         self._lost = left[:, np.count_nonzero(sizes > 1e-9) :].T  # unit axes of no torque
         if alone and len(self._lost):
             axis = ", ".join(f"{number:.3g}" for number in self._lost[-1].round(3) + 0.0)
@@ -128,9 +138,33 @@ class WheelSet:
             (carried + most - momentum) / self._sample_time,
         )
         motor = np.clip(motor, -self._torque, self._torque)
+        motor = motor if self._works.all() else motor * self._works
         speed = self.speed(momentum, angular_velocity)
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
+
+    def without(self, stops: np.ndarray, *, alone: bool) -> "WheelSet":
+        """The set without the motors of wheels that stop (n); arguments and errors as made."""
+        return WheelSet(
+            self.settings, sample_time=self._sample_time, alone=alone, works=stops == 0.0
+        )
+
+    def stopping(
+        self,
+        torques: WheelTorques,
+        stops: np.ndarray,
+        momentum: np.ndarray,
+        angular_velocity: np.ndarray,
+    ) -> WheelTorques:
+        """The torques in place of those told where some wheels (n) stop: their motors give nothing,
+        their bearings brake them with the motor's largest torque until they turn with the base.
+        """
+        spin = self.inertia * self.speed(momentum, angular_velocity)
+        brake = -np.clip(spin / self._sample_time, -self._torque, self._torque)
+        on_wheels = np.where(stops > 0.0, brake, torques.on_wheels)
+        return dataclasses.replace(
+            torques, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels)
+        )
 
     def _loads(self, motor: np.ndarray) -> np.ndarray:
         """The largest share (..., 1) of a motor's limit among torques of motors (..., n), N m."""
@@ -310,6 +344,12 @@ class ReactionWheels(Part):
     def of(cls, scenario: Scenario) -> "ReactionWheels | None":
         """Those of a scenario."""
         return None if scenario.wheels is None else cls(settings=scenario.wheels)
+
+    @classmethod
+    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
+        """Any may stop."""
+        units = () if scenario.wheels is None else scenario.wheels.units
+        return {f"wheels.{name}": ["stops"] for name in units}
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Their momentum, torque and speed, and what of them acts on the base."""

@@ -1,0 +1,79 @@
+"""The section ``faults``: what breaks when, and how it is noticed."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import unitless
+
+DRAWN = "any"  # in place of a unit or a kind
+
+
+@dataclass
+class Fault:
+    """A unit of the spacecraft that breaks, for the rest of the run."""
+
+    unit: str = unitless(
+        DRAWN,
+        "what breaks, such as thrusters.a_x, wheels.wheel_1, sensing.base_rotation_velocity, "
+        "joints.joint_2; thrusters, wheels, sensing or joints: one of them, drawn; any: any",
+    )
+    kind: str = unitless(
+        DRAWN,
+        "how: a thruster is stuck_on, stuck_off, leaking or weak, a wheel stops, a sensor is "
+        "frozen, biased or silent, a joint is jammed; any: drawn",
+    )
+    time: list[float] = setting(
+        [0.0], "s", "when, from the next control sample on; of two numbers drawn between them",
+        least=0, size=(1, 2),
+    )  # fmt: skip
+    size: float | None = setting(
+        None,
+        "1, rad, m, rad/s or m/s",
+        "leaking: share of the thruster's force that leaks (null: 0.2); weak: share that is "
+        "missing (null: 0.5); biased: the bias (null: 20 standard deviations of its noise, at "
+        "least 0.01); without effect on other kinds",
+        above=0,
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """An interval that does not end before it begins."""
+        if self.time != sorted(self.time):
+            yield f"{key}.time", f"must not end before it begins, not {self.time}"
+
+
+@dataclass
+class Detection:
+    """Residuals of what was applied against what was seen."""
+
+    window: float = setting(1.0, "s", "that is looked back over", above=0.05, most=20)
+    force: float = setting(
+        0.3, "N", "external force that is no fault, or changes by so much within a second", above=0
+    )
+    torque: float = setting(0.1, "N m", "likewise", above=0)
+    threshold: float = unitless(6.0, "standard deviations that a residual must pass", above=0)
+
+
+@dataclass
+class Faults:
+    """Faults, and whether the flight software looks for them."""
+
+    events: dict[str, Fault] = unitless({}, "faults, by any names")
+    detection: Detection | None = unitless(
+        Detection(),
+        "faults are looked for, and what is found is told to allocation and law; null: nobody "
+        "notices",
+    )
+    seed: int | None = unitless(
+        None, "of what is drawn; null: random_seed", least=0, most=2**31 - 1
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Blocks whose parts have faults."""
+        if scenario.blocks.actuation is not None or "sensing" in scenario.blocks.sensing:
+            yield key, "needs the scenario's own sensing and actuation (blocks replace them)"
+        late = [n for n, each in self.events.items() if max(each.time) > scenario.duration]
+        for name in late:
+            if not math.isinf(scenario.duration):
+                yield f"{key}.events.{name}.time", f"is after the run ({scenario.duration:g} s)"
