@@ -23,7 +23,10 @@ def sensors_of(coordinates: Coordinates) -> dict[str, np.ndarray]:
     """Sensors by name -> their entries in [positions; velocities] (2 nv): of the attitude, the
     position and each joint, and of their velocities.
     """
-    groups = {"base_rotation": BASE_ROTATION, "base_position": BASE_POSITION}
+    groups: dict[str, tuple[str, ...]] = {
+        "base_rotation": BASE_ROTATION,
+        "base_position": BASE_POSITION,
+    }
     groups |= {name: (name,) for name in coordinates.joints}
     found = {
         name: np.array([coordinates.names.index(e) for e in of]) for name, of in groups.items()

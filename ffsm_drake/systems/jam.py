@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import Fault, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import change_payload, make_flexible_plant
 from ffsm_drake.systems.faults import first_sample, hits
@@ -61,7 +61,7 @@ class _Jam(LeafSystem):
         untie(self)
 
     @staticmethod
-    def _time(setup: BlockSetup, fault: object) -> float:
+    def _time(setup: BlockSetup, fault: Fault) -> float:
         return first_sample(fault, setup.sample_time) * setup.sample_time
 
     def set_payload(self, context: Context, properties: MassProperties) -> None:

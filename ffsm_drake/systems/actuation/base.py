@@ -1,6 +1,5 @@
 """Thrusters and wheels in the closed loop: they give the base's force and torque."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -21,7 +20,11 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Fault
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.actuation.thrusters import ThrusterHealth, ThrusterMemory, ThrusterSet
+from ffsm_drake.systems.actuation.thrusters import (
+    ThrusterMemory,
+    ThrusterSet,
+    gains_and_floors,
+)
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 
 # Control samples in which wheels recover an impulse of pulses that they could not counter at once.
@@ -29,24 +32,6 @@ from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 _RECOVERY = 10
 Hit = tuple[str, Fault, int]  # unit, fault, the control sample from which on it is there
 _LARGEST = 1e300  # N m and N; products of larger numbers overflow
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Health:
-    """Which of the base's actuators work; as a vector: gains, floors, 1 of wheels that stop."""
-
-    thrusters: ThrusterHealth
-    stops: np.ndarray  # (m) 1 of a wheel that stops
-
-    @classmethod
-    def unpacked(cls, values: np.ndarray, num_wheels: int) -> "Health":
-        """From the vector (2 n + m)."""
-        ofs, stops = np.split(values, [values.size - num_wheels])
-        return cls(ThrusterHealth(*np.split(ofs, 2)), stops)
-
-    def packed(self) -> np.ndarray:
-        """As the vector."""
-        return np.concatenate([self.thrusters.gain, self.thrusters.floor, self.stops])
 
 
 class BaseActuators(LeafSystem):
@@ -72,7 +57,9 @@ class BaseActuators(LeafSystem):
         with faults told_force (nv), told_thrusters (n), told_wheels (2 m: momenta and motors'
           torques), what seems to be applied to whom the faults are unknown;
         memory, which the next update keeps.
-    With faults there is an input ``health``, of the units as far as known.
+    With faults there is an input ``health`` (n + m), of the units as far as known: what each
+    thruster gives of its force (0: its valve upstream is shut), 1 of each wheel that works. The
+    faults stand in the discrete state: ``gains_and_floors``, and 1 of each wheel that stops.
     The base turns within a sample. Its attitude at the middle, from the angular velocity at the
     start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
     of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
@@ -121,8 +108,9 @@ class BaseActuators(LeafSystem):
         if faults is not None:
             n, m = (0 if each is None else len(each.names) for each in (thrusters, wheels))
             self.sizes |= {"told_force": nv, "told_thrusters": n, "told_wheels": 2 * m}
-            self._health = self.DeclareVectorInputPort("health", 2 * n + m)
-            self._broken = self.DeclareDiscreteState(self.health(-1).packed())
+            self._ends = [n, 2 * n]
+            self._health = self.DeclareVectorInputPort("health", n + m)
+            self._broken = self.DeclareDiscreteState(self._faults_at(-1))
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
@@ -157,13 +145,14 @@ class BaseActuators(LeafSystem):
     ) -> np.ndarray:
         """The output ``sample`` (...), a row for each copy, as a pure function of the command
         (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
-        ``turning`` (..., 6), ``begins``. With faults ``Health`` as it is and as far as it is known.
+        ``turning`` (..., 6), ``begins``. With faults which units are broken,
+        and ``health``.
 
         A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
         such a run has diverged.
         """
         commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
-        thrusters, wheels = self._working(known)
+        all_thrusters, (thrusters, wheels) = self._thrusters, self._working(known)
         back = rotation.swapaxes(-1, -2)
         pairs = (*commanded.shape[:-1], 2, 3)
         # torque, force in the base's axes
@@ -201,10 +190,12 @@ class BaseActuators(LeafSystem):
             wanted[..., 0, :] -= fired[..., 0, :]
         told, told_parts = applied.copy(), list[np.ndarray]()
         if broken is not None:
-            health = Health.unpacked(broken, 0 if wheels is None else len(wheels.names))
-            if thrusters is not None:
+            gain, floor, stops = np.split(broken, self._ends)
+            if thrusters is not None and all_thrusters is not None:
                 told_parts.append(firing.force)
-                parts[0] = health.thrusters.level(firing.level) * self._thrusters.force
+                is_shut = 0.0 if known is None else known[: gain.size] == 0.0
+                level = np.where(is_shut, 0.0, np.maximum(gain * firing.level, floor))
+                parts[0] = level * all_thrusters.force
                 really = times(thrusters.wrenches, parts[0]).reshape(pairs)
                 applied[..., :6] = np.matmul(really, back).reshape(owed.shape)
         if wheels is not None:
@@ -216,12 +207,12 @@ class BaseActuators(LeafSystem):
                     + (0.0 if thrusters is None else told[..., :3])
                 )
                 told_parts.append(np.concatenate([momentum, torques.on_wheels]))
-                torques = wheels.stopping(torques, health.stops, momentum, w_WB)
+                torques = wheels.stopping(torques, stops, momentum, w_WB)
             by_wheels = times(rotation, torques.on_base) + missing
             applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
             parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
             # What is missing has been given already, in a direction that was held.
-            given = applied[..., :3] - missing
+            given = (applied if broken is None else told)[..., :3] - missing
             left = short + (commanded[..., :3] - given) * self._sample_time
             kept = [
                 wheels.bounded(left, _RECOVERY),
@@ -233,16 +224,15 @@ class BaseActuators(LeafSystem):
             parts += [told, *told_parts]
         return np.concatenate([applied, *parts, *kept], axis=-1)
 
-    def health(self, sample: int) -> Health:
-        """Of the units at a control sample."""
+    def _faults_at(self, sample: int) -> np.ndarray:
+        """Gains, floors, stopped wheels at a control sample."""
         there = [(name, fault) for name, fault, since in self._faults or () if sample >= since]
-        names, wheels = (
+        thrusters, wheels = (
             () if each is None else each.names for each in (self._thrusters, self.wheels)
         )
-        of_thrusters = [(name, fault) for name, fault in there if fault.kind != "stops"]
+        of_thrusters = gains_and_floors(thrusters, [e for e in there if e[1].kind != "stops"])
         stopped = {name for name, fault in there if fault.kind == "stops"}
-        stops = np.array([float(name in stopped) for name in wheels])
-        return Health(ThrusterHealth.of(names, of_thrusters), stops)
+        return np.concatenate([*of_thrusters, [float(name in stopped) for name in wheels]])
 
     def _working(self, known: np.ndarray | None) -> tuple[ThrusterSet | None, WheelSet | None]:
         """Thrusters and wheels with what is known of them; as before where that leaves some wrench
@@ -283,7 +273,7 @@ class BaseActuators(LeafSystem):
             memory = self._sample.Eval(context)[-memory.size :]
             values.set_value(self._memory, memory)
         if self._faults is not None:
-            values.set_value(self._broken, self.health(sample).packed())
+            values.set_value(self._broken, self._faults_at(sample))
         if self._thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
         state, nv = self._state.Eval(context).reshape(rows), self.sizes["applied_force"]
@@ -300,19 +290,18 @@ class BaseActuators(LeafSystem):
 
 
 def working(
-    thrusters: ThrusterSet | None, wheels: WheelSet | None, known: np.ndarray
+    thrusters: ThrusterSet | None, wheels: WheelSet | None, health: np.ndarray
 ) -> tuple[ThrusterSet | None, WheelSet | None] | None:
-    """Thrusters and wheels without what does not work (``Health``); None where the others cannot
-    give every wrench.
+    """Thrusters and wheels without what does not work (n + m, as the port); None where the others
+    cannot give every wrench.
     """
-    health = Health.unpacked(known, 0 if wheels is None else len(wheels.names))
+    gains = health if wheels is None else health[: health.size - len(wheels.names)]
     try:
         if thrusters is not None:
-            thrusters = ThrusterSet(
-                thrusters.settings, sample_time=thrusters.sample_time, health=health.thrusters
-            )
+            of, step = thrusters.settings, thrusters.sample_time
+            thrusters = ThrusterSet(of, sample_time=step, gain=gains)
         if wheels is not None:
-            wheels = wheels.without(health.stops, alone=thrusters is None)
+            wheels = wheels.without(health[gains.size :] == 0.0, alone=thrusters is None)
     except ScenarioError:
         return None
     return thrusters, wheels

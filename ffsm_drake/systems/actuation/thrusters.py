@@ -76,42 +76,35 @@ class ThrusterMemory:
         return cls(*(values[..., i * n : (i + 1) * n] for i in range(len(_PACKED))))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ThrusterHealth:
-    """What thrusters give of what they are told to; both (n)."""
-
-    gain: np.ndarray  # multiplies the force; 1 of one that works
-    floor: np.ndarray  # share of its force that it gives at least; 0 of one that works
-
-    @classmethod
-    def of(cls, names: Sequence[str], faults: Sequence[tuple[str, Fault]]) -> "ThrusterHealth":
-        """With faults, by thruster."""
-        gain, floor = np.ones(len(names)), np.zeros(len(names))
-        for name, fault in faults:
-            if fault.kind in ("stuck_on", "leaking"):
-                size = LEAK if fault.size is None else min(1.0, fault.size)
-                floor[names.index(name)] = 1.0 if fault.kind == "stuck_on" else size
-            else:
-                size = WEAKNESS if fault.size is None else min(1.0, fault.size)
-                gain[names.index(name)] = 0.0 if fault.kind == "stuck_off" else 1.0 - size
-        return cls(gain, floor)
-
-    def level(self, told: np.ndarray) -> np.ndarray:
-        """Shares of the force (n) in place of those that were told."""
-        return np.maximum(self.gain * told, self.floor)
-
-
 _PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
+
+
+def gains_and_floors(
+    names: Sequence[str], faults: Sequence[tuple[str, Fault]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What thrusters with faults do: what multiplies their force, and the share of it that they
+    give at least; (n) each.
+    """
+    gain, floor = np.ones(len(names)), np.zeros(len(names))
+    for name, fault in faults:
+        at, size = names.index(name), {"leaking": LEAK, "weak": WEAKNESS}.get(fault.kind, 1.0)
+        if fault.size is not None and size < 1.0:
+            size = min(1.0, fault.size)
+        if fault.kind in ("stuck_on", "leaking"):
+            floor[at] = size
+        else:
+            gain[at] = 1.0 - size
+    return gain, floor
 
 
 class ThrusterSet:
     """Allocation, modulation and thrust of a set of thrusters: pure functions of arrays."""
 
     def __init__(
-        self, settings: Thrusters, *, sample_time: float, health: ThrusterHealth | None = None
+        self, settings: Thrusters, *, sample_time: float, gain: np.ndarray | None = None
     ) -> None:
-        """Args: the thrusters; s; which of them work, as far as known: those that leak are left
-        alone.
+        """Args: the thrusters; s; what each gives of its force (n), as far as known: 0, its valve
+        upstream is shut.
 
         Raises ScenarioError: with its failures the set cannot give every wrench.
         """
@@ -126,12 +119,10 @@ class ThrusterSet:
         self.wrenches = np.vstack([np.cross(positions, directions).T, directions.T])
         failures = np.array([settings.failures.get(name, "") for name in units])
         self._works, self._stuck_on = failures == "", failures == "stuck_on"
-        self._leaks = self._stuck_on * self.force
-        if health is not None:
-            self._works &= (health.gain > 0.0) & (health.floor == 0.0)
-            self._leaks = np.maximum(self._leaks, health.floor * self.force)
-            self.force = np.where(self._works, health.gain, 1.0) * self.force
-        self._leak = self.wrenches @ self._leaks
+        if gain is not None:
+            self._works &= gain > 0.0
+            self.force = np.where(gain > 0.0, gain, 1.0) * self.force
+        self._leak = self.wrenches[:, self._stuck_on] @ self.force[self._stuck_on]
         cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
         self._allocation = self._make_allocation(cost)
         pwpf = settings.pwpf
@@ -158,8 +149,8 @@ class ThrusterSet:
                 key = f"{_KEY}.{'units' if settings.layout is None else 'layout'}"
                 problem = f"no thrusters give {error}; add some"
             raise ScenarioError(key, problem) from error
-        if self._leak.any() and allocation.solve(-self._leak)[1] < 1.0:
-            stuck = ", ".join(np.array(self.names)[self._leaks > 0.0])
+        if self._stuck_on.any() and allocation.solve(-self._leak)[1] < 1.0:
+            stuck = ", ".join(np.array(self.names)[self._stuck_on])
             raise ScenarioError(key, f"the others cannot hold against {stuck} stuck on")
         return allocation
 
@@ -236,7 +227,7 @@ class ThrusterSet:
             rise=self.settings.rise_time,
             fall=self.settings.fall_time,
         )
-        force = np.maximum(share * self.force, self._leaks)
+        force = share * self.force
         # What is left of rounding would be a pulse of its own.
         left = open_for - opened
         left[left < 1e-9 * self.sample_time] = 0.0

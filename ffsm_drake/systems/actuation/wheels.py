@@ -143,11 +143,10 @@ class WheelSet:
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
 
-    def without(self, stops: np.ndarray, *, alone: bool) -> "WheelSet":
-        """The set without the motors of wheels that stop (n); arguments and errors as made."""
-        return WheelSet(
-            self.settings, sample_time=self._sample_time, alone=alone, works=stops == 0.0
-        )
+    def without(self, stopped: np.ndarray, *, alone: bool) -> "WheelSet":
+        """The set without the motors of some wheels (n); arguments and errors as made."""
+        works = ~stopped
+        return WheelSet(self.settings, sample_time=self._sample_time, alone=alone, works=works)
 
     def stopping(
         self,
