@@ -30,7 +30,7 @@ from ffsm_drake.systems.deflections import Deflections
 from ffsm_drake.systems.disturbance import HarmonicDisturbance
 from ffsm_drake.systems.environment import OrbitalEnvironment
 from ffsm_drake.systems.faults import settled
-from ffsm_drake.systems.faulty_sensors import SILENT, FaultySensors
+from ffsm_drake.systems.faulty_sensors import FaultySensors
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.gripper import Gripper
 from ffsm_drake.systems.jam import JammedJoints
@@ -54,13 +54,7 @@ FRAME, NUMBER = str(FRAME_SIZE), "1"
 BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
 ABORT = "abort_request"
-# What actuators seem to apply: force (nv), the mean force of each thruster, the momentum and the
-# motor's torque of each wheel; and which of their units work, as far as known.
-TOLD, TOLD_UNITS, HEALTH = (
-    "told_force",
-    {"told_thrusters": "thrusters", "told_wheels": "wheels"},
-    "health",
-)
+TOLD = "told_force"  # what actuators with faults seem to apply to whom the faults are unknown
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -84,17 +78,11 @@ BLOCKS: dict[str, Ports] = {
     "sensing": Ports(
         # ``state`` is what the stage before gives, of the first one the plant's state.
         inputs={"state": STATE},
-        optional_inputs={
-            "true_state": STATE,
-            "desired_state": STATE,
-            TOLD: VELOCITY,
-            SILENT: "sensors",
-            **TOLD_UNITS,
-        },
+        optional_inputs={"true_state": STATE, "measurement_is_new": STATE},
         outputs={"estimated_state": STATE},
         # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without
         # this port all are new.
-        optional_outputs={"measurement_is_new": STATE, ABORT: NUMBER},
+        optional_outputs={"measurement_is_new": STATE},
     ),
     "controller": Ports(
         inputs={"estimated_state": STATE, "desired_state": STATE, "desired_acceleration": VELOCITY},
@@ -126,11 +114,10 @@ BLOCKS: dict[str, Ports] = {
     ),
     "actuation": Ports(
         inputs={"commanded_force": VELOCITY},
-        optional_inputs={"state": STATE, HEALTH: "units"},
+        optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
-        # What acts on the plant beside it and is not held over a sample; what it seems to apply to
-        # whom its faults are unknown.
-        optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY, **TOLD_UNITS},
+        # What acts on the plant beside it and is not held over a sample.
+        optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY},
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
@@ -245,7 +232,7 @@ class _Making:
         _check_names(given)
         self._nominals, self._given = nominals, given
         self._scenarios = scenarios = [
-            settled(scenario, known_faults(scenario, nominal.coordinates))
+            settle_faults(scenario, nominal.coordinates)
             for scenario, nominal in zip(scenarios, nominals, strict=True)
         ]
         self._choices = [block_choices(scenario) for scenario in scenarios]
@@ -407,12 +394,14 @@ def section_parts(scenario: Scenario, given: Iterable[str] = ()) -> dict[str, Pa
     return {name: part for name, part in found.items() if part is not None}
 
 
-def known_faults(scenario: Scenario, coordinates: Coordinates) -> dict[str, Sequence[str]]:
-    """What may break in a scenario, as its parts say: unit -> kinds."""
-    found: dict[str, Sequence[str]] = {}
+def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
+    """The scenario with its faults drawn, of what may break as its parts say; errors as of
+    ``settled``.
+    """
+    known: dict[str, Sequence[str]] = {}
     for kind in _SECTION_PARTS.values():
-        found |= kind.known_faults(scenario, coordinates)
-    return found
+        known |= kind.known_faults(scenario, coordinates)
+    return settled(scenario, known)
 
 
 def is_rehearsed(scenario: Scenario) -> bool:

@@ -11,7 +11,6 @@
 """
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -29,16 +28,7 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, guarded, is_user_supplied
-from ffsm_drake.loop.blocks import (
-    ABORT,
-    BESIDES,
-    BLOCKS,
-    HEALTH,
-    TOLD,
-    TOLD_UNITS,
-    kind_of,
-    make_blocks,
-)
+from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, TOLD, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
@@ -52,7 +42,6 @@ from ffsm_drake.spacecraft.nominal import (
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
-from ffsm_drake.systems.faulty_sensors import SILENT
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.selection import make_selector
@@ -480,23 +469,10 @@ class _Wiring:
             held = self._builder.AddNamedSystem("joint_force", ConstantVectorSource(whole))
             applied = self._sum("applied", [applied, (held, held.get_output_port().get_name())])
         self.sources[name] = applied
-        told = (
-            applied if actuation is None or not actuation.HasOutputPort(TOLD) else (actuation, TOLD)
-        )
+        if actuation is not None and actuation.HasOutputPort(TOLD):
+            applied = (actuation, TOLD)
         if controller.HasInputPort(name):
-            self._builder.Connect(_port(told), controller.GetInputPort(name))
-        self._watch(told)
-
-    def _watch(self, told: Source) -> None:
-        """What stages of sensing read of the loop, and actuators of them."""
-        given = {TOLD: told, "desired_state": self.sources["desired_state"]}
-        others = [*self._of_kind("sensing").values(), *filter(None, [self._actuation])]
-        for each, name in itertools.product(others, (SILENT, HEALTH, *TOLD_UNITS)):
-            if each.HasOutputPort(name):
-                given[name] = (each, name)
-        for each in others:
-            for name in filter(each.HasInputPort, given):
-                self._builder.Connect(_port(given[name]), each.GetInputPort(name))
+            self._builder.Connect(_port(applied), controller.GetInputPort(name))
 
     def _supervise(self, supervisor: System) -> Source:
         """The force that a supervisor commands, from the law's and what blocks ask for."""

@@ -1,4 +1,4 @@
-"""The section ``faults``: what breaks when, and how it is noticed."""
+"""The section ``faults``: what breaks when."""
 
 import math
 from dataclasses import dataclass
@@ -44,27 +44,10 @@ class Fault:
 
 
 @dataclass
-class Detection:
-    """Residuals of what was applied against what was seen."""
-
-    window: float = setting(1.0, "s", "that is looked back over", above=0.05, most=20)
-    force: float = setting(
-        0.3, "N", "external force that is no fault, or changes by so much within a second", above=0
-    )
-    torque: float = setting(0.1, "N m", "likewise", above=0)
-    threshold: float = unitless(6.0, "standard deviations that a residual must pass", above=0)
-
-
-@dataclass
 class Faults:
-    """Faults, and whether the flight software looks for them."""
+    """Faults of actuators, sensors and joints, of which the flight software does not know."""
 
     events: dict[str, Fault] = unitless({}, "faults, by any names")
-    detection: Detection | None = unitless(
-        Detection(),
-        "faults are looked for, and what is found is told to allocation and law; null: nobody "
-        "notices",
-    )
     seed: int | None = unitless(
         None, "of what is drawn; null: random_seed", least=0, most=2**31 - 1
     )
@@ -73,6 +56,8 @@ class Faults:
         """Blocks whose parts have faults."""
         if scenario.blocks.actuation is not None or "sensing" in scenario.blocks.sensing:
             yield key, "needs the scenario's own sensing and actuation (blocks replace them)"
+        if scenario.undriven:
+            yield key, "needs actuators of all coordinates (actuation.driven: all)"
         late = [n for n, each in self.events.items() if max(each.time) > scenario.duration]
         for name in late:
             if not math.isinf(scenario.duration):

@@ -117,7 +117,7 @@ class Scenario:
     supervisor: Supervisor | None = unitless(
         None, "damps rates and plans anew where the plan cannot be followed; null: none"
     )
-    faults: Faults | None = unitless(None, "what breaks when, and how it is noticed; null: nothing")
+    faults: Faults | None = unitless(None, "what breaks when; null: nothing")
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """A run of at least one and not too many samples and steps."""

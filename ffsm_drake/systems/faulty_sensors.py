@@ -14,7 +14,6 @@ from ffsm_drake.systems.faults import first_sample, hits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
-SILENT = "sensor_silent"  # the port: 1 for each sensor that gives no measurements
 _VELOCITY = "_velocity"
 _LEAST_BIAS, _NOISES = 0.01, 20.0
 
@@ -62,8 +61,8 @@ class FaultySensors(Part):
 
 
 class _Stage(LeafSystem):
-    """Input ``state``; outputs ``estimated_state`` (nq + nv), ``sensor_silent`` (one for each of
-    ``sensors_of``). Discrete state: the last measurement of each entry that was no repetition.
+    """Input ``state``, output ``estimated_state``; where a sensor falls silent, which says so, also
+    input and output ``measurement_is_new`` (nq + nv each). Discrete state: the last estimate.
     """
 
     def __init__(self, setup: BlockSetup) -> None:
@@ -77,8 +76,10 @@ class _Stage(LeafSystem):
         self._input = self.DeclareVectorInputPort("state", size)
         self._held = self.DeclareDiscreteState(size)
         self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc))
-        silent = weak_callback(self._calc_silent)
-        self.DeclareVectorOutputPort(SILENT, len(self._sensors), silent, {self.time_ticket()})
+        if any(fault.kind == "silent" for _, _, fault, _ in self._hits):
+            new = "measurement_is_new"
+            self._new = self.DeclareVectorInputPort(new, size)
+            self.DeclareVectorOutputPort(new, size, weak_callback(self._calc_new))
         self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
@@ -114,12 +115,14 @@ class _Stage(LeafSystem):
                 state[entries] += bias / np.sqrt(entries.size)
         return state
 
-    def _calc_silent(self, context: Context, output: BasicVector) -> None:
-        sample, silent = self._sample(context), np.zeros(len(self._sensors))
+    def _calc_new(self, context: Context, output: BasicVector) -> None:
+        new, sample = np.ones(output.size()), self._sample(context)
+        if self._new.HasValue(context):
+            new = self._new.Eval(context).copy()
         for name, since, fault, _ in self._hits:
             if fault.kind == "silent" and sample >= since:
-                silent[list(self._sensors).index(name)] = 1.0
-        output.SetFromVector(silent)
+                new[entries_in_state(self._sensors[name])] = 0.0
+        output.SetFromVector(new)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         values.set_value(self._held, self._measured(context))

@@ -37,7 +37,7 @@ def _scope(scenario: Scenario, leg: Leg) -> str:
     if scenario.supervisor is not None:
         left.append("the supervisor")
     if scenario.faults is not None:
-        left.append("faults and their detection")
+        left.append("the faults")
     capture = scenario.capture
     if leg == "approach" and capture is not None and capture.closing is not None:
         left.append("the gripper's closing")

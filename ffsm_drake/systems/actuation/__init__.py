@@ -63,9 +63,6 @@ class Actuators(CompositeBlock):
             builder.Connect(before.get_output_port(0), after.get_input_port(0))
         builder.ExportInput(chain[0].get_input_port(0), "commanded_force")
         builder.ExportOutput(chain[-1].get_output_port(0), "applied_force")
-        for system in row.values():
-            if system.HasInputPort("health"):
-                builder.ExportInput(system.GetInputPort("health"), "health")
         for port in readers[:1]:
             builder.ExportInput(port, "state")
         for port in readers[1:]:
@@ -113,15 +110,11 @@ def wide_actuation_of(setups: Sequence[BlockSetup]) -> Actuators | None:
     if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
         return None
     scenario, step = setups[0].scenario, setups[0].sample_time
-    faults = (
-        None
-        if scenario.faults is None
-        else [
-            (unit, fault, first_sample(fault, step))
-            for part in ("thrusters", "wheels")
-            for unit, fault in hits(scenario, part)
-        ]
-    )
+    faults = [
+        (unit, fault, first_sample(fault, step))
+        for part in ("thrusters", "wheels")
+        for unit, fault in hits(scenario, part)
+    ]
     return _make_actuation(settings, setups[0].coordinates, sample_time=step, faults=faults)
 
 
@@ -165,7 +158,7 @@ def _make_actuation(
     *,
     sample_time: float,
     base: System | None = None,
-    faults: Sequence[Hit] | None = None,
+    faults: Sequence[Hit] = (),
 ) -> Actuators | None:
     """As ``make_actuation``, of each of the settings, which differ by ``_by_copy``."""
     settings, copies = of_copies[0], len(of_copies)
@@ -224,10 +217,10 @@ def make_base_actuators(
     *,
     sample_time: float,
     copies: int = 1,
-    faults: Sequence[Hit] | None = None,
+    faults: Sequence[Hit] = (),
 ) -> BaseActuators:
-    """Thrusters and wheels, of all copies of the spacecraft, as one system, with their faults where
-    they may have some; errors as for ``make_actuation``.
+    """Thrusters and wheels, of all copies of the spacecraft, as one system, with their faults;
+    errors as for ``make_actuation``.
     """
     thrusters, wheels = None, None
     if settings.thrusters is not None:

@@ -15,7 +15,6 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import Demultiplexer
 
-from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Fault
@@ -54,12 +53,9 @@ class BaseActuators(LeafSystem):
         with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
           (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
           (3), the part of applied_force's torque that is theirs;
-        with faults told_force (nv), told_thrusters (n), told_wheels (2 m: momenta and motors'
-          torques), what seems to be applied to whom the faults are unknown;
+        with faults told_force (nv), what seems to be applied to whom they are unknown;
         memory, which the next update keeps.
-    With faults there is an input ``health`` (n + m), of the units as far as known: what each
-    thruster gives of its force (0: its valve upstream is shut), 1 of each wheel that works. The
-    faults stand in the discrete state: ``gains_and_floors``, and 1 of each wheel that stops.
+    With faults the discrete state has ``gains_and_floors``, and 1 of each wheel that stops.
     The base turns within a sample. Its attitude at the middle, from the angular velocity at the
     start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
     of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
@@ -77,7 +73,7 @@ class BaseActuators(LeafSystem):
         *,
         sample_time: float,
         copies: int = 1,
-        faults: Sequence[Hit] | None = None,
+        faults: Sequence[Hit] = (),
     ) -> None:
         super().__init__()
         # of one spacecraft vectors, which are faster than rows
@@ -103,13 +99,9 @@ class BaseActuators(LeafSystem):
                 "wheel_reaction": 3,
             }
             self._stored = self.DeclareVectorInputPort("stored_momentum", 3 * copies)
-        self._faults, self._known = faults, (b"", thrusters, wheels)
-        self._health = None
-        if faults is not None:
-            n, m = (0 if each is None else len(each.names) for each in (thrusters, wheels))
-            self.sizes |= {"told_force": nv, "told_thrusters": n, "told_wheels": 2 * m}
-            self._ends = [n, 2 * n]
-            self._health = self.DeclareVectorInputPort("health", n + m)
+        self._faults = faults
+        if faults:
+            self.sizes |= {"told_force": nv}
             self._broken = self.DeclareDiscreteState(self._faults_at(-1))
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
@@ -141,18 +133,16 @@ class BaseActuators(LeafSystem):
         turning: np.ndarray,
         begins: bool,
         broken: np.ndarray | None = None,
-        known: np.ndarray | None = None,
     ) -> np.ndarray:
         """The output ``sample`` (...), a row for each copy, as a pure function of the command
         (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
-        ``turning`` (..., 6), ``begins``. With faults which units are broken,
-        and ``health``.
+        ``turning`` (..., 6), ``begins``, with faults ``broken``.
 
         A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
         such a run has diverged.
         """
         commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
-        all_thrusters, (thrusters, wheels) = self._thrusters, self._working(known)
+        thrusters, wheels = self._thrusters, self.wheels
         back = rotation.swapaxes(-1, -2)
         pairs = (*commanded.shape[:-1], 2, 3)
         # torque, force in the base's axes
@@ -188,31 +178,26 @@ class BaseActuators(LeafSystem):
                 owed = owed + more * self._sample_time
             kept += [owed, fuel.packed()]
             wanted[..., 0, :] -= fired[..., 0, :]
-        told, told_parts = applied.copy(), list[np.ndarray]()
+        told = applied
         if broken is not None:
-            gain, floor, stops = np.split(broken, self._ends)
-            if thrusters is not None and all_thrusters is not None:
-                told_parts.append(firing.force)
-                is_shut = 0.0 if known is None else known[: gain.size] == 0.0
-                level = np.where(is_shut, 0.0, np.maximum(gain * firing.level, floor))
-                parts[0] = level * all_thrusters.force
+            told = applied.copy()
+            if thrusters is not None:
+                gain, floor = broken[: 2 * len(thrusters.names)].reshape(2, -1)
+                parts[0] = np.maximum(gain * firing.level, floor) * thrusters.force
                 really = times(thrusters.wrenches, parts[0]).reshape(pairs)
                 applied[..., :6] = np.matmul(really, back).reshape(owed.shape)
         if wheels is not None:
             torques = wheels.give(wanted[..., 0, :], momentum, w_WB)
-            if broken is not None:
-                told[..., :3] = (
-                    times(rotation, torques.on_base)
-                    + missing
-                    + (0.0 if thrusters is None else told[..., :3])
-                )
-                told_parts.append(np.concatenate([momentum, torques.on_wheels]))
-                torques = wheels.stopping(torques, stops, momentum, w_WB)
             by_wheels = times(rotation, torques.on_base) + missing
+            if broken is not None:
+                told[..., :3] = by_wheels + (0.0 if thrusters is None else told[..., :3])
+                stops = broken[-len(wheels.names) :]
+                torques = wheels.stopping(torques, stops, momentum, w_WB)
+                by_wheels = times(rotation, torques.on_base) + missing
             applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
             parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
             # What is missing has been given already, in a direction that was held.
-            given = (applied if broken is None else told)[..., :3] - missing
+            given = told[..., :3] - missing
             left = short + (commanded[..., :3] - given) * self._sample_time
             kept = [
                 wheels.bounded(left, _RECOVERY),
@@ -221,30 +206,18 @@ class BaseActuators(LeafSystem):
                 *kept,
             ]
         if broken is not None:
-            parts += [told, *told_parts]
+            parts.append(told)
         return np.concatenate([applied, *parts, *kept], axis=-1)
 
     def _faults_at(self, sample: int) -> np.ndarray:
         """Gains, floors, stopped wheels at a control sample."""
-        there = [(name, fault) for name, fault, since in self._faults or () if sample >= since]
+        there = [(name, fault) for name, fault, since in self._faults if sample >= since]
         thrusters, wheels = (
             () if each is None else each.names for each in (self._thrusters, self.wheels)
         )
         of_thrusters = gains_and_floors(thrusters, [e for e in there if e[1].kind != "stops"])
         stopped = {name for name, fault in there if fault.kind == "stops"}
         return np.concatenate([*of_thrusters, [float(name in stopped) for name in wheels]])
-
-    def _working(self, known: np.ndarray | None) -> tuple[ThrusterSet | None, WheelSet | None]:
-        """Thrusters and wheels with what is known of them; as before where that leaves some wrench
-        out.
-        """
-        if known is None:
-            return self._thrusters, self.wheels
-        key = known.tobytes()
-        if key != self._known[0]:
-            made = working(self._thrusters, self.wheels, known)
-            self._known = (key, *(made or (self._thrusters, self.wheels)))
-        return self._known[1:]
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         value, rows = context.get_discrete_state().value, self._rows
@@ -254,17 +227,9 @@ class BaseActuators(LeafSystem):
             rotation=value(self._rotation).reshape(*self._rows[:-1], 3, 3),
             turning=value(self._turning).reshape(rows),
             begins=bool(value(self._begins).item()),
-            broken=None if self._faults is None else value(self._broken),
-            known=self._health_known(context),
+            broken=value(self._broken) if self._faults else None,
         )
         output.SetFromVector(sample.ravel()[self._by_name])
-
-    def _health_known(self, context: Context) -> np.ndarray | None:
-        port = self._health
-        if port is None or not port.HasValue(context):
-            return None
-        known: np.ndarray = port.Eval(context)
-        return known
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         sample, rows = round(context.get_time() / self._sample_time), self._rows
@@ -272,7 +237,7 @@ class BaseActuators(LeafSystem):
         if sample > 0:
             memory = self._sample.Eval(context)[-memory.size :]
             values.set_value(self._memory, memory)
-        if self._faults is not None:
+        if self._faults:
             values.set_value(self._broken, self._faults_at(sample))
         if self._thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
@@ -287,24 +252,6 @@ class BaseActuators(LeafSystem):
             missing = self._stored.Eval(context).reshape(rows) - times(now, in_base)
             turning = [times(now.swapaxes(-1, -2), w_WB), missing / self._sample_time]
             values.set_value(self._turning, np.concatenate(turning, axis=-1).ravel())
-
-
-def working(
-    thrusters: ThrusterSet | None, wheels: WheelSet | None, health: np.ndarray
-) -> tuple[ThrusterSet | None, WheelSet | None] | None:
-    """Thrusters and wheels without what does not work (n + m, as the port); None where the others
-    cannot give every wrench.
-    """
-    gains = health if wheels is None else health[: health.size - len(wheels.names)]
-    try:
-        if thrusters is not None:
-            of, step = thrusters.settings, thrusters.sample_time
-            thrusters = ThrusterSet(of, sample_time=step, gain=gains)
-        if wheels is not None:
-            wheels = wheels.without(health[gains.size :] == 0.0, alone=thrusters is None)
-    except ScenarioError:
-        return None
-    return thrusters, wheels
 
 
 def _part_after_part(sizes: list[int], copies: int) -> np.ndarray:
@@ -332,8 +279,6 @@ class BaseBlock(Diagram):
         outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
         builder.ExportInput(base.GetInputPort("commanded_force"), "commanded_force")
         builder.ExportInput(base.GetInputPort("state"), "state")
-        if base.HasInputPort("health"):
-            builder.ExportInput(base.GetInputPort("health"), "health")
         if base.wheels is not None:
             stored = self._stored = builder.AddNamedSystem(
                 "gyroscopic", Gyroscopic(coordinates, copies=copies)

@@ -100,14 +100,8 @@ def gains_and_floors(
 class ThrusterSet:
     """Allocation, modulation and thrust of a set of thrusters: pure functions of arrays."""
 
-    def __init__(
-        self, settings: Thrusters, *, sample_time: float, gain: np.ndarray | None = None
-    ) -> None:
-        """Args: the thrusters; s; what each gives of its force (n), as far as known: 0, its valve
-        upstream is shut.
-
-        Raises ScenarioError: with its failures the set cannot give every wrench.
-        """
+    def __init__(self, settings: Thrusters, *, sample_time: float) -> None:
+        """Raises ScenarioError: with its failures the set cannot give every wrench."""
         units = thrusters_of(settings)
         self.names = tuple(units)
         self.settings, self.sample_time = settings, sample_time
@@ -119,9 +113,6 @@ class ThrusterSet:
         self.wrenches = np.vstack([np.cross(positions, directions).T, directions.T])
         failures = np.array([settings.failures.get(name, "") for name in units])
         self._works, self._stuck_on = failures == "", failures == "stuck_on"
-        if gain is not None:
-            self._works &= gain > 0.0
-            self.force = np.where(gain > 0.0, gain, 1.0) * self.force
         self._leak = self.wrenches[:, self._stuck_on] @ self.force[self._stuck_on]
         cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
         self._allocation = self._make_allocation(cost)

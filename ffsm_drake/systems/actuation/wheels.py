@@ -61,16 +61,8 @@ class WheelTorques:
 class WheelSet:
     """Torques of a set of wheels: pure functions of arrays."""
 
-    def __init__(
-        self,
-        settings: Wheels,
-        *,
-        sample_time: float,
-        alone: bool,
-        works: np.ndarray | None = None,
-    ) -> None:
-        """Args: the wheels; s; whether there are no thrusters beside them; which are driven, by
-        default all.
+    def __init__(self, settings: Wheels, *, sample_time: float, alone: bool) -> None:
+        """Args: the wheels; s; whether there are no thrusters beside them.
 
         Raises ScenarioError: alone they cannot give every torque. Beside them thrusters give the
         torque about an axis that the wheels leave out.
@@ -98,10 +90,8 @@ class WheelSet:
                 "viscous_friction",
             )
         )
-        self._works = np.ones(len(self.names)) if works is None else works * 1.0
-        driven = self.axes if works is None else self.axes * self._works
-        self._share = np.linalg.pinv(driven, rcond=1e-9)
-        left, sizes, _ = np.linalg.svd(driven)
+        self._share = np.linalg.pinv(self.axes, rcond=1e-9)
+        left, sizes, _ = np.linalg.svd(self.axes)
         self._lost = left[:, np.count_nonzero(sizes > 1e-9) :].T  # unit axes of no torque
         if alone and len(self._lost):
             axis = ", ".join(f"{number:.3g}" for number in self._lost[-1].round(3) + 0.0)
@@ -138,15 +128,9 @@ class WheelSet:
             (carried + most - momentum) / self._sample_time,
         )
         motor = np.clip(motor, -self._torque, self._torque)
-        motor = motor if self._works.all() else motor * self._works
         speed = self.speed(momentum, angular_velocity)
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
-
-    def without(self, stopped: np.ndarray, *, alone: bool) -> "WheelSet":
-        """The set without the motors of some wheels (n); arguments and errors as made."""
-        works = ~stopped
-        return WheelSet(self.settings, sample_time=self._sample_time, alone=alone, works=works)
 
     def stopping(
         self,
@@ -161,9 +145,8 @@ class WheelSet:
         spin = self.inertia * self.speed(momentum, angular_velocity)
         brake = -np.clip(spin / self._sample_time, -self._torque, self._torque)
         on_wheels = np.where(stops > 0.0, brake, torques.on_wheels)
-        return dataclasses.replace(
-            torques, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels)
-        )
+        motor = np.where(stops > 0.0, 0.0, torques.motor)
+        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
 
     def _loads(self, motor: np.ndarray) -> np.ndarray:
         """The largest share (..., 1) of a motor's limit among torques of motors (..., n), N m."""
