@@ -140,7 +140,7 @@ def test_sensors(coordinates, sensor, kind):
 
 def test_a_sensor_that_falls_silent_says_so():
     """An estimator that hears of it goes on without it; a frozen one it believes."""
-    kalman = ("estimator.kind=kalman",)
+    kalman = ("estimator.kind=kalman", "sensing.position_period=2")
     ends = {}
     for kind in ("silent", "frozen"):
         log, _ = run("sensing.joint_2_velocity", kind, *kalman)
