@@ -29,8 +29,11 @@ from ffsm_drake.systems.controllers.joined import join_controllers
 from ffsm_drake.systems.deflections import Deflections
 from ffsm_drake.systems.disturbance import HarmonicDisturbance
 from ffsm_drake.systems.environment import OrbitalEnvironment
+from ffsm_drake.systems.faults import settled
+from ffsm_drake.systems.faulty_sensors import FaultySensors
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.gripper import Gripper
+from ffsm_drake.systems.jam import JammedJoints
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
 from ffsm_drake.systems.reference import reference_of, wide_reference_of
 from ffsm_drake.systems.registry import (
@@ -51,6 +54,7 @@ FRAME, NUMBER = str(FRAME_SIZE), "1"
 BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
 ABORT = "abort_request"
+TOLD = "told_force"  # what actuators with faults seem to apply to whom the faults are unknown
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -74,7 +78,7 @@ BLOCKS: dict[str, Ports] = {
     "sensing": Ports(
         # ``state`` is what the stage before gives, of the first one the plant's state.
         inputs={"state": STATE},
-        optional_inputs={"true_state": STATE},
+        optional_inputs={"true_state": STATE, "measurement_is_new": STATE},
         outputs={"estimated_state": STATE},
         # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without
         # this port all are new.
@@ -113,11 +117,12 @@ BLOCKS: dict[str, Ports] = {
         optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
         # What acts on the plant beside it and is not held over a sample.
-        optional_outputs=dict.fromkeys(BESIDES, VELOCITY),
+        optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY},
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
-        optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE},
+        # the sum of all forces but those that read it
+        optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE, "other_force": VELOCITY},
         # The force after the update of a control sample: the record would see the one before it.
         # The force on hidden coordinates, after the update of a control sample.
         optional_outputs={
@@ -133,9 +138,11 @@ _SECTION_PARTS: dict[str, type[Part]] = {
     **{f"actuation.{name}": kind for name, kind in SECTIONS.items()},
     "flexible": Deflections,
     "supervisor": SupervisorPart,
+    "sensing.faults": FaultySensors,
     DISTURBANCE: HarmonicDisturbance,
     "forces.environment": OrbitalEnvironment,
     GRIPPER: Gripper,
+    "forces.jam": JammedJoints,
 }
 
 
@@ -223,7 +230,11 @@ class _Making:
         split: StateSplit,
     ) -> None:
         _check_names(given)
-        self._scenarios, self._nominals, self._given = scenarios, nominals, given
+        self._nominals, self._given = nominals, given
+        self._scenarios = scenarios = [
+            settle_faults(scenario, nominal.coordinates)
+            for scenario, nominal in zip(scenarios, nominals, strict=True)
+        ]
         self._choices = [block_choices(scenario) for scenario in scenarios]
         # the parts of each copy's own sections
         self._owns = [section_parts(scenario, given) for scenario in scenarios]
@@ -231,6 +242,8 @@ class _Making:
             raise NotAlike("the sections of the copies' scenarios differ")
         if len(scenarios) > 1 and "supervisor" in self._owns[0]:
             raise NotAlike("a law that starts afresh does so for all copies")
+        if len(scenarios) > 1 and any(scenario.faults for scenario in scenarios):
+            raise NotAlike("a spacecraft with faults runs alone")
         self._setups = [
             BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
             for scenario, nominal in zip(scenarios, nominals, strict=True)
@@ -379,6 +392,16 @@ def section_parts(scenario: Scenario, given: Iterable[str] = ()) -> dict[str, Pa
         if not filled & {name, kind_of(name)}
     }
     return {name: part for name, part in found.items() if part is not None}
+
+
+def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
+    """The scenario with its faults drawn, of what may break as its parts say; errors as of
+    ``settled``.
+    """
+    known: dict[str, Sequence[str]] = {}
+    for kind in _SECTION_PARTS.values():
+        known |= kind.known_faults(scenario, coordinates)
+    return settled(scenario, known)
 
 
 def is_rehearsed(scenario: Scenario) -> bool:

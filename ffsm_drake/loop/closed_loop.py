@@ -28,7 +28,7 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, guarded, is_user_supplied
-from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, kind_of, make_blocks
+from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, TOLD, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
@@ -469,8 +469,10 @@ class _Wiring:
             held = self._builder.AddNamedSystem("joint_force", ConstantVectorSource(whole))
             applied = self._sum("applied", [applied, (held, held.get_output_port().get_name())])
         self.sources[name] = applied
+        if actuation is not None and actuation.HasOutputPort(TOLD):
+            applied = (actuation, TOLD)
         if controller.HasInputPort(name):
-            self._connect(name, controller.GetInputPort(name))
+            self._builder.Connect(_port(applied), controller.GetInputPort(name))
 
     def _supervise(self, supervisor: System) -> Source:
         """The force that a supervisor commands, from the law's and what blocks ask for."""
@@ -491,11 +493,17 @@ class _Wiring:
         forces, builder, name = self._forces, self._builder, "generalized_force"
         for system in forces.values():
             self._give_states(system)
-        total = [self.sources["applied_force"], *((system, name) for system in forces.values())]
+        last = [system for system in forces.values() if system.HasInputPort("other_force")]
+        others = [(system, name) for system in forces.values() if system not in last]
+        total = [self.sources["applied_force"], *others]
         if self._actuation is not None:
             besides = filter(self._actuation.HasOutputPort, BESIDES)
             total += [(self._actuation, each) for each in besides]
         acts = self._sum("total_force", total)
+        if last:
+            for system in last:
+                builder.Connect(_port(acts), system.GetInputPort("other_force"))
+            acts = self._sum("last_force", [acts, *((system, name) for system in last)])
         on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
         if self._split.names:
             acts = self._on_whole_plant(acts, on_hidden)

@@ -13,6 +13,7 @@ import numpy as np
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import percent
+from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
@@ -20,7 +21,7 @@ from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
-from ffsm_drake.spacecraft.plant import make_plant, model_files
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant, model_files
 from ffsm_drake.systems.limits import joint_limits, limits_of
 
 CLEARANCE = "clearance"  # its name among the exceeded limits
@@ -46,8 +47,12 @@ def run_remarks(record: RunRecord) -> list[str]:
         RATE: data["velocity"].values,
         FORCE: data["applied_force"].values,
     }
-    limits = joint_limits(record.scenario, make_plant(record.scenario.model))
-    remarks = list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
+    plant = make_plant(record.scenario.model)
+    limits, remarks = joint_limits(record.scenario, plant), list[str]()
+    faults = settle_faults(record.scenario, coordinates_of(plant)).faults
+    for fault in () if faults is None else faults.events.values():
+        remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on")
+    remarks += list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
     remarks += clearance_remarks(
         lambda: run_clearance(record), record.scenario.clearance, "the run"
     )

@@ -16,6 +16,7 @@ from ffsm_drake.common.settings import Problems, setting
 from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Capture
+from ffsm_drake.scenario.faults import Faults
 from ffsm_drake.scenario.fields import ZERO, PerCoordinate, name_problems, unitless
 from ffsm_drake.scenario.forces import Disturbance, Environment
 from ffsm_drake.scenario.layers import Layer, assembled, override_layers
@@ -116,6 +117,7 @@ class Scenario:
     supervisor: Supervisor | None = unitless(
         None, "damps rates and plans anew where the plan cannot be followed; null: none"
     )
+    faults: Faults | None = unitless(None, "what breaks when; null: nothing")
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """A run of at least one and not too many samples and steps."""
@@ -256,6 +258,7 @@ _OF_THE_RUN = (
     "environment",
     "sensing",
     "supervisor",
+    "faults",
 )
 
 

@@ -370,6 +370,13 @@ class Part:
         """That of a scenario's own section; None where the scenario has none."""
         return cls()
 
+    @classmethod
+    def known_faults(
+        cls, scenario: Scenario, coordinates: Coordinates
+    ) -> Mapping[str, Sequence[str]]:
+        """What of it may break: "<part>.<unit>" -> the kinds of its faults."""
+        return {}
+
     def check(self, key: str, scenario: Scenario) -> Iterator[tuple[str, str]]:
         """What is wrong with the settings that no single one can say: key and problem."""
         yield from ()

@@ -173,6 +173,9 @@ def wire_stages(builder: DiagramBuilder, stages: Sequence[System]) -> Row:
     for before, after in itertools.pairwise(stages):
         builder.Connect(before.GetOutputPort("estimated_state"), after.GetInputPort("state"))
     true, new = "true_state", "measurement_is_new"
+    for before, after in itertools.pairwise(stages):
+        if before.HasOutputPort(new) and after.HasInputPort(new):
+            builder.Connect(before.GetOutputPort(new), after.GetInputPort(new))
     timed = [stage.GetOutputPort(new) for stage in stages if stage.HasOutputPort(new)]
     others = [stage.GetInputPort(true) for stage in stages if stage.HasInputPort(true)]
     return Row(

@@ -173,6 +173,7 @@ def test_a_block_that_cannot_be_linearised(monkeypatch):
     ("override", "leg", "left_out"),
     [
         ({"supervisor": {}}, "stop", "the supervisor"),
+        ({"faults": {}}, "stop", "the faults"),
         ({"capture": {"closing": {}}}, "approach", "the gripper's closing"),
     ],
 )

@@ -153,6 +153,14 @@ SPECIAL = {
             "error": st.none() | POSITIVE,
         },
     ),
+    "events": st.dictionaries(
+        NAME,
+        st.fixed_dictionaries(
+            {"unit": TEXT, "kind": TEXT, "time": st.just([0.0])},
+            optional={"size": st.none() | POSITIVE},
+        ),
+        max_size=2,
+    ),
     "model": st.fixed_dictionaries(
         {},
         optional={

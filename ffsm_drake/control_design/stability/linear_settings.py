@@ -17,7 +17,9 @@ NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 def without_limits(scenario: Scenario) -> Scenario:
-    """The scenario without quantisation and supervisor, and with the defaults of ``NOT_LINEAR``."""
+    """The scenario without quantisation, supervisor and faults, with the defaults of
+    ``NOT_LINEAR``.
+    """
     sensing, estimator, actuation = smooth_sensing(scenario), scenario.estimator, scenario.actuation
     if sensing is not scenario.sensing:  # the estimator keeps its assumptions
         estimator = _with_assumptions(scenario)
@@ -26,7 +28,12 @@ def without_limits(scenario: Scenario) -> Scenario:
         actuation = dataclasses.replace(actuation, drives=drives)
     actuation = _with_defaults(actuation, NOT_LINEAR["actuation"])
     return dataclasses.replace(
-        scenario, sensing=sensing, estimator=estimator, actuation=actuation, supervisor=None
+        scenario,
+        sensing=sensing,
+        estimator=estimator,
+        actuation=actuation,
+        supervisor=None,
+        faults=None,
     )
 
 

@@ -36,6 +36,8 @@ def _scope(scenario: Scenario, leg: Leg) -> str:
     left = ["limits", "noise"]
     if scenario.supervisor is not None:
         left.append("the supervisor")
+    if scenario.faults is not None:
+        left.append("the faults")
     capture = scenario.capture
     if leg == "approach" and capture is not None and capture.closing is not None:
         left.append("the gripper's closing")

@@ -13,10 +13,11 @@ from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturatio
 
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock
+from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock, Hit
 from ffsm_drake.systems.actuation.drives import DriveSet, JointDrives, JointFriction, RateLimit
 from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import ReactionWheels, WheelSet
+from ffsm_drake.systems.faults import first_sample, hits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.sensing import Quantizer
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
@@ -108,7 +109,13 @@ def wide_actuation_of(setups: Sequence[BlockSetup]) -> Actuators | None:
     first = settings[0]
     if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
         return None
-    return _make_actuation(settings, setups[0].coordinates, sample_time=setups[0].sample_time)
+    scenario, step = setups[0].scenario, setups[0].sample_time
+    faults = [
+        (unit, fault, first_sample(fault, step))
+        for part in ("thrusters", "wheels")
+        for unit, fault in hits(scenario, part)
+    ]
+    return _make_actuation(settings, setups[0].coordinates, sample_time=step, faults=faults)
 
 
 def _by_copy(settings: Actuation) -> dict[str, Any]:
@@ -151,6 +158,7 @@ def _make_actuation(
     *,
     sample_time: float,
     base: System | None = None,
+    faults: Sequence[Hit] = (),
 ) -> Actuators | None:
     """As ``make_actuation``, of each of the settings, which differ by ``_by_copy``."""
     settings, copies = of_copies[0], len(of_copies)
@@ -166,7 +174,9 @@ def _make_actuation(
     if base is not None:
         row["base"] = base
     elif settings.thrusters is not None or settings.wheels is not None:
-        own = make_base_actuators(settings, coordinates, sample_time=sample_time, copies=copies)
+        own = make_base_actuators(
+            settings, coordinates, sample_time=sample_time, copies=copies, faults=faults
+        )
         row["base"] = BaseBlock(own, coordinates, copies=copies)
     if beside and not row:
         row["as_commanded"] = PassThrough(copies * len(coordinates.names))
@@ -202,14 +212,21 @@ def _make_limits(
 
 
 def make_base_actuators(
-    settings: Actuation, coordinates: Coordinates, *, sample_time: float, copies: int = 1
+    settings: Actuation,
+    coordinates: Coordinates,
+    *,
+    sample_time: float,
+    copies: int = 1,
+    faults: Sequence[Hit] = (),
 ) -> BaseActuators:
-    """Thrusters and wheels, of all copies of the spacecraft, as one system; errors as for
-    ``make_actuation``.
+    """Thrusters and wheels, of all copies of the spacecraft, as one system, with their faults;
+    errors as for ``make_actuation``.
     """
     thrusters, wheels = None, None
     if settings.thrusters is not None:
         thrusters = ThrusterSet(settings.thrusters, sample_time=sample_time)
     if settings.wheels is not None:
         wheels = WheelSet(settings.wheels, sample_time=sample_time, alone=thrusters is None)
-    return BaseActuators(thrusters, wheels, coordinates, sample_time=sample_time, copies=copies)
+    return BaseActuators(
+        thrusters, wheels, coordinates, sample_time=sample_time, copies=copies, faults=faults
+    )

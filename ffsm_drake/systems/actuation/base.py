@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -16,13 +17,19 @@ from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.products import times
+from ffsm_drake.scenario import Fault
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
+from ffsm_drake.systems.actuation.thrusters import (
+    ThrusterMemory,
+    ThrusterSet,
+    gains_and_floors,
+)
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 
 # Control samples in which wheels recover an impulse of pulses that they could not counter at once.
 # Commands beyond their limits are not: the controller reads applied_force and repeats them.
 _RECOVERY = 10
+Hit = tuple[str, Fault, int]  # unit, fault, the control sample from which on it is there
 _LARGEST = 1e300  # N m and N; products of larger numbers overflow
 
 
@@ -46,7 +53,9 @@ class BaseActuators(LeafSystem):
         with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
           (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
           (3), the part of applied_force's torque that is theirs;
+        with faults told_force (nv), what seems to be applied to whom they are unknown;
         memory, which the next update keeps.
+    With faults the discrete state has ``gains_and_floors``, and 1 of each wheel that stops.
     The base turns within a sample. Its attitude at the middle, from the angular velocity at the
     start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
     of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
@@ -64,6 +73,7 @@ class BaseActuators(LeafSystem):
         *,
         sample_time: float,
         copies: int = 1,
+        faults: Sequence[Hit] = (),
     ) -> None:
         super().__init__()
         # of one spacecraft vectors, which are faster than rows
@@ -89,6 +99,10 @@ class BaseActuators(LeafSystem):
                 "wheel_reaction": 3,
             }
             self._stored = self.DeclareVectorInputPort("stored_momentum", 3 * copies)
+        self._faults = faults
+        if faults:
+            self.sizes |= {"told_force": nv}
+            self._broken = self.DeclareDiscreteState(self._faults_at(-1))
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
@@ -118,10 +132,11 @@ class BaseActuators(LeafSystem):
         rotation: np.ndarray,
         turning: np.ndarray,
         begins: bool,
+        broken: np.ndarray | None = None,
     ) -> np.ndarray:
         """The output ``sample`` (...), a row for each copy, as a pure function of the command
         (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
-        ``turning`` (..., 6), ``begins``.
+        ``turning`` (..., 6), ``begins``, with faults ``broken``.
 
         A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
         such a run has diverged.
@@ -163,13 +178,26 @@ class BaseActuators(LeafSystem):
                 owed = owed + more * self._sample_time
             kept += [owed, fuel.packed()]
             wanted[..., 0, :] -= fired[..., 0, :]
+        told = applied
+        if broken is not None:
+            told = applied.copy()
+            if thrusters is not None:
+                gain, floor = broken[: 2 * len(thrusters.names)].reshape(2, -1)
+                parts[0] = np.maximum(gain * firing.level, floor) * thrusters.force
+                really = times(thrusters.wrenches, parts[0]).reshape(pairs)
+                applied[..., :6] = np.matmul(really, back).reshape(owed.shape)
         if wheels is not None:
             torques = wheels.give(wanted[..., 0, :], momentum, w_WB)
             by_wheels = times(rotation, torques.on_base) + missing
+            if broken is not None:
+                told[..., :3] = by_wheels + (0.0 if thrusters is None else told[..., :3])
+                stops = broken[-len(wheels.names) :]
+                torques = wheels.stopping(torques, stops, momentum, w_WB)
+                by_wheels = times(rotation, torques.on_base) + missing
             applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
             parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
             # What is missing has been given already, in a direction that was held.
-            given = applied[..., :3] - missing
+            given = told[..., :3] - missing
             left = short + (commanded[..., :3] - given) * self._sample_time
             kept = [
                 wheels.bounded(left, _RECOVERY),
@@ -177,7 +205,19 @@ class BaseActuators(LeafSystem):
                 unloads * 1.0,
                 *kept,
             ]
+        if broken is not None:
+            parts.append(told)
         return np.concatenate([applied, *parts, *kept], axis=-1)
+
+    def _faults_at(self, sample: int) -> np.ndarray:
+        """Gains, floors, stopped wheels at a control sample."""
+        there = [(name, fault) for name, fault, since in self._faults if sample >= since]
+        thrusters, wheels = (
+            () if each is None else each.names for each in (self._thrusters, self.wheels)
+        )
+        of_thrusters = gains_and_floors(thrusters, [e for e in there if e[1].kind != "stops"])
+        stopped = {name for name, fault in there if fault.kind == "stops"}
+        return np.concatenate([*of_thrusters, [float(name in stopped) for name in wheels]])
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         value, rows = context.get_discrete_state().value, self._rows
@@ -187,6 +227,7 @@ class BaseActuators(LeafSystem):
             rotation=value(self._rotation).reshape(*self._rows[:-1], 3, 3),
             turning=value(self._turning).reshape(rows),
             begins=bool(value(self._begins).item()),
+            broken=value(self._broken) if self._faults else None,
         )
         output.SetFromVector(sample.ravel()[self._by_name])
 
@@ -196,6 +237,8 @@ class BaseActuators(LeafSystem):
         if sample > 0:
             memory = self._sample.Eval(context)[-memory.size :]
             values.set_value(self._memory, memory)
+        if self._faults:
+            values.set_value(self._broken, self._faults_at(sample))
         if self._thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
         state, nv = self._state.Eval(context).reshape(rows), self.sizes["applied_force"]

@@ -11,7 +11,8 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.products import times
-from ffsm_drake.scenario import Scenario, Thruster, Thrusters, thrusters_of
+from ffsm_drake.scenario import Fault, Scenario, Thruster, Thrusters, thrusters_of
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import (
     SchmittTrigger,
@@ -38,6 +39,7 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.thrusters"
 STANDARD_GRAVITY = 9.80665  # m/s^2; defines the specific impulse
+LEAK, WEAKNESS = 0.2, 0.5  # shares of the force, of faults without a size
 _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
@@ -51,6 +53,7 @@ class Firing(NamedTuple):
     open_share: np.ndarray  # (..., n) share of the sample for which each is open
     # (..., 1) the part of the wanted wrench that the last allocation could give, 0 to 1
     given: np.ndarray
+    level: np.ndarray  # (..., n) the same force as a share of each thruster's, if it works
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,6 +77,24 @@ class ThrusterMemory:
 
 
 _PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
+
+
+def gains_and_floors(
+    names: Sequence[str], faults: Sequence[tuple[str, Fault]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What thrusters with faults do: what multiplies their force, and the share of it that they
+    give at least; (n) each.
+    """
+    gain, floor = np.ones(len(names)), np.zeros(len(names))
+    for name, fault in faults:
+        at, size = names.index(name), {"leaking": LEAK, "weak": WEAKNESS}.get(fault.kind, 1.0)
+        if fault.size is not None and size < 1.0:
+            size = min(1.0, fault.size)
+        if fault.kind in ("stuck_on", "leaking"):
+            floor[at] = size
+        else:
+            gain[at] = 1.0 - size
+    return gain, floor
 
 
 class ThrusterSet:
@@ -205,7 +226,7 @@ class ThrusterSet:
             memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0
         )
         return Firing(
-            times(self.wrenches, force), force, opened / self.sample_time, memory.given
+            times(self.wrenches, force), force, opened / self.sample_time, memory.given, share
         ), after
 
 
@@ -225,6 +246,13 @@ class FiredThrusters(Part):
         """Those of a scenario."""
         settings = scenario.actuation.thrusters
         return None if settings is None else cls(settings=settings, units=thrusters_of(settings))
+
+    @classmethod
+    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
+        """Of every thruster."""
+        part = cls.of(scenario)
+        kinds = ["stuck_on", "stuck_off", "leaking", "weak"]
+        return {} if part is None else {f"thrusters.{name}": kinds for name in part.units}
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Forces, open valves, and what of the wanted wrench they could give."""

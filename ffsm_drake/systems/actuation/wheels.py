@@ -132,6 +132,22 @@ class WheelSet:
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
 
+    def stopping(
+        self,
+        torques: WheelTorques,
+        stops: np.ndarray,
+        momentum: np.ndarray,
+        angular_velocity: np.ndarray,
+    ) -> WheelTorques:
+        """The torques in place of those told where some wheels (n) stop: their motors give nothing,
+        their bearings brake them with the motor's largest torque until they turn with the base.
+        """
+        spin = self.inertia * self.speed(momentum, angular_velocity)
+        brake = -np.clip(spin / self._sample_time, -self._torque, self._torque)
+        on_wheels = np.where(stops > 0.0, brake, torques.on_wheels)
+        motor = np.where(stops > 0.0, 0.0, torques.motor)
+        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
+
     def _loads(self, motor: np.ndarray) -> np.ndarray:
         """The largest share (..., 1) of a motor's limit among torques of motors (..., n), N m."""
         loads: np.ndarray = (np.abs(motor) / self._torque).max(axis=-1, keepdims=True)
@@ -310,6 +326,12 @@ class ReactionWheels(Part):
     def of(cls, scenario: Scenario) -> "ReactionWheels | None":
         """Those of a scenario."""
         return None if scenario.wheels is None else cls(settings=scenario.wheels)
+
+    @classmethod
+    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
+        """Any may stop."""
+        units = () if scenario.wheels is None else scenario.wheels.units
+        return {f"wheels.{name}": ["stops"] for name in units}
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Their momentum, torque and speed, and what of them acts on the base."""
