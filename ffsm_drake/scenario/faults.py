@@ -54,7 +54,8 @@ class Faults:
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Blocks whose parts have faults."""
-        if scenario.blocks.actuation is not None or "sensing" in scenario.blocks.sensing:
+        replaced = scenario.blocks.actuation is not None or "sensing" in scenario.blocks.sensing
+        if self.events and replaced:
             yield key, "needs the scenario's own sensing and actuation (blocks replace them)"
         if scenario.undriven:
             yield key, "needs actuators of all coordinates (actuation.driven: all)"

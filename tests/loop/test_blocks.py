@@ -370,7 +370,8 @@ class WithPorts(LeafSystem):
         (
             "sensing",
             {"inputs": [("stat", 23)]},
-            "unknown input port 'stat'; known: state, true_state; did you mean 'state'?",
+            "unknown input port 'stat'; known: state, true_state, measurement_is_new; did you mean "
+            "'state'?",
         ),
         (
             "actuation",

@@ -225,11 +225,15 @@ def values(kind, key=""):
 
 
 def consistent(data):
-    """With a capture the base turns about an eigenaxis; a supervisor plans postures."""
+    """With a capture the base turns about an eigenaxis; a supervisor plans postures; faults are of
+    the scenario's own blocks.
+    """
     if data.get("capture") is not None:
         data.setdefault("reference", {})["base_rotation"] = "eigenaxis"
     if data.get("supervisor") is not None:
         data.get("reference", {}).pop("frame", None)
+    if (data.get("faults") or {}).get("events"):
+        data.pop("blocks", None)
     return data
 
 
