@@ -1,5 +1,6 @@
 """A mission as an environment of Gymnasium: one step is one control sample, or several.
 
+To import it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0``, ``ffsm/FreeFloating-v0``.
 The run is that of ``simulate``: a thread runs it, and its control law asks for an action at each
 step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
@@ -28,21 +29,16 @@ ACTIONS = ("force", "residual", "setpoint")
 WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
 _FURTHEST = 100.0  # m or rad; observations are bounded, as many learners want it
 _UNLIMITED = 100.0  # N m or N; where the scenario limits no force
-_ENVIRONMENTS = {
-    "PostCapture-v0": "postcapture",
-    "TumblingCapture-v0": "tumbling_capture",
-    "FreeFloating-v0": "free_floating",
-}
-
-
-def register() -> None:
-    """Register the environments; Gymnasium calls it by its entry point, in the namespace ffsm."""
-    for name, scenario in _ENVIRONMENTS.items():
-        gymnasium.register(
-            id=name,
-            entry_point="ffsm_drake.interfaces.gym:MissionEnv",
-            kwargs={"scenario": scenario},
-        )
+for _id, _scenario in {
+    "ffsm/PostCapture-v0": "postcapture",
+    "ffsm/TumblingCapture-v0": "tumbling_capture",
+    "ffsm/FreeFloating-v0": "free_floating",
+}.items():
+    gymnasium.register(
+        id=_id,
+        entry_point="ffsm_drake.interfaces.gym:MissionEnv",
+        kwargs={"scenario": _scenario},
+    )
 
 
 class _StoppedError(Exception):
