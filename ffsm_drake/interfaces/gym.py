@@ -1,8 +1,8 @@
 """A mission as an environment of Gymnasium: one step is one control sample, or several.
 
-To import it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0``, ``ffsm/FreeFloating-v0``.
-The run is that of ``simulate``: a thread runs it, and its control law asks for an action at each
-step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
+Importing it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0`` and
+``ffsm/FreeFloating-v0``. The run is that of ``simulate``: a thread runs it, and its control law asks
+for an action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
 
 import dataclasses
@@ -229,7 +229,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._thread = threading.Thread(target=fly, daemon=True)
         self._thread.start()
         self._take()
-        return self._seen, {}
+        return self._seen.copy(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """As Gymnasium's."""
@@ -250,7 +250,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         reward = sum(self._weights[name] * value for name, value in terms.items())
         ended = log is not None
         completed = log is not None and log.outcome.completed
-        return self._seen, reward, ended and not completed, completed, info
+        return self._seen.copy(), reward, ended and not completed, completed, info
 
     def close(self) -> None:
         """End the run, if there is one."""
