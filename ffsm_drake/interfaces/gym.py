@@ -1,8 +1,8 @@
 """A mission as an environment of Gymnasium: one step is one control sample, or several.
 
 Importing it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0`` and
-``ffsm/FreeFloating-v0``. The run is that of ``simulate``: a thread runs it, and its control law asks
-for an action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
+``ffsm/FreeFloating-v0``. The run is that of ``simulate``: a thread runs it, and its control law
+asks for an action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
 
 import dataclasses
