@@ -132,7 +132,7 @@ def load_mission(name: str) -> Mission:
         data = _listed()[name]
         return Mission(
             name=name,
-            scenario=load_scenario(name),
+            scenario=load_scenario(data.get("scenario", name), data.get("overrides", ())),
             source=data["source"],
             published=data["published"],
             assumed=tuple(data["assumed"]),
@@ -213,11 +213,15 @@ def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
         has_run = any(name != "error" for name in standing.outcomes)
         return -standing.settled, not has_run, math.inf if itae is None else itae
 
+    try:
+        bounds, motion = bounds_of(mission), _planned_time(mission.scenario)
+    except FfsmError:  # the limits allow no motion
+        bounds, motion = {}, math.nan
     return Board(
         mission=mission,
         standings=tuple(sorted(standings, key=place)),
-        bounds=bounds_of(mission),
-        motion=_planned_time(mission.scenario),
+        bounds=bounds,
+        motion=motion,
     )
 
 

@@ -1,5 +1,6 @@
 """The benchmark's results: a table, plain data, and a page that opens offline."""
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -28,8 +29,10 @@ def _cells(standing: Standing) -> list[str]:
 
 def _bounds(board: Board) -> str:
     """The lower bounds of a mission in one line."""
-    said = {"momentum": "by the momentum over the limits", "planner": "by the planner"}
+    said = {"momentum": "by the momentum over the limits", "planner": "found by the planner"}
     parts = [f"{time:.3g} s {said[name]}" for name, time in board.bounds.items()]
+    if math.isnan(board.motion):
+        return "No motion within the limits."
     if board.ratio is None:
         return (
             f"Motion of {board.motion:.3g} s; no lower bound: no momentum to take out, or no limit."
@@ -76,7 +79,7 @@ def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dic
                 "published": board.mission.published,
                 "assumed": list(board.mission.assumed),
                 "least_time": dict(board.bounds),
-                "motion": board.motion,
+                "motion": None if math.isnan(board.motion) else board.motion,
                 "motion_over_least_time": board.ratio,
                 "laws": {
                     each.controller: {
