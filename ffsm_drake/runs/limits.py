@@ -51,7 +51,8 @@ def run_remarks(record: RunRecord) -> list[str]:
     limits, remarks = joint_limits(record.scenario, plant), list[str]()
     faults = settle_faults(record.scenario, coordinates_of(plant)).faults
     for fault in () if faults is None else faults.events.values():
-        remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on")
+        if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
+            remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on")
     remarks += list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
     remarks += clearance_remarks(
         lambda: run_clearance(record), record.scenario.clearance, "the run"

@@ -205,3 +205,19 @@ def test_side_by_side_they_go_alone_and_a_run_says_what_broke():
     for record in simulate_many([scenario, scenario]):
         assert record.dataset.equals(alone.dataset)
     assert "thrusters.a_x: leaking from 0.20 s on" in run_remarks(alone)
+    cut = dataclasses.replace(alone, dataset=alone.dataset.isel(time=slice(0, 15)))
+    assert not any("leaking" in remark for remark in run_remarks(cut))
+
+
+@pytest.mark.slow
+def test_what_breaks_in_the_approach_stays_so_with_the_target_held():
+    event = {"unit": "sensing.joint_2", "kind": "frozen", "time": [2.9]}
+    overrides = ["capture.approach.duration=3", "duration=5", {"faults": {"events": {"it": event}}}]
+    log = make_rollout(load_scenario("tumbling_capture", overrides)).run()
+    broken = log.time > 2.9 - 1e-9
+    column = list(log.coordinates.position_names).index("joint_2")
+    assert log.time[-1] > 3.1  # beyond the grasp
+    assert np.all(
+        log.series["measurement"][broken, column] == log.series["measurement"][289, column]
+    )
+    assert np.ptp(log.series["state"][broken, column]) > 1e-3
