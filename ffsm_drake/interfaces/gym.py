@@ -17,10 +17,12 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, frame_rows
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.registry import call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
@@ -55,10 +57,10 @@ class _Exchange:
         self._action = np.zeros(0)
         self._since = list[tuple[np.ndarray, np.ndarray]]()  # errors and forces since the last step
 
-    def ask(self, sample: Sample) -> np.ndarray:
-        """The action at a sample. Raises _StoppedError."""
+    def ask(self, seen: np.ndarray) -> np.ndarray:
+        """The action at a sample, of which a law sees this. Raises _StoppedError."""
         if self._count % self._every == 0:
-            self.from_run.put((sample, self.spent()))
+            self.from_run.put((seen, self.spent()))
             action = self.to_run.get()
             if action is None:
                 raise _StoppedError
@@ -87,6 +89,11 @@ class _Steered(ControlLaw):
     kind: str  # one of ACTIONS
     scale: np.ndarray  # of actions (nv); zero for undriven coordinates
     inner: ControlLaw | None  # None: the action alone
+    task: TaskSpace | None  # of a law that tracks a frame
+
+    @property
+    def tracks_frame(self) -> bool:  # type: ignore[override]
+        return self.task is not None
 
     def initial_state(self) -> State:
         return {} if self.inner is None else self.inner.initial_state()
@@ -98,7 +105,12 @@ class _Steered(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         change = np.zeros_like(self.scale)
-        change[self.scale > 0.0] = self.exchange.ask(sample)
+        error, rate = sample.e, sample.e_dot
+        if self.task is not None:
+            point = self.task.at(sample, damping=0.0)
+            error, rate = np.append(error, point.e), np.append(rate, point.e_dot)
+        seen = np.concatenate([error, rate, sample.q, sample.v])
+        change[self.scale > 0.0] = self.exchange.ask(seen)
         change *= self.scale
         if self.inner is None:
             force = change
@@ -108,7 +120,7 @@ class _Steered(ControlLaw):
             else:
                 force, state = self.inner.step(sample, state)
                 force = force + change
-        self.exchange.told(np.array(sample.e), np.array(force))
+        self.exchange.told(error.copy(), np.array(force))
         return force, state
 
 
@@ -116,8 +128,9 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """A scenario whose control law is the agent, or a law that the agent corrects.
 
     Observations (float32) are, by ``observation_names``: errors e and their rates (nv each; rad, m;
-    what the law sees), measured positions q (nq) and velocities v (nv). Actions lie between -1 and
-    1, one for each driven coordinate (``action_names``).
+    what the law sees; those of a frame too where the law tracks one), measured positions q (nq) and
+    velocities v (nv). Actions lie between -1 and 1, one for each driven coordinate
+    (``action_names``).
 
     ``info`` has ``reward_terms``; at the end ``ending`` (as a run's last line says it) and
     ``is_success`` (settled). An episode is terminated where the run diverges or misses its target,
@@ -163,13 +176,25 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
         self._scale = np.where(coordinates.is_driven, self._scales(scale), 0.0)
-        names = coordinates.names
+        names, groups = coordinates.names, coordinates.group_of
         self.action_names = tuple(
             name for name, driven in zip(names, coordinates.is_driven, strict=True) if driven
         )
+        self._factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
+        self._tracks_frame = bool(getattr(self._factory, "tracks_frame", False))
+        errors = [*zip(names, groups, strict=True)]
+        self._counted = coordinates.is_driven.copy()
+        if self._tracks_frame:  # the frame's pose counts in place of the joints
+            if action == "setpoint":
+                raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
+            rows = np.flatnonzero(frame_rows(self.scenario))
+            kinds = ("base_rotation",) * 3 + ("base_position",) * 3  # whose tolerances hold
+            errors += [(FRAME_COORDINATES[row], kinds[row]) for row in rows]
+            self._counted &= np.array([group != "joints" for group in groups])
+            self._counted = np.append(self._counted, np.ones(rows.size, dtype=bool))
         self.observation_names = (
-            *(f"error.{name}" for name in names),
-            *(f"error_rate.{name}" for name in names),
+            *(f"error.{name}" for name, _ in errors),
+            *(f"error_rate.{name}" for name, _ in errors),
             *(f"position.{name}" for name in coordinates.position_names),
             *(f"velocity.{name}" for name in names),
         )
@@ -177,11 +202,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.action_space = gymnasium.spaces.Box(-ones, ones, dtype=np.float32)
         most = np.full(len(self.observation_names), _FURTHEST, np.float32)
         self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
-        tolerance = [
-            self.scenario.tolerance_of(name, group)
-            for name, group in zip(names, coordinates.group_of, strict=True)
-        ]
-        self._tolerance = np.array(tolerance)
+        self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
         self._exchange: _Exchange | None = None
         self._thread: threading.Thread | None = None
         self._seen = np.zeros(len(self.observation_names), np.float32)
@@ -201,11 +222,13 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._kind != "force":
             settings = self.scenario.controllers.get(self._law, {})
             own = dataclasses.replace(setup, name=self._law, settings=settings)
-            factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
-            inner = call_factory(factory, own, place=self._law)
-            if not isinstance(inner, ControlLaw) or inner.tracks_frame:
-                raise BlockError(f"{self._law}: must be a control law of coordinates")
-        return _Steered(exchange=exchange, kind=self._kind, scale=self._scale, inner=inner)
+            inner = call_factory(self._factory, own, place=self._law)
+            if not isinstance(inner, ControlLaw):
+                raise BlockError(f"{self._law}: must be a control law")
+        task = TaskSpace.from_setup(setup) if self._tracks_frame else None
+        return _Steered(
+            exchange=exchange, kind=self._kind, scale=self._scale, inner=inner, task=task
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -239,7 +262,8 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         log, (errors, forces) = self._take()
         terms = {"tracking": 0.0, "effort": 0.0}
         if errors.size:
-            terms["tracking"] = -float(np.minimum(np.abs(errors) / self._tolerance, 1e3).mean())
+            excess = np.minimum(np.abs(errors) / self._tolerance, 1e3)[:, self._counted]
+            terms["tracking"] = -float(excess.mean())
             terms["effort"] = -float(((forces / self._limit) ** 2).mean())
         info: dict[str, Any] = {"reward_terms": terms}
         if log is not None:
@@ -272,8 +296,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._thread = None
             self.close()
             return found, spent
-        sample, spent = found
-        seen = np.concatenate([sample.e, sample.e_dot, sample.q, sample.v])
+        seen, spent = found
         self._seen = np.clip(seen, -_FURTHEST, _FURTHEST).astype(np.float32)
         return None, spent
 

@@ -110,3 +110,22 @@ def test_they_are_registered():
     env.reset(seed=1)
     assert env.step(env.action_space.sample())[2:4] == (False, False)
     env.close()
+
+
+def test_a_law_of_a_frame_with_no_residual_has_the_bits_of_simulate():
+    """The agent sees the frame's errors, and the ending is judged by the frame."""
+    scenario = load_scenario("free_floating", ["duration=0.2"])
+    env = gymnasium.make("ffsm/FreeFloating-v0", scenario=scenario, action="residual")
+    env.reset(seed=3)
+    ended = cut = False
+    while not (ended or cut):
+        *_, ended, cut, info = env.step(np.zeros(env.action_space.shape))
+    alone = simulate(scenario.replace(random_seed=3), check_stability=False)
+    log = env.unwrapped.log
+    assert log.tracks_frame
+    assert info["ending"] == alone.ending.sentence
+    assert any(name.startswith("error.frame_") for name in env.unwrapped.observation_names)
+    np.testing.assert_array_equal(
+        log.series["state"][:, -5:], alone.dataset.velocity.values[:, -5:]
+    )
+    env.close()
