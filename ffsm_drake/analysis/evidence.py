@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import from_grasp
@@ -237,11 +238,13 @@ def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: flo
 
 
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """The samples before the first non-finite value, which ends the record of a diverged run."""
-    finite = np.ones(dataset.sizes["time"], dtype=bool)
+    """The samples before the first that is not ``usable``, which ends the record of a diverged
+    run.
+    """
+    good = np.ones(dataset.sizes["time"], dtype=bool)
     for variable in dataset.data_vars.values():
-        finite &= np.isfinite(variable.values).reshape(finite.size, -1).all(axis=1)
-    return dataset.isel(time=slice(0, finite.size if finite.all() else int(np.argmin(finite))))
+        good &= usable(variable.values)
+    return dataset.isel(time=slice(0, good.size if good.all() else int(np.argmin(good))))
 
 
 def largest(values: np.ndarray) -> np.ndarray:

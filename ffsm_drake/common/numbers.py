@@ -1,9 +1,12 @@
 # ruff: noqa: RUF001, RUF002 (the texts use mathematical signs)
-"""Numbers as text."""
+"""Numbers as text, and whether they can be calculated with."""
 
 import math
 
+import numpy as np
+
 NONE = "–"
+LARGEST = 1e100  # of what a run may write; the square of more overflows, or its product with more
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -33,3 +36,10 @@ def power_of_ten(exponent: int) -> str:
 def percent(share: float | None) -> str:
     """Such as 97.5 %; a dash where there is none."""
     return f"{100.0 * share:.1f} %" if share is not None and math.isfinite(share) else NONE
+
+
+def usable(values: np.ndarray) -> np.ndarray:
+    """Which samples of values (n, ...) are numbers below ``LARGEST`` throughout (n)."""
+    within = np.abs(values) < LARGEST  # false for NaN too
+    every: np.ndarray = within.all(axis=tuple(range(1, within.ndim)))
+    return every

@@ -9,6 +9,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.table import EFFORT, VARIABLES, Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_poses, frame_rows
@@ -179,12 +180,9 @@ def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndar
     """
     plant, context = model.plant, model.context
     origin = np.zeros(3)
-    momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
-    for i, state in enumerate(states):
-        if not np.isfinite(state).all():  # a diverged run's last; Drake ends the process on it
-            momentum[i] = energy[i] = np.nan
-            continue
-        plant.SetPositionsAndVelocities(context, state)
+    momentum, energy = np.full((len(states), 6), np.nan), np.full(len(states), np.nan)
+    for i in np.flatnonzero(usable(states)):  # not a diverged run's last: Drake ends the process
+        plant.SetPositionsAndVelocities(context, states[i])
         momentum[i] = plant.CalcSpatialMomentumInWorldAboutPoint(context, origin).get_coeffs()
         energy[i] = plant.CalcKineticEnergy(context)
     return momentum, energy

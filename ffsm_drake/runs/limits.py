@@ -12,7 +12,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
@@ -121,7 +121,7 @@ def closest_of(
     """
     clearance = _shapes(scenario, apart=None if target is None else scenario.payload.body)
     q = np.hstack([q, *(part for part in (target, hidden) if part is not None)])
-    if clearance.pairs and np.isfinite(q).all(axis=1).any():
+    if clearance.pairs and usable(q).any():
         approach = clearance.along(q)
         nearest, time = approach.nearest, float(times[approach.index])
         yield Closest(
@@ -220,7 +220,7 @@ def _first_too_near(log: RunLog, clearance: Clearance, q: np.ndarray) -> float |
     if "hidden_state" in log.series:
         q = np.hstack([q, np.split(log.series["hidden_state"], 2, axis=1)[0]])
     for sample in np.unique(np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)):
-        near = np.isfinite(log.series["state"][sample]).all() and (
+        near = usable(log.series["state"][sample][None])[0] and (
             clearance.nearest(q[sample]).distance < log.scenario.clearance
         )
         if near:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of, with_role
 from ffsm_drake.runs.tracking import frame_metrics, largest_and_final, tracked_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
@@ -186,7 +187,7 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     residual is small against every force's impulse. It ends before the first sample that is not
     finite, the last of some diverged runs.
     """
-    dataset = _finite_start(dataset, _IN_BALANCE)
+    dataset = _usable_start(dataset, _IN_BALANCE)
     linear, angular = (dataset[f"{name}_momentum"].values for name in ("linear", "angular"))
     change = {"linear": linear - linear[0], "angular": angular - angular[0]}
     period = np.diff(dataset["time"].values)[:, None]
@@ -214,12 +215,10 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     }
 
 
-def _finite_start(dataset: "Labelled", names: Sequence[str]) -> "Labelled":
-    """The samples before the first with a number that is not finite; at least one."""
-    finite = np.logical_and.reduce(
-        [np.isfinite(dataset[name].values).all(axis=1) for name in names]
-    )
-    count = finite.size if finite.all() else max(1, int(np.argmin(finite)))
+def _usable_start(dataset: "Labelled", names: Sequence[str]) -> "Labelled":
+    """The samples before the first that is not ``usable``; at least one."""
+    good = np.logical_and.reduce([usable(dataset[name].values) for name in names])
+    count = good.size if good.all() else max(1, int(np.argmin(good)))
     return dataset.isel(time=slice(0, count))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.numbers import LARGEST, usable
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
@@ -336,23 +337,21 @@ def _of_phases(dataset: "xr.Dataset") -> Iterator[str]:
 
 
 def _of_numbers(dataset: "xr.Dataset", outcome: Outcome) -> Iterator[str]:
-    """Numbers that are finite, and quaternions of rotations."""
+    """Numbers that are ``usable``, and quaternions of rotations."""
     whole = outcome.status in (COMPLETED, *NOT_CAPTURED)
     known = [name for name in (*_OF_TARGET, "hidden_position", "frame_error") if name in dataset]
     for name in [*_FINITE, *known] if whole else _STATE:
-        values = dataset[name].values
-        finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-        first = int(np.argmin(finite))
-        if not finite.all() and (whole or first == 0 or finite[first:].any()):
-            yield f"{name} must be finite, and is not at sample {first}"
+        good = usable(dataset[name].values)
+        first = int(np.argmin(good))
+        if not good.all() and (whole or first == 0 or good[first:].any()):
+            yield f"{name} must be finite and below {LARGEST:g}, and is not at sample {first}"
     for name in ("position", "desired_position", "target_quaternion"):
         if name in dataset:
             quaternion = dataset[name].values[:, :4]
             norm = np.linalg.norm(quaternion, axis=1)
             # a run that diverges ends in any norm but zero, and but one that is no number any more
             off = np.abs(norm - 1.0) >= _NORM_TOLERANCE if whole else norm < 1.0 - _NORM_TOLERANCE
-            off &= np.isfinite(norm)
-            off |= np.isfinite(quaternion).all(axis=1) & ~np.isfinite(norm)
+            off &= usable(quaternion)
             if off.any():
                 first = int(np.argmax(off))
                 yield f"{name} must hold unit quaternions, but sample {first} has {norm[first]:g}"

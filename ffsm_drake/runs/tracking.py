@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, position_errors
@@ -53,7 +54,7 @@ def frame_error(
     desired: np.ndarray | None,
 ) -> np.ndarray:
     """The pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN where q is not
-    finite.
+    ``usable``.
 
     Args:
       scenario: gives the frame.
@@ -69,9 +70,9 @@ def frame_error(
 
 def frame_poses(model: PlantModel, q: np.ndarray, frame: Frame) -> np.ndarray:
     """Poses (n, 7; quaternion, position) of a frame in configurations q (n, nq); NaN where q is not
-    finite.
+    ``usable``.
     """
-    result, finite = np.full((len(q), 7), np.nan), np.isfinite(q).all(axis=1)
+    result, finite = np.full((len(q), 7), np.nan), usable(q)
     if finite.any():
         result[finite] = model.calc_frame_pose(q[finite], frame)
     return result

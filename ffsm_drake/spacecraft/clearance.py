@@ -25,6 +25,7 @@ from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.numbers import usable
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import joints_of
 from ffsm_drake.spacecraft.flexible import HIDDEN, flexible_bodies
@@ -153,16 +154,16 @@ class Clearance:
         return Nearest(distance=least.distance, first=first, second=second)
 
     def along(self, positions: np.ndarray) -> Approach:
-        """The closest approach along configurations (n, nq); those not finite are skipped."""
+        """The closest approach along configurations (n, nq); those not ``usable`` are skipped."""
         best = None
-        for index in np.flatnonzero(np.isfinite(positions).all(axis=1)):
+        for index in np.flatnonzero(usable(positions)):
             nearest = self.nearest(
                 positions[index], below=np.inf if best is None else best.nearest.distance
             )
             if best is None or nearest.distance < best.nearest.distance:
                 best = Approach(index=int(index), nearest=nearest)
         if best is None:
-            raise ValueError("no configuration is finite")
+            raise ValueError("no configuration can be calculated with")
         return best
 
     def _may_touch(self) -> set[frozenset[BodyIndex]]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ffsm_drake.common.numbers import usable
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.part import (
     STORED_ENERGY,
@@ -244,10 +245,9 @@ def _elastic_energy(run: View) -> np.ndarray:
     model = run.model
     states = run.split.whole(run["state"], run["hidden_state"])
     elastic = np.full(len(states), np.nan)
-    for i, state in enumerate(states):
-        if np.isfinite(state).all():  # not of a diverged run's last; Drake ends the process on it
-            model.plant.SetPositionsAndVelocities(model.context, state)
-            elastic[i] = model.plant.CalcPotentialEnergy(model.context)
+    for i in np.flatnonzero(usable(states)):  # not a diverged run's last: Drake ends the process
+        model.plant.SetPositionsAndVelocities(model.context, states[i])
+        elastic[i] = model.plant.CalcPotentialEnergy(model.context)
     return elastic
 
 

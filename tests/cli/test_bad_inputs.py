@@ -433,7 +433,8 @@ TABLE = [
         for id, change, *expected in (
             ("nan", put("position", (1, 7), np.nan), "position must be finite", "at sample 1"),
             ("zero-quaternion", put("position", (2, slice(4)), 0), "unit quaternions", "sample 2"),
-            ("huge-quaternion", put("position", (2, slice(4)), 1e160), "unit quatern", "sample 2"),
+            ("huge-quaternion", put("position", (2, slice(4)), 1e80), "unit quatern", "sample 2"),
+            ("huge-joint", put("position", (2, 8), 1e160), "finite and below 1e+100", "sample 2"),
             (
                 "reversed",
                 lambda data: data.assign_coords(time=data.time.values[::-1]),

@@ -85,7 +85,7 @@ VALUES = {
     "single": lambda array, at: array.astype(np.float32),
     "logical": lambda array, at: array != 0,
 }
-REFUSED = {"nan", "inf", "zero", "text"}  # in the position of a completed run
+REFUSED = {"nan", "inf", "large", "zero", "text"}  # in the position of a completed run
 REFUSED_TIMES = {*VALUES} - {"roll", "single"}
 LAYOUTS = ("drop", "transpose", "fewer columns", "fewer rows", "no rows", "more rows", "scalar")
 ATTRIBUTES = ("sample_time", "title", "controller", "random_seed", "long_name", "units",
