@@ -22,7 +22,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
 from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.reference import PolynomialMotion
+from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.registry import SHIPPED, find_factory
 
 _SAMPLES = 800

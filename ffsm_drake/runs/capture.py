@@ -16,7 +16,7 @@ from pydrake.geometry import Meshcat
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.runs.closing import ClosingRun, closing_of
+from ffsm_drake.runs.closing import ClosingRun, closing_of, given_up
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.handover import Handover, Handovers, mismatch_of, stored_at_start
 from ffsm_drake.runs.log import GraspLog, RunLog
@@ -26,7 +26,6 @@ from ffsm_drake.spacecraft.capture import planned_contact, target_path
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.reference import without_target
 from ffsm_drake.systems.registry import Factory
-from ffsm_drake.systems.supervisor import Mode
 
 
 class CaptureRollout:
@@ -113,8 +112,9 @@ class CaptureRollout:
         ungrasped = handover.ungrasped(approach.time.size)
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
-        if given_up := _given_up(approach):
-            return dataclasses.replace(approach, scenario=chosen, outcome=given_up, grasp=ungrasped)
+        if message := given_up(approach):
+            missed = Outcome(status=MISSED, time=float(approach.time[-1]), message=message)
+            return dataclasses.replace(approach, scenario=chosen, outcome=missed, grasp=ungrasped)
         handovers.meet(self._stop.loop)
         if beyond := handover.beyond_envelope():
             last = float(approach.time[-1])
@@ -195,16 +195,6 @@ class CaptureRollout:
             else:
                 found.append(handover.joined(before, after, start))
         return found
-
-
-def _given_up(approach: RunLog) -> Outcome | None:
-    """The outcome of an approach from which the supervisor retreats; None of any other."""
-    modes = approach.series.get("mode", np.zeros(1)).ravel()
-    if modes[-1] == Mode.APPROACH:
-        return None
-    since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
-    message = f"the approach is given up at t = {since:g} s"
-    return Outcome(status=MISSED, time=float(approach.time[-1]), message=message)
 
 
 def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:

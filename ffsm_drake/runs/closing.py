@@ -14,6 +14,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
+from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -23,16 +24,18 @@ from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Posture, Scenario
-from ffsm_drake.scenario.capture import Approach, Closing, Compliance, Retreat
+from ffsm_drake.scenario.capture import Closing, Compliance, Retreat
 from ffsm_drake.spacecraft.capture import coast, target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
+from ffsm_drake.systems.approach import approach_posture, gentle_duration, is_gentle
 from ffsm_drake.systems.gripper import Gripper, Met
+from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion, without_target
 from ffsm_drake.systems.registry import Factory
-from ffsm_drake.systems.retreat import RetreatReference
-from ffsm_drake.systems.supervisor import SupervisorPart
+from ffsm_drake.systems.retreat import Move, RetreatReference
+from ffsm_drake.systems.supervisor import Mode, SupervisorPart
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
@@ -71,14 +74,18 @@ class ClosingRun:
         self.scenario, self.handover, self.blocks = scenario, handover, dict(blocks or {})
         self._chosen, self._progress = scenario, progress
         closing = closing_of(scenario)
-        if closing is None or scenario.capture is None:
+        if closing is None or scenario.capture is None or scenario.capture.approach is None:
             raise ValueError("capture.closing: there is none")
         self._capture, self._closing = scenario.capture, closing
+        self._approach = scenario.capture.approach
+        self._across: Move | None = None  # to where a further try begins
         self._samples = round(closing.duration / scenario.sample_time)  # of the closing
         self.sample = 0
         # motion of the target (n, 13) at the samples of the run, as far as is known
         last = handover.sample - 1
         self._path = np.vstack([handover.path[:last], self._onward(handover.path[last], last)])
+        place = np.array(scenario.initial_posture.base_position)  # at the grasp
+        self._reach = float(np.linalg.norm(place - self._center(self._path[handover.sample])))
         self._legs: list[tuple[str, int]] = []
         self.logs: list[RunLog] = []
         self.outcome: Outcome | None = None  # unless the target is captured
@@ -198,6 +205,9 @@ class ClosingRun:
         """Close the gripper, unless it misses; True: the target is captured."""
         self.outcome = None
         first, handover = self.sample, self.handover
+        if since := given_up(self.logs[-1]):
+            self._fail(MISSED, f"is not met: {since}")
+            return False
         handover.find_target(self._path[first])
         handover.meet(self.loop, self.loop.whole_states(self.context)[0])
         if beyond := handover.beyond_envelope():
@@ -263,39 +273,26 @@ class ClosingRun:
         """Move away from the target, and to it again if there are tries left and a way to it; True:
         the gripper is to close once more.
         """
-        capture, period = self._capture, self._chosen.sample_time
-        end = self.sample + round(retreat.duration / period)
-        if capture.approach is None or end > self._chosen.num_control_periods:
+        period = self._chosen.sample_time
+        moves = [self._away(retreat)]
+        end = self.sample + round(moves[0].duration / period)
+        if end > self._chosen.num_control_periods:
             return False
-        state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
-        coordinates = self.loop.coordinates
-        q, v = np.split(state, [len(coordinates.position_names)])
-        from_target = q[4:7] - self._center(self._path[self.sample])
-        away = retreat.distance / np.linalg.norm(from_target) * from_target
-        goal = dataclasses.replace(
-            capture.approach.posture,
-            base_position=(q[4:7] + away).tolist(),
-            base_rpy=base_rpy(q).tolist(),
-        )
-        reference = RetreatReference(
-            first=self.sample * period,
-            start=posture_of(q, coordinates),
-            velocity=v,
-            goal=goal,
-            duration=retreat.duration,
-        )
         failed, number_of = self.outcome, "" if tries == 1 else f"_{tries}"
         names = [(f"retreat{number_of}", end)]
-        again = tries < retreat.tries and self._meet_again(goal, end)
+        again = tries < retreat.tries and self._meet_again(moves[0].goal, end)
+        reference = RetreatReference(moves=tuple(moves))
         if again:
             begin = self.handover.sample - round(self.scenario.grasp_time / period)
-            reference = dataclasses.replace(reference, again=begin * period)
+            if self._across is not None:
+                moves.append(self._across)
+            reference = RetreatReference(moves=tuple(moves), again=begin * period)
             names = [
                 (names[0][0], begin),
                 (f"approach_{tries + 1}", self.handover.sample - self._samples),
             ]
         self.blocks["reference"] = reference
-        own = reference.first if reference.again is None else reference.again
+        own = moves[0].begin if reference.again is None else reference.again
         self.blocks = self._supervised(self.blocks, begin=own)
         self.outcome = None
         rollout = Rollout(without_target(self.scenario), blocks=self.blocks)
@@ -307,6 +304,35 @@ class ClosingRun:
             time = (self.sample - 1) * period
             self.outcome = dataclasses.replace(failed, time=time, message=message)
         return flown and again
+
+    def _away(self, retreat: Retreat) -> Move:
+        """From the measured state straight away from the target, at least as far as ``distance``
+        from where the base is to be at the grasp, at a pace that the limits allow.
+        """
+        scenario, coordinates = self._chosen, self.loop.coordinates
+        state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
+        q, v = np.split(state, [len(coordinates.position_names)])
+        from_target = q[4:7] - self._center(self._path[self.sample])
+        far = float(np.linalg.norm(from_target))
+        way = max(0.0, self._reach + retreat.distance - far) / far * from_target
+        goal = dataclasses.replace(
+            approach_posture(scenario),
+            base_position=(q[4:7] + way).tolist(),
+            base_rpy=base_rpy(q).tolist(),
+        )
+        move = Move(
+            begin=self.sample * scenario.sample_time,
+            duration=retreat.duration,
+            start=posture_of(q, coordinates),
+            goal=goal,
+            velocity=v,
+        )
+
+        def motion_in(duration: float) -> PlannedMotion:
+            return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
+
+        duration = gentle_duration(scenario, motion_in, retreat.duration)
+        return dataclasses.replace(move, duration=duration)
 
     def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
         """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
@@ -323,7 +349,8 @@ class ClosingRun:
     def _meet_again(self, start: Posture, first: int) -> bool:
         """Find the next try, from rest in a posture at a sample or later: where and when the base
         has to move least for the arm to meet the target as in the first try, on a way that keeps
-        clear. False: there is none.
+        clear, with a move ``_across`` to where the approach begins, if that is elsewhere. False:
+        there is none.
         """
         chosen, period = self._chosen, self._chosen.sample_time
         lasts = round(chosen.grasp_time / period)
@@ -342,7 +369,12 @@ class ClosingRun:
             candidates.append((way + _LENGTH * turn.ToAngleAxis().angle(), sample, X_WB))
         for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
             scenario = self._try(start, X_WB, self._path[sample])
-            if self._is_clear(scenario, sample - lasts, sample):
+            begin = sample - lasts
+            if self._leads_to(start, scenario, first, begin) and self._is_clear(
+                make_motion(without_target(scenario), self.loop.coordinates),
+                np.linspace(begin, sample - self._samples, _INSTANTS),
+                begin,
+            ):
                 self.scenario, self.handover = scenario, Handover(scenario)
                 self.handover.sample = sample
                 return True
@@ -365,7 +397,7 @@ class ClosingRun:
             axes="world",
             rate=w.tolist(),
             velocity=(v_P + np.cross(w, self._center(motion) - motion[4:7])).tolist(),
-            approach=Approach(duration=self._chosen.grasp_time, posture=start),
+            approach=dataclasses.replace(self._approach, posture=start),
         )
         posture = dataclasses.replace(
             self._chosen.initial_posture,
@@ -374,10 +406,27 @@ class ClosingRun:
         )
         return dataclasses.replace(self._chosen, initial_posture=posture, capture=capture)
 
-    def _is_clear(self, scenario: Scenario, first: int, last: int) -> bool:
-        """Whether the planned approach of a try keeps the scenario's clearance."""
-        motion = make_motion(without_target(scenario), self.loop.coordinates)
-        samples = np.linspace(first, last - self._samples, _INSTANTS).round().astype(int)
+    def _leads_to(self, start: Posture, scenario: Scenario, first: int, begin: int) -> bool:
+        """Whether the servicer, at rest in a posture from a sample on, can be where the approach of
+        a try begins in time; ``_across`` is the move that takes it there, if it has to move.
+        """
+        self._across, period = None, scenario.sample_time
+        try:
+            goal = approach_posture(scenario)
+        except LimitError:
+            return False
+        if goal == start:
+            return True
+        move = Move(begin=first * period, duration=(begin - first) * period, start=start, goal=goal)
+        if begin - first < 2:
+            return False
+        self._across, motion = move, move.motion(scenario, self.loop.coordinates)
+        samples = np.linspace(first, begin, _INSTANTS)
+        return is_gentle(scenario, motion) and self._is_clear(motion, samples, first)
+
+    def _is_clear(self, motion: PlannedMotion, samples: np.ndarray, first: int) -> bool:
+        """Whether a motion that begins at a sample keeps the scenario's clearance at others."""
+        samples, scenario = samples.round().astype(int), self._chosen
         times = (samples - first) * scenario.sample_time
         q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
         target = self._path[samples, :7]
@@ -403,3 +452,12 @@ def _without_contact(log: RunLog) -> RunLog:
     if contact is not None:
         series["disturbance_force"] = series["disturbance_force"] - contact
     return dataclasses.replace(log, series=series)
+
+
+def given_up(approach: RunLog) -> str:
+    """How an approach ended from which the supervisor retreats; empty of any other."""
+    modes = approach.series.get("mode", np.zeros(1)).ravel()
+    if modes[-1] == Mode.APPROACH:
+        return ""
+    since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
+    return f"the approach is given up at t = {since:g} s"

@@ -16,6 +16,7 @@ from ffsm_drake.spacecraft.capture import contact_at, planned_contact, target_bo
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.systems.approach import approach_posture
 from ffsm_drake.systems.part import STORED_MOMENTUM
 
 
@@ -41,7 +42,7 @@ class Handover:
         if capture is None or capture.approach is None:
             raise ValueError("capture.approach: there is none")
         position = configuration(
-            loop.single, capture.approach.posture, key="capture.approach.posture"
+            loop.single, approach_posture(self._scenario), key="capture.approach.posture"
         )
         velocity = loop.coordinates.vector(
             self._scenario.initial_velocity, key="initial_velocity", default=0.0

@@ -6,22 +6,20 @@ says how often.
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import Model, Scenario
-from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.clearance import Clearance, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
-from ffsm_drake.spacecraft.plant import coordinates_of, make_plant, model_files
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import joint_limits, limits_of
 
 CLEARANCE = "clearance"  # its name among the exceeded limits
@@ -119,7 +117,7 @@ def closest_of(
     """The smallest distance in configurations (n, nq), before a grasp with the target at poses
     (n, 7), with deflections (n, nh), by default none; nothing if no parts can meet.
     """
-    clearance = _shapes(scenario, apart=None if target is None else scenario.payload.body)
+    clearance = shapes_of(scenario.model, apart=None if target is None else scenario.payload.body)
     q = np.hstack([q, *(part for part in (target, hidden) if part is not None)])
     if clearance.pairs and usable(q).any():
         approach = clearance.along(q)
@@ -128,19 +126,6 @@ def closest_of(
             first=nearest.first, second=nearest.second, distance=nearest.distance, time=time,
             before_grasp=target is not None,
         )  # fmt: skip
-
-
-def _shapes(scenario: Scenario, *, apart: str | None = None) -> Clearance:
-    """The collision shapes of a scenario's model; ``apart`` names a body that is free."""
-    return _loaded(scenario.model, model_files(scenario.model), apart)
-
-
-@memoized(maxsize=4)  # a campaign asks after every run, and loading takes longer than looking
-def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
-    """The shapes of a model; ``files`` are part of the key."""
-    if apart is None:
-        return Clearance(model, flexible=True)
-    return ApproachClearance(model, apart, flexible=True)
 
 
 def clearance_remarks(
@@ -191,7 +176,7 @@ def limits_left(log: RunLog) -> dict[str, float]:
 
     In a run with a capture, clearance is evaluated from the grasp on, as in ``run_clearance``.
     """
-    clearance = _shapes(log.scenario)
+    clearance = shapes_of(log.scenario.model)
     parts = [placed.part for placed in log.parts.values()]
     limits = limits_of(log.scenario, clearance.plant, parts, helped=True)
     q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)

@@ -29,6 +29,14 @@ class Approach:
         20.0, "s", "the run begins with it; a whole number of control samples", above=0
     )
     posture: Posture = unitless(Posture(), "where the servicer starts, at rest")
+    start: str = choice_of(
+        "given",
+        'where the servicer starts: "given", in posture, or "clear": the base near the grasp, the '
+        "joints as in posture or at the grasp, so that the planned approach keeps clear of the "
+        "tumbling target",
+        "given",
+        "clear",
+    )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Whole samples, and time left after it; every coordinate driven, no frame."""

@@ -11,6 +11,7 @@ body counts where it is at rest.
 
 import dataclasses
 import itertools
+from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import (
@@ -25,6 +26,7 @@ from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import joints_of
@@ -36,6 +38,7 @@ from ffsm_drake.spacecraft.plant import (
     find_body,
     find_frame,
     make_plant,
+    model_files,
 )
 
 # Bodies with few joints between them that are near at every joint angle are left out.
@@ -288,3 +291,18 @@ class ApproachClearance(Clearance):
         place = (self._target.EvalPoseInWorld(context) @ self._X_PE).translation()
         gap = np.linalg.norm(place - self._effector.CalcPoseInWorld(context).translation())
         return self._gripping if gap < _REACH else set()
+
+
+def shapes_of(model: Model, *, apart: str | None = None) -> Clearance:
+    """The collision shapes of a model, flexible parts included; ``apart`` names a body that is not
+    grasped yet.
+    """
+    return _loaded(model, model_files(model), apart)
+
+
+@memoized(maxsize=4)  # a campaign asks after every run, and loading takes longer than looking
+def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
+    """The shapes of a model; ``files`` are part of the key."""
+    if apart is None:
+        return Clearance(model, flexible=True)
+    return ApproachClearance(model, apart, flexible=True)

@@ -35,11 +35,13 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Reference, Scenario
 from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
+from ffsm_drake.systems.approach import approach_posture
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import PolynomialMotion, make_motion
+from ffsm_drake.systems.polynomial_motion import PolynomialMotion
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
@@ -200,7 +202,7 @@ class NewPlan:
         """As a function of the time since its begin."""
         goal = None if scenario.reference.goal == "stop" else scenario.target_posture
         if self.retreats and scenario.capture is not None and scenario.capture.approach is not None:
-            goal = scenario.capture.approach.posture
+            goal = approach_posture(scenario)
         return PolynomialMotion(
             coordinates=coordinates,
             start=_posture(self.q, coordinates),

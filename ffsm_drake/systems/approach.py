@@ -1,0 +1,173 @@
+"""Where the approach to a tumbling target begins (``capture.approach.start``)."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ffsm_drake.common.errors import LimitError
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.scenario.capture import Approach
+from ffsm_drake.spacecraft.capture import NOTHING, Contact, planned_contact, target_path
+from ffsm_drake.spacecraft.clearance import shapes_of
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.polynomial_motion import PolynomialMotion
+
+_LENGTHS = (0.3, 0.6, 1.0)  # m; from the base at the grasp
+_INSTANTS = 40
+_GROWTH, _LONGEST = 1.15, 300.0  # of a duration, s
+# Of the limits of force at most; the first that takes little and is wide of the target is taken.
+_MOST, _LITTLE, _WIDE = 0.5, 0.2, 0.03  # the last in m
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Margins:
+    """What a planned approach to a free target leaves."""
+
+    distance: float  # m; smallest distance of parts
+    share: float  # largest share of the limits of force, with an empty gripper
+
+
+def approach_posture(scenario: Scenario) -> Posture:
+    """Where a scenario's approach begins.
+
+    Raises LimitError: ``capture.approach.start`` is "clear", and no place tried is.
+    """
+    return given_approach(scenario).posture
+
+
+def given_approach(scenario: Scenario) -> Approach:
+    """A scenario's approach with its start given; errors as ``approach_posture``."""
+    assert scenario.capture is not None
+    assert scenario.capture.approach is not None
+    approach = scenario.capture.approach
+    if approach.start == "given":
+        return approach
+    # what the plan depends on: the laws of a campaign share it
+    posture = _clear_start(
+        dataclasses.replace(
+            Scenario(),
+            model=scenario.model,
+            payload=scenario.payload,
+            capture=scenario.capture,
+            reference=scenario.reference,
+            initial_posture=scenario.initial_posture,
+            sample_time=scenario.sample_time,
+            actuation=scenario.actuation,
+            clearance=scenario.clearance,
+        )
+    )
+    return dataclasses.replace(approach, posture=posture, start="given")
+
+
+@memoized(maxsize=16)
+def _clear_start(scenario: Scenario) -> Posture:
+    capture = scenario.capture
+    assert capture is not None
+    assert capture.approach is not None
+    model = make_nominal_plant(scenario)
+    contact = planned_contact(scenario, model)
+    X_WP, path = target_path(scenario, model, contact)
+    end = np.array(scenario.initial_posture.base_position)
+    best, kept = -np.inf, capture.approach.posture
+    for joints, way in itertools.product(
+        (kept.joints, scenario.initial_posture.joints), _ways(end - X_WP.translation())
+    ):
+        posture = dataclasses.replace(kept, base_position=(end + way).tolist(), joints=joints)
+        motion = approach_motion(scenario, model, contact, posture)
+        margins = margins_of(scenario, motion, path[:, :7], most=_MOST)
+        if margins.distance > best:
+            best, found = margins.distance, posture
+        if margins.distance >= _WIDE and margins.share <= _LITTLE:
+            return posture
+    if best < scenario.clearance:
+        raise LimitError(
+            "capture.approach.start",
+            f"no start within {_LENGTHS[-1]:g} m keeps {scenario.clearance:g} m from the target "
+            f"at {100.0 * _MOST:g} % of the limits of force; change capture.approach.duration or "
+            "posture.joints",
+            limit="clearance",
+        )
+    return found
+
+
+def _ways(away: np.ndarray) -> Iterator[np.ndarray]:
+    """Displacements (3) from the grasp: directions to faces, edges and corners of a cube, those
+    away from the target first.
+    """
+    cube = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
+    cube /= np.linalg.norm(cube, axis=1)[:, None]
+    for direction in cube[np.argsort(-(cube @ away), kind="stable")]:
+        yield from (length * direction for length in _LENGTHS)
+
+
+def approach_motion(
+    scenario: Scenario, model: PlantModel, contact: Contact, posture: Posture
+) -> PolynomialMotion:
+    """The way from the grasp back to a posture, as a function of the time before the grasp."""
+    assert scenario.capture is not None
+    assert scenario.capture.approach is not None
+    return PolynomialMotion(
+        coordinates=model.coordinates,
+        start=scenario.initial_posture,
+        target=posture,
+        blend=Blend(scenario.reference, scenario.capture.approach.duration, backwards=True),
+        base_rotation=scenario.reference.base_rotation,
+        sample_time=scenario.sample_time,
+        velocity=-contact.velocity,
+    )
+
+
+def margins_of(
+    scenario: Scenario, backwards: PlannedMotion, target: np.ndarray, *, most: float = np.inf
+) -> Margins:
+    """What an approach leaves, given backwards from the grasp, with the target at poses (n, 7) at
+    the n control samples before it. Beyond ``most`` of the limits no distance is measured.
+    """
+    samples = np.unique(np.linspace(0, len(target) - 1, _INSTANTS).round().astype(int))
+    rows = backwards.rows(scenario.sample_time * (len(target) - samples))
+    share = force_share(scenario, rows)
+    if share > most:
+        return Margins(distance=-np.inf, share=share)
+    shapes = shapes_of(scenario.model, apart=scenario.payload.body)
+    q = rows[:, : len(backwards.coordinates.position_names)]
+    nearest = shapes.along(np.hstack([q, target[samples]])).nearest if shapes.pairs else None
+    return Margins(distance=np.inf if nearest is None else nearest.distance, share=share)
+
+
+def force_share(scenario: Scenario, rows: np.ndarray) -> float:
+    """The largest share of the limits of force that a motion [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
+    takes with an empty gripper; the same in either direction but for damping.
+    """
+    empty = dataclasses.replace(scenario.payload, nominal=NOTHING)
+    model = make_nominal_plant(dataclasses.replace(scenario, payload=empty))
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    force = model.calc_tracking_force(*np.split(rows, [nq, nq + nv], axis=1))
+    limit = actuation_limit(scenario, model.coordinates).upper
+    return float((np.abs(force) / limit).max())
+
+
+def gentle_duration(
+    scenario: Scenario, motion_in: Callable[[float], PlannedMotion], shortest: float
+) -> float:
+    """The first of a shortest duration (s), 1.15 times, 1.15^2 times as long, and so on, in whole
+    samples, whose motion takes at most half of the limits of force with an empty gripper; else the
+    longest tried.
+    """
+    while True:
+        samples = math.ceil(shortest / scenario.sample_time - 1e-9)
+        duration = samples * scenario.sample_time
+        if duration > _LONGEST or is_gentle(scenario, motion_in(duration)):
+            return duration
+        shortest *= _GROWTH
+
+
+def is_gentle(scenario: Scenario, motion: PlannedMotion) -> bool:
+    """Whether a motion takes at most half of the limits of force with an empty gripper."""
+    return force_share(scenario, motion.rows(np.linspace(0.0, motion.end, _INSTANTS))) <= _MOST
