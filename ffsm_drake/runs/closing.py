@@ -29,7 +29,12 @@ from ffsm_drake.spacecraft.capture import coast, target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
-from ffsm_drake.systems.approach import approach_posture, gentle_duration, is_gentle
+from ffsm_drake.systems.approach import (
+    approach_posture,
+    gentle_duration,
+    given_approach,
+    is_gentle,
+)
 from ffsm_drake.systems.gripper import Gripper, Met
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion, without_target
@@ -126,6 +131,7 @@ class ClosingRun:
             axes="world",
             servicer="given",
             servicer_velocity=dict(zip(model.coordinates.names, v.tolist(), strict=True)),
+            approach=given_approach(scenario),
         )
         scenario = dataclasses.replace(
             scenario, initial_posture=posture_of(q, model.coordinates), capture=capture
@@ -307,7 +313,7 @@ class ClosingRun:
 
     def _away(self, retreat: Retreat) -> Move:
         """From the measured state straight away from the target, at least as far as ``distance``
-        from where the base is to be at the grasp, at a pace that the limits allow.
+        from where the base is to be at the grasp, at a pace that the limits and the run's end allow.
         """
         scenario, coordinates = self._chosen, self.loop.coordinates
         state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
@@ -331,8 +337,9 @@ class ClosingRun:
         def motion_in(duration: float) -> PlannedMotion:
             return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
 
+        left = (scenario.num_control_periods - self.sample) * scenario.sample_time
         duration = gentle_duration(scenario, motion_in, retreat.duration)
-        return dataclasses.replace(move, duration=duration)
+        return dataclasses.replace(move, duration=max(min(duration, left), retreat.duration))
 
     def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
         """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
