@@ -14,7 +14,6 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -44,7 +43,7 @@ from ffsm_drake.systems.supervisor import Mode, SupervisorPart
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
-_CANDIDATES = 6  # meetings looked at, those with the shortest ways
+_CANDIDATES = 30  # meetings looked at, those with the shortest ways
 _INSTANTS = 15  # at which the clearance of each is looked at
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
@@ -66,6 +65,7 @@ class ClosingRun:
 
     loop: ClosedLoop
     context: Context
+    _across: Move  # from where a retreat ends to where the next try begins
 
     def __init__(
         self,
@@ -83,7 +83,6 @@ class ClosingRun:
             raise ValueError("capture.closing: there is none")
         self._capture, self._closing = scenario.capture, closing
         self._approach = scenario.capture.approach
-        self._across: Move | None = None  # to where a further try begins
         self._samples = round(closing.duration / scenario.sample_time)  # of the closing
         self.sample = 0
         # motion of the target (n, 13) at the samples of the run, as far as is known
@@ -290,8 +289,7 @@ class ClosingRun:
         reference = RetreatReference(moves=tuple(moves))
         if again:
             begin = self.handover.sample - round(self.scenario.grasp_time / period)
-            if self._across is not None:
-                moves.append(self._across)
+            moves.append(self._across)
             reference = RetreatReference(moves=tuple(moves), again=begin * period)
             names = [
                 (names[0][0], begin),
@@ -313,7 +311,8 @@ class ClosingRun:
 
     def _away(self, retreat: Retreat) -> Move:
         """From the measured state straight away from the target, at least as far as ``distance``
-        from where the base is to be at the grasp, at a pace that the limits and the run's end allow.
+        from where the base is to be at the grasp; at a pace that the limits allow, and the end of
+        the run.
         """
         scenario, coordinates = self._chosen, self.loop.coordinates
         state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
@@ -354,28 +353,27 @@ class ClosingRun:
         return motion[4:7] + arm
 
     def _meet_again(self, start: Posture, first: int) -> bool:
-        """Find the next try, from rest in a posture at a sample or later: where and when the base
-        has to move least for the arm to meet the target as in the first try, on a way that keeps
-        clear, with a move ``_across`` to where the approach begins, if that is elsewhere. False:
-        there is none.
+        """Find the next try, from rest in a posture at a sample or later: the first one moved with
+        the target to where the servicer has least to move ``_across`` to its begin, on a way that
+        keeps clear. False: there is none.
         """
         chosen, period = self._chosen, self._chosen.sample_time
         lasts = round(chosen.grasp_time / period)
         stop = chosen.reference.duration or chosen.grasp_time
-        earliest = first + lasts
+        earliest = first + lasts + round(_EVERY / period)
         latest = chosen.num_control_periods - math.ceil(stop / period)
-        model = make_nominal_plant(chosen)
-        X_BP = self._target_from_base(model)
+        X_BP = self._target_from_base(make_nominal_plant(chosen))
+        X_BS = _base_pose(chosen.initial_posture).inverse() @ _base_pose(approach_posture(chosen))
+        X_W0 = _base_pose(start)
         candidates = []
         for sample in range(earliest, latest + 1, max(1, round(_EVERY / period))):
             motion = self._path[sample]
-            X_WP = RigidTransform(Quaternion(motion[:4]), motion[4:7])
-            X_WB = X_WP @ X_BP.inverse()
-            turn = X_WB.rotation() @ RollPitchYaw(start.base_rpy).ToRotationMatrix().inverse()
-            way = np.linalg.norm(X_WB.translation() - start.base_position)
-            candidates.append((way + _LENGTH * turn.ToAngleAxis().angle(), sample, X_WB))
+            X_WB = RigidTransform(Quaternion(motion[:4]), motion[4:7]) @ X_BP.inverse()
+            X_0S = X_W0.inverse() @ X_WB @ X_BS
+            way = np.linalg.norm(X_0S.translation())
+            candidates.append((way + _LENGTH * X_0S.rotation().ToAngleAxis().angle(), sample, X_WB))
         for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
-            scenario = self._try(start, X_WB, self._path[sample])
+            scenario = self._try(X_WB, X_WB @ X_BS, self._path[sample])
             begin = sample - lasts
             if self._leads_to(start, scenario, first, begin) and self._is_clear(
                 make_motion(without_target(scenario), self.loop.coordinates),
@@ -394,39 +392,29 @@ class ClosingRun:
         body = target_body(self._chosen, model).body_frame()
         return RigidTransform(body.CalcPose(model.context, base_body(model.plant).body_frame()))
 
-    def _try(self, start: Posture, X_WB: RigidTransform, motion: np.ndarray) -> Scenario:
-        """The scenario of a further try: its approach leads from a posture to where the base is at
-        X_WB and the target in a motion (13).
+    def _try(self, X_WB: RigidTransform, X_WS: RigidTransform, motion: np.ndarray) -> Scenario:
+        """The scenario of a further try, with the base at X_WS where its approach begins, at X_WB
+        where it ends, and the target then in a motion (13).
         """
+        chosen = self._chosen
         w, v_P = np.split(motion[7:], 2)
+        posture = _placed(approach_posture(chosen), X_WS)
         capture = dataclasses.replace(
             self._capture,
             axes="world",
             rate=w.tolist(),
             velocity=(v_P + np.cross(w, self._center(motion) - motion[4:7])).tolist(),
-            approach=dataclasses.replace(self._approach, posture=start),
+            approach=dataclasses.replace(self._approach, posture=posture, start="given"),
         )
-        posture = dataclasses.replace(
-            self._chosen.initial_posture,
-            base_position=X_WB.translation().tolist(),
-            base_rpy=RollPitchYaw(X_WB.rotation()).vector().tolist(),
-        )
-        return dataclasses.replace(self._chosen, initial_posture=posture, capture=capture)
+        posture = _placed(chosen.initial_posture, X_WB)
+        return dataclasses.replace(chosen, initial_posture=posture, capture=capture)
 
     def _leads_to(self, start: Posture, scenario: Scenario, first: int, begin: int) -> bool:
-        """Whether the servicer, at rest in a posture from a sample on, can be where the approach of
-        a try begins in time; ``_across`` is the move that takes it there, if it has to move.
+        """Whether the servicer, at rest in a posture from a sample on, can ``_across`` be where the
+        approach of a try begins, at another sample.
         """
-        self._across, period = None, scenario.sample_time
-        try:
-            goal = approach_posture(scenario)
-        except LimitError:
-            return False
-        if goal == start:
-            return True
+        period, goal = scenario.sample_time, approach_posture(scenario)
         move = Move(begin=first * period, duration=(begin - first) * period, start=start, goal=goal)
-        if begin - first < 2:
-            return False
         self._across, motion = move, move.motion(scenario, self.loop.coordinates)
         samples = np.linspace(first, begin, _INSTANTS)
         return is_gentle(scenario, motion) and self._is_clear(motion, samples, first)
@@ -450,6 +438,19 @@ def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:
     """The gripper's block of a loop, and its context."""
     block = loop.blocks[GRIPPER]
     return block, block.GetMyMutableContextFromRoot(root_context)
+
+
+def _base_pose(posture: Posture) -> RigidTransform:
+    """X_WB of a posture."""
+    return RigidTransform(RollPitchYaw(posture.base_rpy), posture.base_position)
+
+
+def _placed(posture: Posture, X_WB: RigidTransform) -> Posture:
+    """A posture with the base elsewhere."""
+    rpy = RollPitchYaw(X_WB.rotation()).vector()
+    return dataclasses.replace(
+        posture, base_position=X_WB.translation().tolist(), base_rpy=rpy.tolist()
+    )
 
 
 def _without_contact(log: RunLog) -> RunLog:
