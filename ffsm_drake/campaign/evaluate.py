@@ -27,7 +27,7 @@ from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
 from ffsm_drake.runs.batches import batches_of, run_many
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
-from ffsm_drake.runs.limits import CLEARANCE, limits_left
+from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
@@ -47,7 +47,12 @@ _BY_GROUP = [
 METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # Further columns of a scenario with a capture; FIRST_LIMIT, which a run exceeds first, is text.
-OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
+OF_CAPTURE = (
+    "grasp_impulse",
+    "grasp_angular_impulse",
+    "first_limit_time",
+    "closest_distance",
+)
 # Further columns of a frame with a reference: its errors, rad and m.
 OF_FRAME = {
     part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")
@@ -235,13 +240,16 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}
     text = {"outcome": outcome, "message": message}
     if spec.scenario.capture:
-        left = limits_left(log)
+        near = distances_in(log)
+        left, closest = limits_left(log, near), float(near[1].min(initial=np.inf))
+        values["closest_distance"] = closest if math.isfinite(closest) else None
         first = min(left, key=lambda name: left[name], default="")
         text[FIRST_LIMIT], values["first_limit_time"] = first, left.get(first)
         if outcome == "settled" and CLEARANCE in left:
             text |= {
                 "outcome": "not_settled",
-                "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s",
+                "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s, and within "
+                f"{closest:.3g} m of each other (below 0 they overlap)",
             }
         if log.grasp is not None and log.grasp.contact is not None:
             angular, linear = np.split(log.grasp.contact.impulse, 2)

@@ -25,7 +25,7 @@ from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Closing, Compliance, Retreat
 from ffsm_drake.spacecraft.capture import coast, target_body
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
 from ffsm_drake.systems.approach import (
@@ -33,8 +33,10 @@ from ffsm_drake.systems.approach import (
     gentle_duration,
     given_approach,
     is_gentle,
+    outwards,
 )
 from ffsm_drake.systems.gripper import Gripper, Met
+from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion, without_target
 from ffsm_drake.systems.registry import Factory
@@ -45,6 +47,7 @@ _EVERY = 0.5  # s; between the instants at which a further try may meet the targ
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
 _CANDIDATES = 30  # meetings looked at, those with the shortest ways
 _INSTANTS = 15  # at which the clearance of each is looked at
+_PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # of a stop, that may keep clear
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
 Begin = Callable[[ClosedLoop, Context], None]
@@ -135,6 +138,7 @@ class ClosingRun:
         scenario = dataclasses.replace(
             scenario, initial_posture=posture_of(q, model.coordinates), capture=capture
         )
+        scenario = _with_clear_stop(scenario, model.coordinates)
         handover = Handover(scenario)
         handover.sample, handover.path = self.sample, self._path[: self.sample]
         handover.legs = tuple(self._legs)
@@ -310,35 +314,53 @@ class ClosingRun:
         return flown and again
 
     def _away(self, retreat: Retreat) -> Move:
-        """From the measured state straight away from the target, at least as far as ``distance``
-        from where the base is to be at the grasp; at a pace that the limits allow, and the end of
-        the run.
+        """From the measured state to rest away from the target, at a pace that the limits and the
+        end of the run allow: straight away from it, or in the nearest other direction, to a face,
+        an edge or a corner of a cube, in which it keeps clear.
         """
         scenario, coordinates = self._chosen, self.loop.coordinates
         state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
         q, v = np.split(state, [len(coordinates.position_names)])
         from_target = q[4:7] - self._center(self._path[self.sample])
-        far = float(np.linalg.norm(from_target))
-        way = max(0.0, self._reach + retreat.distance - far) / far * from_target
-        goal = dataclasses.replace(
-            approach_posture(scenario),
-            base_position=(q[4:7] + way).tolist(),
-            base_rpy=base_rpy(q).tolist(),
-        )
-        move = Move(
-            begin=self.sample * scenario.sample_time,
-            duration=retreat.duration,
-            start=posture_of(q, coordinates),
-            goal=goal,
-            velocity=v,
-        )
+        straight, moves = from_target / np.linalg.norm(from_target), []
+        for direction in (
+            straight,
+            *(each for each in outwards(straight) if each @ straight > 0.5),
+        ):
+            goal = dataclasses.replace(
+                approach_posture(scenario),
+                base_position=(q[4:7] + self._retreats(retreat, from_target) * direction).tolist(),
+                base_rpy=base_rpy(q).tolist(),
+            )
+            move = Move(
+                begin=self.sample * scenario.sample_time,
+                duration=retreat.duration,
+                start=posture_of(q, coordinates),
+                goal=goal,
+                velocity=v,
+            )
+            moves.append(self._paced(move))
+            last = self.sample + round(moves[-1].duration / scenario.sample_time)
+            samples = np.linspace(self.sample, min(last, len(self._path) - 1), 2 * _INSTANTS)
+            motion = moves[-1].motion(scenario, coordinates)
+            if self._is_clear(motion, samples, self.sample):
+                return moves[-1]
+        return moves[0]
+
+    def _retreats(self, retreat: Retreat, from_target: np.ndarray) -> float:
+        """How far a retreat goes, m: to ``distance`` beyond where the base is at the grasp."""
+        return max(0.0, self._reach + retreat.distance - float(np.linalg.norm(from_target)))
+
+    def _paced(self, move: Move) -> Move:
+        """A retreat that lasts as long as the limits ask for and the run leaves."""
+        scenario, coordinates = self._chosen, self.loop.coordinates
 
         def motion_in(duration: float) -> PlannedMotion:
             return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
 
         left = (scenario.num_control_periods - self.sample) * scenario.sample_time
-        duration = gentle_duration(scenario, motion_in, retreat.duration)
-        return dataclasses.replace(move, duration=max(min(duration, left), retreat.duration))
+        duration = gentle_duration(scenario, motion_in, move.duration)
+        return dataclasses.replace(move, duration=max(min(duration, left), move.duration))
 
     def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
         """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
@@ -438,6 +460,32 @@ def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:
     """The gripper's block of a loop, and its context."""
     block = loop.blocks[GRIPPER]
     return block, block.GetMyMutableContextFromRoot(root_context)
+
+
+def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
+    """The scenario with a stop that keeps clear: from a tumbling target a slow one swings far. Its
+    duration is the first of ``reference.duration``, a little less, a little more, and so on, whose
+    plan keeps the scenario's clearance and the limits of force; that of the scenario if none does.
+    """
+    duration = scenario.reference.duration
+    if duration is None or scenario.reference.kind == "optimal":
+        return scenario
+    model = make_nominal_plant(scenario)
+    limit = actuation_limit(scenario, coordinates, helped=True).upper
+    nq, nv = len(coordinates.position_names), len(coordinates.names)
+    for factor in _PACES:
+        reference = dataclasses.replace(scenario.reference, duration=factor * duration)
+        paced = dataclasses.replace(scenario, reference=reference)
+        motion = make_motion(paced, coordinates)
+        if motion.end > scenario.duration:
+            continue
+        times = np.linspace(motion.begin, motion.end, 2 * _INSTANTS)
+        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
+        if (np.abs(model.calc_tracking_force(q, v, a)) <= limit).all() and all(
+            each.distance >= scenario.clearance for each in closest_of(scenario, times, q)
+        ):
+            return paced
+    return scenario
 
 
 def _base_pose(posture: Posture) -> RigidTransform:

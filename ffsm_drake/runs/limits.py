@@ -16,7 +16,7 @@ from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.clearance import Clearance, shapes_of
+from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
@@ -170,11 +170,11 @@ def saturation(record: RunRecord) -> dict[str, float]:
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
 
 
-def limits_left(log: RunLog) -> dict[str, float]:
+def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) -> dict[str, float]:
     """When a run first exceeded each of its limits, s: commanded forces, rates and positions of
     the coordinates, limits of parts, clearance.
 
-    In a run with a capture, clearance is evaluated from the grasp on, as in ``run_clearance``.
+    ``near``: the run's ``distances_in``, if they are known already.
     """
     clearance = shapes_of(log.scenario.model)
     parts = [placed.part for placed in log.parts.values()]
@@ -191,26 +191,35 @@ def limits_left(log: RunLog) -> dict[str, float]:
         what = {FORCE: "force on", RATE: "velocity of"}.get(limit.quantity, f"{limit.quantity} of")
         for i in np.flatnonzero(left.any(axis=0)):
             found[f"{what} {limit.names[i]}"] = float(log.time[np.argmax(left[:, i])])
-    time = _first_too_near(log, clearance, q)
-    return found if time is None else found | {CLEARANCE: time}
+    times, distances = distances_in(log) if near is None else near
+    too_near = distances < log.scenario.clearance
+    return found | ({CLEARANCE: float(times[np.argmax(too_near)])} if too_near.any() else {})
 
 
-def _first_too_near(log: RunLog, clearance: Clearance, q: np.ndarray) -> float | None:
-    """When parts in configurations (n, nq), deflected as logged, first came nearer to each other
-    than the scenario's clearance, s.
+def distances_in(log: RunLog) -> tuple[np.ndarray, np.ndarray]:
+    """Instants of a run, s (n), and the smallest distance of parts then, m (n), with hidden
+    coordinates as logged and, before the grasp, the target where it then was.
     """
-    first = 0 if log.grasp is None else log.grasp.sample
-    if not clearance.pairs or log.time.size <= first:
-        return None
+    held = 0 if log.grasp is None else log.grasp.sample
+    positions, _ = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
+    hidden = np.empty((log.time.size, 0))
     if "hidden_state" in log.series:
-        q = np.hstack([q, np.split(log.series["hidden_state"], 2, axis=1)[0]])
-    for sample in np.unique(np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)):
-        near = usable(log.series["state"][sample][None])[0] and (
-            clearance.nearest(q[sample]).distance < log.scenario.clearance
-        )
-        if near:
-            return float(log.time[sample])
-    return None
+        hidden = np.split(log.series["hidden_state"], 2, axis=1)[0]
+    times, found = [np.empty(0)], [np.empty(0)]
+    for first, last in ((0, held), (held, log.time.size)):
+        if first >= last:
+            continue
+        samples = np.unique(np.linspace(first, last - 1, INSTANTS).round().astype(int))
+        parts, apart = [positions[samples], hidden[samples]], None
+        if last == held and log.grasp is not None:
+            parts.insert(1, log.grasp.target[samples, :7])
+            apart = log.scenario.payload.body
+        shapes, q = shapes_of(log.scenario.model, apart=apart), np.hstack(parts)
+        if shapes.pairs:
+            good = usable(q)
+            times.append(log.time[samples[good]])
+            found.append(np.array([shapes.nearest(each).distance for each in q[good]]))
+    return np.concatenate(times), np.concatenate(found)
 
 
 def remarks_on(

@@ -4,7 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.math import RigidTransform
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
@@ -12,6 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.so3 import quaternion_of
 from ffsm_drake.scenario import Capture, MassProperties, Scenario
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
@@ -241,9 +243,20 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
 def target_path(
     scenario: Scenario, model: PlantModel, planned: Contact
 ) -> tuple[RigidTransform, np.ndarray]:
-    """X_WP of the target at the planned grasp, and its motion before, as ``coast`` returns it."""
+    """X_WP of the target at the planned grasp, and its motion before, as ``coast`` returns it.
+
+    What the arm cannot follow turns and moves the target in the gripper while that closes: the
+    target is where the arm meets it half way through.
+    """
     model.plant.SetPositions(model.context, planned.q)
-    X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
+    body = target_body(scenario, model)
+    X_WP = RigidTransform(body.EvalPoseInWorld(model.context))
+    closing = None if scenario.capture is None else scenario.capture.closing
+    if closing is not None:
+        arm = model.calc_jacobian(planned.q, body.body_frame()) @ planned.velocity
+        turn, way = np.split(0.5 * closing.duration * (planned.target_velocity - arm), 2)
+        rotation = RotationMatrix(Quaternion(quaternion_of(turn))) @ X_WP.rotation()
+        X_WP = RigidTransform(rotation, X_WP.translation() + way)
     samples = round(scenario.grasp_time / scenario.sample_time)
     twist, sample_time = planned.target_velocity, scenario.sample_time
     return X_WP, coast(

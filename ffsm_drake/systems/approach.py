@@ -23,7 +23,7 @@ _LENGTHS = (0.3, 0.6, 1.0)  # m; from the base at the grasp
 _INSTANTS = 40
 _GROWTH, _LONGEST = 1.15, 300.0  # of a duration, s
 # Of the limits of force at most; the first that takes little and is wide of the target is taken.
-_MOST, _LITTLE, _WIDE = 0.5, 0.2, 0.03  # the last in m
+_MOST, _LITTLE, _WIDE = 0.5, 0.2, 0.05  # the last in m
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -98,13 +98,17 @@ def _clear_start(scenario: Scenario) -> Posture:
 
 
 def _ways(away: np.ndarray) -> Iterator[np.ndarray]:
-    """Displacements (3) from the grasp: directions to faces, edges and corners of a cube, those
-    away from the target first.
-    """
+    """Displacements (3) from the grasp, those away from the target first."""
+    for direction in outwards(away):
+        yield from (length * direction for length in _LENGTHS)
+
+
+def outwards(away: np.ndarray) -> np.ndarray:
+    """Directions (26, 3) to the faces, edges and corners of a cube, those along ``away`` first."""
     cube = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
     cube /= np.linalg.norm(cube, axis=1)[:, None]
-    for direction in cube[np.argsort(-(cube @ away), kind="stable")]:
-        yield from (length * direction for length in _LENGTHS)
+    first: np.ndarray = cube[np.argsort(-(cube @ away), kind="stable")]
+    return first
 
 
 def approach_motion(
