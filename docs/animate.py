@@ -102,7 +102,7 @@ def missed_at_first(*more: str) -> RunRecord:
         "duration=118",
         "capture.closing={}",
         "capture.retreat={}",
-        "capture.envelope.position=0.015",
+        "capture.envelope.position=0.012",
         *more,
     ]
     scenario = load_scenario("tumbling_capture", given)

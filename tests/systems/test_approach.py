@@ -1,0 +1,104 @@
+"""Approaches that keep clear of a tumbling target."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.handover import Handover
+from ffsm_drake.runs.limits import CLEARANCE, closest_of, distances_in, limits_left
+from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.approach import approach_posture, given_approach
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.reference import make_motion, without_target
+
+CLEAR = ["capture.approach.start=clear", "sample_time=0.02"]
+
+
+def tumbling(rate, *more):
+    return load_scenario("tumbling_capture", [f"capture.rate={list(rate)}", *CLEAR, *more])
+
+
+def planned(scenario, instants=60):
+    """Times, motion [q; v; a] and the target's poses of a planned approach."""
+    alone = without_target(scenario)
+    model = make_nominal_plant(alone)
+    path = Handover(scenario).path[:, :7]
+    samples = np.linspace(0, len(path) - 1, instants).round().astype(int)
+    times = samples * scenario.sample_time
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    rows = make_motion(alone, model.coordinates).rows(times)
+    return model, times, np.split(rows, [nq, nq + nv], axis=1), path[samples]
+
+
+@settings(max_examples=4)
+@given(
+    st.floats(0.0, 0.05),
+    st.floats(-1.0, 1.0),
+    st.floats(0.0, 6.28),
+)
+def test_the_planned_approach_keeps_clear_and_is_gentle(tumble, height, azimuth):
+    flat = np.sqrt(1.0 - height**2)
+    rate = tumble * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), height])
+    scenario = tumbling(rate.tolist())
+    model, times, (q, v, a), target = planned(scenario)
+    for nearest in closest_of(scenario, times, q, target=target):
+        assert nearest.distance > 0.7 * scenario.clearance  # at other instants than were looked at
+    share = (
+        np.abs(model.calc_tracking_force(q, v, a))
+        / actuation_limit(scenario, model.coordinates).upper
+    )
+    assert share.max() <= 0.55
+    # it ends where it would have from the posture given
+    assert np.allclose(q[-1, 7:], Handover(scenario).reference[7:12], atol=0.05)
+
+
+def test_the_start_does_not_depend_on_the_target_that_is_left_out_or_the_law():
+    scenario = tumbling([0.05, 0.0, 0.0])
+    posture = approach_posture(scenario)
+    assert posture != scenario.capture.approach.posture
+    assert approach_posture(without_target(scenario)) == posture
+    assert approach_posture(scenario.replace(controller="tdc")) == posture
+    assert given_approach(without_target(scenario)).start == "given"
+
+
+def test_a_target_that_turns_too_fast_is_refused_in_one_line():
+    scenario = tumbling([0.0, 1.5, 0.0])
+    with pytest.raises(ScenarioError, match=r"capture\.approach\.start: no start within 1 m") as no:
+        approach_posture(scenario)
+    assert "\n" not in str(no.value)
+
+
+def test_an_approach_through_the_target_is_seen_in_the_run():
+    still = load_scenario("tumbling_capture", ["capture.rate=[0, 0, 0]", "duration=21"])
+    clear = still.replace(capture={"approach": {"start": "clear"}})
+    log, clear_log = (make_rollout(each).run() for each in (still, clear))
+    assert log.outcome.completed
+    times, distances = distances_in(log)
+    assert distances.min() < -0.05
+    assert times[np.argmin(distances)] < still.grasp_time
+    assert limits_left(log)[CLEARANCE] < still.grasp_time
+    assert clear_log.outcome.completed
+    assert CLEARANCE not in limits_left(clear_log)
+
+
+def test_what_the_arm_cannot_follow_is_met_half_way_through_the_closing():
+    """Five joints cannot turn about every axis: the target turns in the gripper that closes."""
+    rate = [0.02, 0.06, -0.03]
+    at_once = load_scenario("tumbling_capture", [f"capture.rate={rate}"])
+    closing = at_once.replace(capture={"closing": {"time": 0.4, "hold": 0.6}})
+    model = make_nominal_plant(at_once)
+    contact = planned_contact(at_once, model)
+    arm = model.calc_jacobian(contact.q, model.plant.GetBodyByName("debris").body_frame())
+    left = contact.target_velocity - arm @ contact.velocity  # rad/s and m/s
+    assert np.linalg.norm(left[:3]) > 0.01
+    samples = round(1.0 / at_once.sample_time)
+    turned = [
+        Handover(each).path[-1 - samples, :4] * np.sign(Handover(each).path[-1 - samples, 0])
+        for each in (at_once, closing)
+    ]
+    angle = 2.0 * np.linalg.norm(turned[0] - turned[1])
+    assert angle == pytest.approx(0.5 * np.linalg.norm(left[:3]), rel=0.05)
