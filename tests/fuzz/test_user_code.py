@@ -1,7 +1,8 @@
 """User-supplied code that fails in drawn ways: one line that names it and an exit status, the run
 up to then kept; never a traceback, an abort, success, or an exit that looks like Ctrl-C.
 
-The quick suite tries 50 faults, the slow one 150, the exhaustive one 5000 (``pytest -m exhaustive tests/fuzz``).
+The quick suite tries 50 faults, the slow one 150, the exhaustive one 5000 (``pytest -m exhaustive
+tests/fuzz``).
 They run in forked batches, so that a process that dies is seen, and its fault known.
 """
 
