@@ -165,8 +165,8 @@ def test_task_pages_are_short(name):
 @pytest.mark.parametrize("name", TASKS)
 def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
     """In the page's order, in a folder with the files that it says to save. Campaigns have four
-    cases; their maps, pictures, most prices of a design and a report's stability
-    section have tests of their own.
+    cases, designs four seconds; their maps, pictures, most prices of a design and a report's
+    stability section have tests of their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
@@ -186,7 +186,9 @@ def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
             runpy.run_path(words[1], run_name="__main__")
             continue
         if words[:3] == ("ffsm", "campaign", "run"):
-            words = (*words, "--cases", "4")
+            words = (*words, "--cases", "4", "--workers", "1")
+        if words[:2] == ("ffsm", "design"):
+            words = (*words, "--time", "4")
         result = CliRunner().invoke(main, words[1:], catch_exceptions=False)
         assert result.exit_code == 0, f"{shlex.join(words)}: {result.output}"
         if words[1] == "run":

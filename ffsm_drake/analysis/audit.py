@@ -235,19 +235,21 @@ def _attitude(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
     if fit.still:
         return [Check(name="attitude", statement="the base does not turn")], log
     if fit.missed > _FITS:
-        said = (
-            "the angular velocity is not the quaternion's rate, in world or in body axes; the "
-            f"nearest misses {100.0 * fit.missed:.0f} %"
-        )
-        return [_fault("attitude", "angular_velocity", said)], log.replace(
-            angular=_rate(log, _since_start(_turned(log)))
-        )
+        said = "the angular velocity is not the quaternion's rate"
+        check = _in_no_axes("attitude", "angular_velocity", said, fit)
+        return [check], log.replace(angular=_rate(log, _since_start(_turned(log))))
     name = "angular velocity"
     checks = [_fault("attitude", each, _SAID[each]) for each in causes.split(", ") if each]
     same = len(usual) == 2 and max(right[key][0].missed for key in usual) < 3.0 * fit.missed
     axes = "world or body axes, which it does not tell apart" if same else f"{axes} axes"
     checks.append(_scaled(name, fit, f"in {axes}"))
     return checks, whole.replace(angular=whole.angular * fit.factor)
+
+
+def _in_no_axes(name: str, cause: str, said: str, fit: _Fit) -> Check:
+    """The check of rates that agree with a motion in no axes."""
+    missed = f"{100.0 * fit.missed:.0f} %"
+    return _fault(name, cause, f"{said}, in world or in body axes; the nearest misses {missed}")
 
 
 def _scaled(name: str, fit: _Fit, said: str) -> Check:
@@ -287,12 +289,9 @@ def _base_velocity(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
     if fit.still:
         return [Check(name="base velocity", statement="the base does not move")], log
     if fit.missed > _FITS:
-        said = (
-            "the velocity is not the position's rate, in world or in body axes; the nearest "
-            f"misses {100.0 * fit.missed:.0f} %"
-        )
-        own = _rate(log, log.position)
-        return [_fault("base velocity", "base_velocity", said)], log.replace(linear=own)
+        said = "the velocity is not the position's rate"
+        check = _in_no_axes("base velocity", "base_velocity", said, fit)
+        return [check], log.replace(linear=_rate(log, log.position))
     alike = [each for each in fits if fits[each].missed < max(3.0 * fit.missed, 1e-6)]
     said = " or ".join(alike) + (", which it does not tell apart" if len(alike) > 1 else "")
     return [_scaled("base velocity", fit, said)], log.replace(linear=candidates[axes] * fit.factor)

@@ -59,6 +59,12 @@ class Mission:
     assumed: tuple[str, ...] = ()
     checks: tuple[Published, ...] = ()
 
+    @property
+    def checked_laws(self) -> tuple[str, ...]:
+        """Those with published figures; without one, the scenario's."""
+        laws = dict.fromkeys(filter(None, (each.controller for each in self.checks)))
+        return tuple(laws) or (self.scenario.controller,)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Standing:

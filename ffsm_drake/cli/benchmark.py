@@ -54,12 +54,7 @@ def benchmark(
     from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.common.workers import local_workers, stop_on_signals
     from ffsm_drake.runs.record import to_json
-    from ffsm_drake.show.benchmark import (
-        benchmark_data,
-        benchmark_page,
-        board_text,
-        checks_table,
-    )
+    from ffsm_drake.show.benchmark import benchmark_data, benchmark_page, board_text, checks_table
     from ffsm_drake.show.tables import aligned
 
     folder = out or Path("out/benchmark")
@@ -70,10 +65,7 @@ def benchmark(
     boards, texts = [], []
     with stop_on_signals() as stop, local_workers(workers or processors()) as crew:
         for mission in loaded:
-            laws = controller
-            if check:
-                laws = tuple(dict.fromkeys(filter(None, (x.controller for x in mission.checks))))
-                laws = laws or (mission.scenario.controller,)
+            laws = mission.checked_laws if check else controller
             with closing(ProgressLine(mission.name)) as progress:
                 boards.append(
                     run_mission(

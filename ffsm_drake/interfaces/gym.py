@@ -176,37 +176,41 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
         self._scale = np.where(coordinates.is_driven, self._scales(scale), 0.0)
-        names, groups = coordinates.names, coordinates.group_of
+        names = coordinates.names
         self.action_names = tuple(
             name for name, driven in zip(names, coordinates.is_driven, strict=True) if driven
         )
         self._factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
         self._tracks_frame = bool(getattr(self._factory, "tracks_frame", False))
-        errors = [*zip(names, groups, strict=True)]
+        errors = [*zip(names, coordinates.group_of, strict=True)]
         self._counted = coordinates.is_driven.copy()
-        if self._tracks_frame:  # the frame's pose counts in place of the joints
-            if action == "setpoint":
-                raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
-            rows = np.flatnonzero(frame_rows(self.scenario))
-            kinds = ("base_rotation",) * 3 + ("base_position",) * 3  # whose tolerances hold
-            errors += [(FRAME_COORDINATES[row], kinds[row]) for row in rows]
-            self._counted &= np.array([group != "joints" for group in groups])
-            self._counted = np.append(self._counted, np.ones(rows.size, dtype=bool))
+        if self._tracks_frame:
+            errors += self._frame_errors()
         self.observation_names = (
             *(f"error.{name}" for name, _ in errors),
             *(f"error_rate.{name}" for name, _ in errors),
             *(f"position.{name}" for name in coordinates.position_names),
             *(f"velocity.{name}" for name in names),
         )
-        ones = np.ones(len(self.action_names), np.float32)
-        self.action_space = gymnasium.spaces.Box(-ones, ones, dtype=np.float32)
-        most = np.full(len(self.observation_names), _FURTHEST, np.float32)
-        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+        self.action_space = _box(len(self.action_names), 1.0)
+        self.observation_space = _box(len(self.observation_names), _FURTHEST)
         self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
         self._exchange: _Exchange | None = None
         self._thread: threading.Thread | None = None
         self._seen = np.zeros(len(self.observation_names), np.float32)
         self.log: RunLog | None = None  # of the last complete episode
+
+    def _frame_errors(self) -> list[tuple[str, str]]:
+        """Those of the frame's pose, which count in place of the joints, and whose tolerances
+        hold.
+        """
+        if self._kind == "setpoint":
+            raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
+        rows = np.flatnonzero(frame_rows(self.scenario))
+        self._counted &= np.array([group != "joints" for group in self.coordinates.group_of])
+        self._counted = np.append(self._counted, np.ones(rows.size, dtype=bool))
+        kinds = ("base_rotation",) * 3 + ("base_position",) * 3
+        return [(FRAME_COORDINATES[row], kinds[row]) for row in rows]
 
     def _scales(self, given: Mapping[str, float] | float | None) -> np.ndarray:
         if given is not None:
@@ -304,3 +308,9 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 def _finite(limit: np.ndarray) -> np.ndarray:
     """Limits (nv), where there is none 100 N m or N."""
     return np.where(np.isfinite(limit) & (limit > 0.0), limit, _UNLIMITED)
+
+
+def _box(size: int, most: float) -> gymnasium.spaces.Box:
+    """Vectors of entries from -most to most."""
+    bound = np.full(size, most, np.float32)
+    return gymnasium.spaces.Box(-bound, bound, dtype=np.float32)

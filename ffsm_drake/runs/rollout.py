@@ -184,21 +184,9 @@ class Rollout:
                 raise failure
             times = times[: bad.sample]
             series = {name: values[: bad.sample] for name, values in series.items()}
-        log = RunLog(
-            scenario=scenario,
-            outcome=_outcome(monitor, float(times[-1]), failure, interrupted=interrupted),
-            coordinates=loop.coordinates,
-            split=loop.split,
-            tracks_frame=loop.tracks_frame,
-            parts=loop.parts,
-            time=times,
-            series=series,
-            wall_time={
-                "build": self._build_time,
-                "advance_to": advance_time,
-                "total": time.perf_counter() - start,
-            },
-        )
+        outcome = _outcome(monitor, float(times[-1]), failure, interrupted=interrupted)
+        wall_time = self._wall_time(start, advance_time)
+        log = _make_log(loop, outcome, times, series, wall_time)
         if failure is not None:
             failure.log = log
             raise failure
@@ -254,22 +242,16 @@ class Rollout:
             times, series = self._read_log(unfinished=leg.last is not None, copy=copy, last=last)
             if bad_output(own.bounded(series["state"]), series, self._user_supplied):
                 continue
-            logs[copy] = RunLog(
-                scenario=scenario,
-                outcome=_outcome(own, float(times[-1]), None, interrupted=False),
-                coordinates=loop.coordinates,
-                split=loop.split,
-                tracks_frame=loop.tracks_frame,
-                parts=loop.parts_of_copies[copy],
-                time=times,
-                series=series,
-                wall_time={
-                    "build": self._build_time,
-                    "advance_to": advance_time,
-                    "total": time.perf_counter() - start,
-                },
-            )
+            outcome = _outcome(own, float(times[-1]), None, interrupted=False)
+            wall_time = self._wall_time(start, advance_time)
+            alone = dataclasses.replace(own.loop, parts=loop.parts_of_copies[copy])
+            logs[copy] = _make_log(alone, outcome, times, series, wall_time)
         return logs
+
+    def _wall_time(self, start: float, advance_time: float) -> dict[str, float]:
+        """Of a run that began at ``start``, s."""
+        total = time.perf_counter() - start
+        return {"build": self._build_time, "advance_to": advance_time, "total": total}
 
     @guarded
     def check(self) -> None:
@@ -435,6 +417,27 @@ def _part_of(part: slice, copy: int, loop: ClosedLoop) -> slice:
     """The part of a copy of the spacecraft in the rows of all copies."""
     size = (part.stop - part.start) // (loop.copies.number if loop.copies else 1)
     return slice(part.start + copy * size, part.start + (copy + 1) * size)
+
+
+def _make_log(
+    loop: ClosedLoop,
+    outcome: Outcome,
+    times: np.ndarray,
+    series: Mapping[str, np.ndarray],
+    wall_time: dict[str, float],
+) -> RunLog:
+    """What a run of the loop's scenario gives."""
+    return RunLog(
+        scenario=loop.scenario,
+        outcome=outcome,
+        coordinates=loop.coordinates,
+        split=loop.split,
+        tracks_frame=loop.tracks_frame,
+        parts=loop.parts,
+        time=times,
+        series=series,
+        wall_time=wall_time,
+    )
 
 
 def _outcome(

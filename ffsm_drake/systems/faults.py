@@ -3,12 +3,14 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.scenario.faults import DRAWN
+from ffsm_drake.systems.part import Part
 
 Known = Mapping[str, Sequence[str]]  # unit, such as "thrusters.a_x" -> the kinds of its faults
 
@@ -63,3 +65,14 @@ def hits(scenario: Scenario, part: str) -> list[tuple[str, Fault]]:
 def first_sample(fault: Fault, sample_time: float) -> int:
     """The control sample from which on a fault is there."""
     return math.ceil(fault.time[0] / sample_time - 1e-9)
+
+
+class BreakingPart(Part):
+    """What stands in the diagram where faults hit it."""
+
+    hit_as: ClassVar[str]  # before the point of a unit's name
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "BreakingPart | None":
+        """None where all work."""
+        return cls() if hits(scenario, cls.hit_as) else None

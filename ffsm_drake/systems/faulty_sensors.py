@@ -10,8 +10,7 @@ from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
 from ffsm_drake.systems.controllers.estimators import assumed_noise
-from ffsm_drake.systems.faults import first_sample, hits
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
 from ffsm_drake.systems.setup import BlockSetup
 
 _VELOCITY = "_velocity"
@@ -39,15 +38,10 @@ def entries_in_state(entries: np.ndarray) -> np.ndarray:
     return np.arange(4) if entries[0] == 0 else entries + 1
 
 
-class FaultySensors(Part):
+class FaultySensors(BreakingPart):
     """Those that ``faults`` hit: the last stage of the section ``sensing``."""
 
-    title = "Faulty sensors"
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> "FaultySensors | None":
-        """None where all work."""
-        return cls() if hits(scenario, "sensing") else None
+    title, hit_as = "Faulty sensors", "sensing"
 
     @classmethod
     def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:

@@ -9,22 +9,16 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Fault, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import change_payload, make_flexible_plant
-from ffsm_drake.systems.faults import first_sample, hits
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
 from ffsm_drake.systems.setup import BlockSetup
 
 _STOPS_IN = 0.02  # s, time constant of the rate as a joint jams
 
 
-class JammedJoints(Part):
+class JammedJoints(BreakingPart):
     """Those that ``faults`` hit."""
 
-    title = "Jammed joints"
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> "JammedJoints | None":
-        """None where none jams."""
-        return cls() if hits(scenario, "joints") else None
+    title, hit_as = "Jammed joints", "joints"
 
     @classmethod
     def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:

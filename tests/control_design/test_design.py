@@ -130,8 +130,8 @@ def test_what_is_foreseen_of_the_given_gains_frees_the_choice():
     assert "it misses" in never.remarks[0]
 
 
-@settings(max_examples=4, deadline=None)
-@given(after=st.integers(0, 12))
+@settings(max_examples=2, deadline=None)
+@given(after=st.integers(1, 12))
 def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
     scenario = load_scenario("flight_sensors", ["controller=computed_torque", *SHORT])
     tried = 0
@@ -149,7 +149,9 @@ def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
         assert error <= 1.02 * was, name
 
 
-@pytest.mark.parametrize("limit", [0.0, pytest.param(3.0, marks=pytest.mark.slow), 6.0])
+@pytest.mark.parametrize(
+    "limit", [3.0, *(pytest.param(limit, marks=pytest.mark.slow) for limit in (0.0, 6.0))]
+)
 def test_the_limit_bounds_all_of_a_design(limit):
     """Within a candidate, too: each of a heavy mission takes seconds."""
     scenario = load_scenario("thrusters_and_wheels", HEAVY)
@@ -174,9 +176,8 @@ def test_the_table_shows_margins_before_and_after(tmp_path):
     assert "expected to" in result.output
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_design_gives_the_best_so_far(tmp_path, number):
     """The first signal ends the search: files are whole, the exit code is that of an interrupt."""
     command = [sys.executable, "-m", "ffsm_drake", "design", "flight_sensors", "-c", "tdc"]

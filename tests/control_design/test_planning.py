@@ -332,7 +332,7 @@ def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
     assert error[3:6].max() < 1e-3
 
 
-@pytest.mark.parametrize("rate", [0.01, 0.035])  # rad/s
+@pytest.mark.parametrize("rate", [pytest.param(0.01, marks=pytest.mark.slow), 0.035])  # rad/s
 def test_a_slow_tumble_stops_where_it_is(rate):
     """It takes no longer than a control sample per segment, or than the base's torque needs."""
     overrides = ["capture.approach=null", "planning.segments=6", "reference.goal=stop"]

@@ -125,14 +125,20 @@ def test_a_few_missions_are_foreseen_without_a_run(row, workshop):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS, ids=name_of)
-def test_a_mission_settles_as_foreseen(row, workshop, tmp_path):
+def test_a_mission_settles_as_foreseen(row, workshop, tmp_path, monkeypatch):
+    """The row's command looks ahead anew only at what is not the row's own mission."""
     scenario = workshop(row)
     found = verdict(scenario)
     assert found.run is not None
     assert found.run.ending.is_settled, found.lines
     assert not found.is_alarm, found.lines
-    file = tmp_path / "mission.yaml"
-    file.write_text(scenario_to_yaml(scenario))
+    file, text = tmp_path / "mission.yaml", scenario_to_yaml(scenario)
+    file.write_text(text)
+
+    def known(each, **asked):
+        return found if scenario_to_yaml(each) == text else verdict(each, **asked)
+
+    monkeypatch.setattr("ffsm_drake.preflight.verdict.verdict", known)
     for line in commands(row, file, tmp_path):
         result = ffsm(*line)
         assert result.exit_code == 0, (line, result.output[-2000:], result.stderr[-2000:])

@@ -501,17 +501,17 @@ def captured(shared, end, number):
 def test_captures_go_side_by_side(shared, runs):
     scenarios = [captured(GRASPS[shared], end, number) for end, number in runs[:4]]
     assert batches_of(scenarios, len(scenarios)) == [list(range(len(scenarios)))]
-    logs = run_once(scenarios)
-    for log, scenario in zip(logs, scenarios, strict=True):
-        own = run_once(scenario)
+    own_logs = [run_once(scenario) for scenario in scenarios]
+    expected = [make_record(own, start=0.0) for own in own_logs]
+    for log, own, each in zip(run_once(scenarios), own_logs, expected, strict=True):
         assert (log is None) == (own.outcome.status == "missed")
         if log is not None:
-            record, expected = (make_record(each, start=0.0) for each in (log, own))
-            assert_equal(record, expected)
-            assert record.grasp == expected.grasp
+            record = make_record(log, start=0.0)
+            assert_equal(record, each)
+            assert record.grasp == each.grasp
             assert np.array_equal(log.grasp.target, own.grasp.target)
-    for record, each in zip(simulate_many(scenarios, batch=4), scenarios, strict=True):
-        assert_equal(record, alone(each))
+    for record, each in zip(simulate_many(scenarios, batch=4), expected, strict=True):
+        assert_equal(record, each)
 
 
 def test_captures_share_a_diagram_where_their_grasps_coincide():
