@@ -8,7 +8,7 @@ import numpy as np
 from ffsm_drake.analysis.evidence import Evidence, ratio
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.runs.table import with_role
+from ffsm_drake.runs.table import held_force, with_role
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
@@ -56,7 +56,7 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     """
     period = float(dataset.attrs["sample_time"])
     velocity = dataset["velocity"].values
-    held = dataset["applied_force"].values[:-1]
+    held = held_force(dataset)[:-1]
     smooth = dataset["disturbance_force"].values
     energy = dataset["kinetic_energy"].values
     for name in with_role(dataset, STORED_ENERGY):
@@ -97,7 +97,7 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     The scale for a momentum residual, N s and N m s.
     """
     period = float(dataset.attrs["sample_time"])
-    total = dataset["applied_force"] + dataset["disturbance_force"]
+    total = dataset["disturbance_force"] + held_force(dataset)
     force, torque = (
         total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION)
     )

@@ -35,6 +35,7 @@ from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.gripper import Gripper
 from ffsm_drake.systems.jam import JammedJoints
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
+from ffsm_drake.systems.plumes import Plumes
 from ffsm_drake.systems.reference import reference_of, wide_reference_of
 from ffsm_drake.systems.registry import (
     Factory,
@@ -55,6 +56,7 @@ BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
 ABORT = "abort_request"
 TOLD = "told_force"  # what actuators with faults seem to apply to whom the faults are unknown
+THRUST = "thruster_force"  # an output of actuators that some forces follow from
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -122,7 +124,12 @@ BLOCKS: dict[str, Ports] = {
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
         # the sum of all forces but those that read it
-        optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE, "other_force": VELOCITY},
+        optional_inputs={
+            "state": STATE,
+            "hidden_state": HIDDEN_STATE,
+            "other_force": VELOCITY,
+            THRUST: "n",  # mean force of each of n thrusters
+        },
         # The force after the update of a control sample: the record would see the one before it.
         # The force on hidden coordinates, after the update of a control sample.
         optional_outputs={
@@ -143,6 +150,7 @@ _SECTION_PARTS: dict[str, type[Part]] = {
     "forces.environment": OrbitalEnvironment,
     GRIPPER: Gripper,
     "forces.jam": JammedJoints,
+    "forces.plume": Plumes,
 }
 
 

@@ -28,7 +28,7 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, guarded, is_user_supplied
-from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, TOLD, kind_of, make_blocks
+from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, THRUST, TOLD, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
@@ -491,8 +491,12 @@ class _Wiring:
     def act(self) -> None:
         """All forces on the plant, along its own v: H q'' + C = tau + tau_d."""
         forces, builder, name = self._forces, self._builder, "generalized_force"
-        for system in forces.values():
+        for each, system in forces.items():
             self._give_states(system)
+            if system.HasInputPort(THRUST):
+                if self._actuation is None or not self._actuation.HasOutputPort(THRUST):
+                    raise BlockError(f"blocks.{each}: its input port '{THRUST}' needs thrusters")
+                builder.Connect(self._actuation.GetOutputPort(THRUST), system.GetInputPort(THRUST))
         last = [system for system in forces.values() if system.HasInputPort("other_force")]
         others = [(system, name) for system in forces.values() if system not in last]
         total = [self.sources["applied_force"], *others]
@@ -511,6 +515,7 @@ class _Wiring:
         now = {
             each: (system, f"next_{name}" if system.HasOutputPort(f"next_{name}") else name)
             for each, system in forces.items()
+            if not system.HasInputPort(THRUST)  # pulses, which their part records
         }
         self.sources["disturbance_force"] = self._sum("external_force", list(now.values()))
         if on_hidden:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ffsm_drake.common.numbers import usable
-from ffsm_drake.runs.table import driven_of, with_role
+from ffsm_drake.runs.table import driven_of, held_force, with_role
 from ffsm_drake.runs.tracking import frame_metrics, largest_and_final, tracked_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
 from ffsm_drake.systems.part import INTERNAL_TORQUE
@@ -195,8 +195,10 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
         return change
     position = _of_base(dataset, "position", "position", along="position_name")
     velocity = _of_base(dataset, "velocity", "position")
+    names = dataset["coordinate"].values.astype(str).tolist()
     held, held_torque = (
-        _of_base(dataset, "applied_force", part)[:-1] for part in ("position", "rotation")
+        held_force(dataset)[:-1, [names.index(f"base_{part}_{axis}") for axis in "xyz"]]
+        for part in ("position", "rotation")
     )
     for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
         held_torque = held_torque - dataset[name].values[:-1]

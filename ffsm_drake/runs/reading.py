@@ -25,6 +25,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, 
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.systems.part import (
     CURVE,
+    HELD_FORCE,
     INTERNAL_TORQUE,
     ROLES,
     STEPS,
@@ -369,6 +370,8 @@ def _of_parts(
 
     for role in ROLES:
         columns = (3,) if role in (STORED_MOMENTUM, INTERNAL_TORQUE) else ()
+        if role == HELD_FORCE:
+            columns = (dataset.sizes["coordinate"],)
         for name in str(dataset.attrs.get(role, "")).split():
             if name in dataset and dataset[name].shape[1:] != columns:
                 yield f"{name} must have {columns[0] if columns else 1} components as {role}"

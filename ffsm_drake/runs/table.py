@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from ffsm_drake.systems.part import HELD_FORCE
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -117,6 +119,16 @@ class Table:
 def with_role(dataset: "Labelled", role: str) -> list[str]:
     """The variables that have a role in the balances of momentum and energy (``part.ROLES``)."""
     return [name for name in str(dataset.attrs.get(role, "")).split() if name in dataset]
+
+
+def held_force(dataset: "Labelled") -> np.ndarray:
+    """The force (n, nv) that is held over each sample: what actuators apply, and external forces
+    with that role.
+    """
+    total: np.ndarray = dataset["applied_force"].values
+    for name in with_role(dataset, HELD_FORCE):
+        total = total + dataset[name].values
+    return total
 
 
 def driven_of(dataset: "Labelled") -> np.ndarray:

@@ -3,6 +3,7 @@
 from ffsm_drake.scenario.actuation import (
     Actuation,
     Drives,
+    Plume,
     Thruster,
     Thrusters,
     Wheel,
@@ -100,6 +101,7 @@ __all__ = [
     "Model",
     "Payload",
     "PerCoordinate",
+    "Plume",
     "Planning",
     "Posture",
     "Reference",

@@ -64,6 +64,22 @@ class Pwpf:
 
 
 @dataclass
+class Plume:
+    """The plume of each thruster, which pushes what it hits: a source flow in the half space behind
+    the thrust, with cos^exponent of the angle off its axis.
+    """
+
+    exponent: float = unitless(8.0, "of the cosine; more is narrower", above=0, most=1000)
+    rays: int = unitless(100, "of equal momentum, that stand for a plume", least=8, most=10000)
+    ban: float | None = unitless(
+        None,
+        "thrusters whose plume returns more than this share of their thrust, in initial_posture or "
+        "target_posture, are not fired; null: none",
+        above=0,
+    )
+
+
+@dataclass
 class Thrusters:
     """On/off thrusters that give the base's force and torque, in place of an ideal wrench."""
 
@@ -108,6 +124,9 @@ class Thrusters:
         2, "from one allocation to the next, and of sigma_delta the shortest pulse", least=1
     )
     pwpf: Pwpf = setting(Pwpf())
+    plume: Plume | None = unitless(
+        None, "the force of their plumes on the spacecraft's own bodies; null: none"
+    )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Thrusters that exist, and pulses that they can give."""

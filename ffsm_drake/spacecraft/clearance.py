@@ -11,6 +11,7 @@ body counts where it is at rest.
 
 import dataclasses
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,9 @@ from pydrake.geometry import (
     Mesh,
     ProximityProperties,
     Role,
+    Shape,
 )
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
@@ -134,6 +137,14 @@ class Clearance:
         for first, second in self.pairs:
             parts = [GeometrySet(self._shapes_of[body.index()]) for body in (first, second)]
             manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
+
+    def placed(self) -> Iterator[tuple[str, Shape, RigidTransform]]:
+        """Each shape, with the scoped name of its body, and its pose X_BG in that."""
+        inspector = self._scene_graph.model_inspector()
+        for body in self._bodies:
+            name = body.scoped_name().get_full()
+            for each in self._shapes_of[body.index()]:
+                yield name, inspector.GetShape(each), inspector.GetPoseInFrame(each)
 
     def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
         """The smallest distance in configuration q (n), if below ``below`` (m).

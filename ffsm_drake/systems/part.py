@@ -30,10 +30,11 @@ from ffsm_drake.systems.setup import BlockSetup
 # What a signal is to the balances of momentum: momentum that the part holds beside the bodies', in
 # the world (3), N m s; the torque that it gives the base from within, part of ``applied_force``. To
 # that of energy: the work of forces that act beside ``applied_force``, since the start, summed over
-# the components, J; energy that it holds, or has taken out since the start, J.
+# the components, J; energy that it holds, or has taken out since the start, J. To both: an external
+# force (nv) beside ``applied_force``, held over a sample too.
 STORED_MOMENTUM, INTERNAL_TORQUE = "stored_momentum", "internal_torque"
-INTERNAL_WORK, STORED_ENERGY = "internal_work", "stored_energy"
-ROLES = (STORED_MOMENTUM, INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY)
+INTERNAL_WORK, STORED_ENERGY, HELD_FORCE = "internal_work", "stored_energy", "held_force"
+ROLES = (STORED_MOMENTUM, INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY, HELD_FORCE)
 # How a signal is drawn: as a curve; in steps, from one sample to the next; as a row for each
 # component with a box wherever it is on, from the shares of the samples for which it is.
 CURVE, STEPS, TIMELINE = "linear", "hv", "timeline"

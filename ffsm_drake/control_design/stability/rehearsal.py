@@ -27,6 +27,7 @@ from ffsm_drake.control_design.stability.planned_dynamics import (
 from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation import make_actuation, make_base_actuators
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.controllers.law import ControlLaw
@@ -145,7 +146,7 @@ class _Runs:
         mean: tuple[np.ndarray, np.ndarray],
         law: ControlLaw | None,
     ) -> None:
-        settings, coordinates = scenario.actuation, motion.coordinates
+        settings, coordinates = allocated(scenario), motion.coordinates
         self._scenario, self._motion, self._law = scenario, motion, law
         self._error, self._force = mean
         self._times, (first, *_) = list(loops), loops.values()

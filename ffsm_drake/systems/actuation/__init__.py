@@ -13,6 +13,7 @@ from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturatio
 
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock, Hit
 from ffsm_drake.systems.actuation.drives import DriveSet, JointDrives, JointFriction, RateLimit
 from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
@@ -105,7 +106,7 @@ def wide_actuation_of(setups: Sequence[BlockSetup]) -> Actuators | None:
     """The actuators of several copies of the spacecraft, see ``loop.side_by_side``; None where they
     are ideal, or differ in more than limits of the force and quantisation.
     """
-    settings = [setup.scenario.actuation for setup in setups]
+    settings = [allocated(setup.scenario) for setup in setups]
     first = settings[0]
     if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
         return None

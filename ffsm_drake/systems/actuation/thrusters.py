@@ -13,6 +13,7 @@ from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Fault, Scenario, Thruster, Thrusters, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import (
     SchmittTrigger,
@@ -244,7 +245,7 @@ class FiredThrusters(Part):
     @classmethod
     def of(cls, scenario: Scenario) -> "FiredThrusters | None":
         """Those of a scenario."""
-        settings = scenario.actuation.thrusters
+        settings = allocated(scenario).thrusters
         return None if settings is None else cls(settings=settings, units=thrusters_of(settings))
 
     @classmethod

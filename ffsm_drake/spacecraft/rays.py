@@ -1,0 +1,95 @@
+"""Where rays meet shapes of Drake's."""
+
+from functools import singledispatch
+
+import numpy as np
+from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Shape, Sphere
+
+_LEAST = 1e-4  # m; what begins on a shape or within it does not meet it
+
+
+def first_meeting(shape: Shape, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """How far rays go until they enter a shape from outside, m (n); infinite where they do not.
+
+    A mesh is taken as the box of its vertices, and a half space is never met.
+
+    Args: origins and unit directions (n, 3) in the shape's frame.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enters, leaves = _span(shape, origins, directions)
+    found: np.ndarray = np.where((enters <= leaves) & (enters > _LEAST), enters, np.inf)
+    return found
+
+
+@singledispatch
+def _span(shape: Shape, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays p + s u enter and leave a convex shape."""
+    return np.full(len(p), np.inf), np.full(len(p), -np.inf)
+
+
+@_span.register
+def _(shape: Box, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _within(0.5 * np.array(shape.size()), p, u)
+
+
+@_span.register(Convex)
+@_span.register(Mesh)
+def _(shape: Convex | Mesh, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    surface = shape.GetConvexHull()
+    vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return _within(0.5 * (high - low), p - 0.5 * (high + low), u)
+
+
+@_span.register
+def _(shape: Sphere, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _round(p / shape.radius(), u / shape.radius())
+
+
+@_span.register
+def _(shape: Ellipsoid, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    axes = np.array([shape.a(), shape.b(), shape.c()])
+    return _round(p / axes, u / axes)
+
+
+@_span.register
+def _(shape: Cylinder, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _barrel(shape.radius(), shape.length(), p, u)
+
+
+@_span.register
+def _(shape: Capsule, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    end = np.array([0.0, 0.0, 0.5 * shape.length()])
+    parts = [_barrel(shape.radius(), shape.length(), p, u)]
+    parts += [_round((p + each) / shape.radius(), u / shape.radius()) for each in (end, -end)]
+    known = [np.where(enters <= leaves, enters, np.inf) for enters, leaves in parts]
+    out = [np.where(enters <= leaves, leaves, -np.inf) for enters, leaves in parts]
+    return np.min(known, axis=0), np.max(out, axis=0)
+
+
+def _within(half: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a box about the origin."""
+    sides = np.stack([(-half - p) / u, (half - p) / u])
+    sides = np.where(np.isnan(sides), np.array([-np.inf, np.inf])[:, None, None], sides)
+    return sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
+
+
+def _round(p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the unit ball, or with two coordinates of the unit disc's cylinder."""
+    a, b, c = (u * u).sum(axis=1), (p * u).sum(axis=1), (p * p).sum(axis=1) - 1.0
+    root = np.sqrt(b * b - a * c)
+    enters, leaves = (-b - root) / a, (-b + root) / a
+    along = a < 1e-24  # a cylinder's axis
+    enters = np.where(along, np.where(c <= 0.0, -np.inf, np.inf), enters)
+    leaves = np.where(along, np.where(c <= 0.0, np.inf, -np.inf), leaves)
+    missed = np.isnan(root) & ~along
+    return np.where(missed, np.inf, enters), np.where(missed, -np.inf, leaves)
+
+
+def _barrel(
+    radius: float, length: float, p: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of a cylinder about the z axis."""
+    around = _round(p[:, :2] / radius, u[:, :2] / radius)
+    ends = _within(np.array([0.5 * length]), p[:, 2:], u[:, 2:])
+    return np.maximum(around[0], ends[0]), np.minimum(around[1], ends[1])
