@@ -491,12 +491,11 @@ class _Wiring:
     def act(self) -> None:
         """All forces on the plant, along its own v: H q'' + C = tau + tau_d."""
         forces, builder, name = self._forces, self._builder, "generalized_force"
-        for each, system in forces.items():
+        for system in forces.values():
             self._give_states(system)
-            if system.HasInputPort(THRUST):
-                if self._actuation is None or not self._actuation.HasOutputPort(THRUST):
-                    raise BlockError(f"blocks.{each}: its input port '{THRUST}' needs thrusters")
-                builder.Connect(self._actuation.GetOutputPort(THRUST), system.GetInputPort(THRUST))
+            acts = self._actuation
+            if system.HasInputPort(THRUST) and acts is not None and acts.HasOutputPort(THRUST):
+                builder.Connect(acts.GetOutputPort(THRUST), system.GetInputPort(THRUST))
         last = [system for system in forces.values() if system.HasInputPort("other_force")]
         others = [(system, name) for system in forces.values() if system not in last]
         total = [self.sources["applied_force"], *others]

@@ -93,8 +93,9 @@ class _PlumeForce(LeafSystem):
     """The force of the plumes, of the thrusters' mean force in a control sample, in the
     configuration at its start.
 
-    Inputs: ``state`` (nq + nv), ``thruster_force`` (n). State (discrete): that configuration (nq).
-    Outputs, equal: ``generalized_force`` (nv), ``plume_force`` (nv); they change once a sample.
+    Inputs: ``state`` (nq + nv), ``thruster_force`` (n), without which, as in a linear loop, there is
+    no force. State (discrete): that configuration (nq). Outputs, equal: ``generalized_force`` (nv),
+    ``plume_force`` (nv); they change once a sample.
     """
 
     def __init__(self, setup: BlockSetup) -> None:
@@ -135,7 +136,9 @@ class _PlumeForce(LeafSystem):
         new.set_value(self._held, self._state.Eval(context)[: self._nq])
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        q, thrust = context.get_discrete_state().value(self._held), self._thrust.Eval(context)
+        q, thrust = context.get_discrete_state().value(self._held), np.zeros(0)
+        if self._thrust.HasValue(context):
+            thrust = self._thrust.Eval(context)
         if not (usable(q[None])[0] and thrust.any()):
             output.SetFromVector(np.zeros(output.size()))
             return
