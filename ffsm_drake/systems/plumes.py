@@ -93,7 +93,7 @@ class _PlumeForce(LeafSystem):
     """The force of the plumes, of the thrusters' mean force in a control sample, in the
     configuration at its start.
 
-    Inputs: ``state`` (nq + nv), ``thruster_force`` (n), without which, as in a linear loop, it is 0.
+    Inputs: ``state`` (nq + nv), ``thruster_force`` (n), without which, as in linear loops, it is 0.
     State (discrete): that configuration (nq). Outputs, equal: ``generalized_force`` (nv),
     ``plume_force`` (nv); they change once a sample.
     """
