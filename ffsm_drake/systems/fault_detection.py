@@ -46,7 +46,7 @@ _WINDOWS = (8, 16, 32)  # blocks
 _CONFIRMED = 4  # looks in a row that name the same thruster
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
-_JUMP, _SLOPE = 1e-4, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
+_JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
 _SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the impulse told, by which a wheel may be off
 _STILL, _HOLDS, _USUAL = 2e-4, 0.05, 4.0  # of a jam: rad/s; N m or N; times the usual force
 _PULSE = 0.1  # share of the largest impulse of a frame that is noise
@@ -78,7 +78,7 @@ class FaultDetection(Part):
                 unit="1",
                 meaning=f"what is noticed of each unit: {self.about.partition(': ')[2]}, 0 nothing",
                 components=tuple(_units(setup.scenario, setup.coordinates)),
-                dimension="unit",
+                dimension="fault_unit",
                 heading="",
             ),
         )
@@ -204,7 +204,10 @@ class _Detector(LeafSystem):
         if wheel_count:
             self._gyroscopic = self.DeclareVectorInputPort("gyroscopic_force", nv)
             self._momentum = self.DeclareVectorInputPort("wheel_momentum", wheel_count)
-        total = sum(int(np.prod(shape)) for shape in self._shapes.values())
+        sizes = [int(np.prod(shape)) for shape in self._shapes.values()]
+        ends, total = np.cumsum([0, *sizes]).tolist(), sum(sizes)
+        places = itertools.starmap(slice, itertools.pairwise(ends))
+        self._places = dict(zip(self._shapes, places, strict=True))
         self._memory = self.DeclareDiscreteState(total)
         self._look = self.DeclareVectorOutputPort("look", size + total, weak_callback(self._calc))
         self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc_state))
@@ -233,13 +236,15 @@ class _Detector(LeafSystem):
 
     def _recalled(self, context: Context) -> Memory:
         """A copy of the memory."""
-        sizes = [int(np.prod(shape)) for shape in self._shapes.values()]
         whole = context.get_discrete_state(self._memory).value().copy()
-        parts = np.split(whole, np.cumsum(sizes)[:-1])
         return {
-            name: part.reshape(shape)
-            for (name, shape), part in zip(self._shapes.items(), parts, strict=True)
+            name: whole[self._places[name]].reshape(shape) for name, shape in self._shapes.items()
         }
+
+    def _held(self, context: Context, name: str) -> np.ndarray:
+        """One array of the memory, to read."""
+        held: np.ndarray = context.get_discrete_state(self._memory).value()[self._places[name]]
+        return held
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         memory = self._recalled(context)
@@ -253,20 +258,20 @@ class _Detector(LeafSystem):
         """A value in a lost sensor's place is new."""
         assert self._new is not None
         new = self._new.Eval(context).copy()
-        codes = self._recalled(context)["codes"]
+        codes = self._held(context, "codes")
         for name, entries in self._sensors.items():
             if codes[self._unit(name)] and self._is_prompt[entries].all():
                 new[entries_in_state(entries)] = 1.0
         output.SetFromVector(new)
 
     def _calc_codes(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._recalled(context)["codes"])
+        output.SetFromVector(self._held(context, "codes"))
 
     def _calc_abort(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._recalled(context)["abort"])
+        output.SetFromVector(self._held(context, "abort"))
 
     def _calc_isolated(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._isolated(self._recalled(context)["codes"]))
+        output.SetFromVector(self._isolated(self._held(context, "codes")))
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         size = self._nq + self._nv
@@ -383,6 +388,12 @@ class _Detector(LeafSystem):
                 lost[entries] = self._is_prompt[entries]
         return lost
 
+    def _jammed(self, codes: np.ndarray) -> np.ndarray:
+        """Which coordinates (nv) are."""
+        base, joints = np.zeros(NUM_BASE_VELOCITIES, dtype=bool), self._model.coordinates.joints
+        at = [self._names.index(f"joints.{name}") for name in joints]
+        return np.concatenate([base, codes[at] > 0.0])
+
     def _look_at_sensors(
         self, memory: Memory, raw: np.ndarray, before: np.ndarray, context: Context
     ) -> None:
@@ -394,7 +405,7 @@ class _Detector(LeafSystem):
         memory["since"] += np.tile(slip, 2)
         new = None if self._new is None else self._new.Eval(context)
         memory["stale"][:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory["stale"] + 1.0)
-        lost = self._lost(codes)
+        lost, joints = self._lost(codes), self._jammed(codes)
         known = memory["samples"][0] >= _LEARNT
         for index, (name, entries) in enumerate(self._sensors.items()):
             columns = entries_in_state(entries)
@@ -409,7 +420,7 @@ class _Detector(LeafSystem):
             if (memory["stale"][columns] > self._patience[entries[0]]).all():
                 self._lose(memory, name, "silent")
             elif prompt and self._is_fine[entries].all() and memory["repeats"][index] >= _REPEATED:
-                if np.abs(memory["since"][entries]).max() > 1e-7:
+                if np.abs(memory["since"][entries]).max() > 1e-7 and not joints[entries % nv].any():
                     self._lose(memory, name, "frozen")
             elif same:
                 continue  # a jump back to what it shows would be none
@@ -483,7 +494,8 @@ class _Detector(LeafSystem):
             memory["usual"] += gain * (change - memory["usual"])
         if self._wheels is not None:
             self._look_at_wheels(memory, valid)
-        if learnt[0] >= _OLD:
+        # of a spacecraft that does what nobody expects nothing more can be told
+        if learnt[0] >= _OLD and not memory["abort"][0]:
             for window in (each for each in _WINDOWS if each <= valid):
                 blocks = kept[-window:]
                 self._look_at_joints(memory, blocks, step, mass)
@@ -516,7 +528,7 @@ class _Detector(LeafSystem):
     ) -> None:
         """Those that stand still under a force that nobody told of."""
         nv = self._nv
-        change, deviation = slope_of(blocks[:, :nv], step)
+        change, deviation = slope_of(blocks[:, :nv], step, _white(memory["rough"]))
         change -= memory["steady"]
         speed = np.abs(np.diff(blocks[:, 2 * nv : 3 * nv], axis=0)).max(axis=0) / step
         stands = speed < _STILL + 4.0 * self._velocity_noise / np.sqrt(_EVERY)
@@ -533,7 +545,8 @@ class _Detector(LeafSystem):
     def _look_at_velocities(self, memory: Memory, blocks: np.ndarray, step: float) -> None:
         """Those that differ from the slope of their position."""
         nv, codes = self._nv, memory["codes"]
-        slope, deviation = slope_of(blocks[:, nv : 2 * nv], step)
+        white = _white(memory["jitter"])
+        slope, deviation = slope_of(blocks[:, nv : 2 * nv], step, white)
         off = slope - memory["slope"]
         walk = self._velocity_noise / np.sqrt(len(blocks) * _EVERY)
         deviation = np.hypot(deviation, 1.2 * walk)
@@ -555,6 +568,7 @@ class _Detector(LeafSystem):
         """The likelihood ratios of ``systems.residuals``."""
         assert self._thrusters is not None
         nv, count, base = self._nv, len(self._force), NUM_BASE_VELOCITIES
+        pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
         steady = np.outer(times_of(len(blocks), step), memory["steady"][:base])
         found = suspect(
             blocks[:, :base] - steady,
@@ -562,7 +576,7 @@ class _Detector(LeafSystem):
             pushes=pushes[:base],
             force=self._force,
             external=_DRIFT * np.sqrt(memory["usual"][:base]),
-            least_noise=_PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)[:base],
+            least_noise=np.hypot(_white(memory["rough"]), pulse)[:base],
             in_use=memory["codes"][:count] == 0.0,
             step=step,
         )
@@ -572,6 +586,12 @@ class _Detector(LeafSystem):
             looks[found.thruster] = before + 1.0
             if looks[found.thruster] >= _CONFIRMED:
                 self._notice(memory, self._names[found.thruster], found.kind)
+
+
+def _white(square: np.ndarray) -> np.ndarray:
+    """The noise of a block's mean, from the mean square of the differences of its samples."""
+    noise: np.ndarray = np.sqrt(square / (2.0 * _EVERY))
+    return noise
 
 
 def _position_of(velocity: str) -> str:

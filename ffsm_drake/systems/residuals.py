@@ -27,17 +27,22 @@ def times_of(count: int, step: float) -> np.ndarray:
     return step * (np.arange(count) - 0.5 * (count - 1))
 
 
-def noise_of(values: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise on what changes slowly (n, ...)."""
-    found: np.ndarray = np.sqrt((np.diff(values, n=2, axis=0) ** 2).mean(axis=0) / 6.0)
-    return found
+def noise_of(values: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Standard deviation of white noise on what changes slowly (n, ...); few values tell little:
+    at least what is known from before.
+    """
+    return np.maximum(np.sqrt((np.diff(values, n=2, axis=0) ** 2).mean(axis=0) / 6.0), least)
 
 
-def slope_of(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """The slope of values (n, ...) that are a time apart, and its standard deviation."""
+def slope_of(
+    values: np.ndarray, step: float, least: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The slope of values (n, ...) that are a time apart, and its standard deviation, with at
+    least a noise of each value.
+    """
     time = times_of(len(values), step)
-    square = float(time @ time)
-    return np.tensordot(time, values, axes=1) / square, noise_of(values) / np.sqrt(square)
+    square, noise = float(time @ time), noise_of(values, np.asarray(least))
+    return np.tensordot(time, values, axes=1) / square, noise / np.sqrt(square)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,7 +74,7 @@ def suspect(
       (nv); which thrusters are looked at (n); time between blocks, s.
     """
     time = times_of(len(unexplained), step)
-    noise = np.hypot(noise_of(unexplained), least_noise)
+    noise = noise_of(unexplained, least_noise)
     y, fired = (unexplained - unexplained.mean(axis=0)) / noise, told - told.mean(axis=0)
     shapes = np.hstack([time[:, None] * force - fired, -fired])  # (m, 2 n)
     directions = np.tile(pushes, 2).T / noise  # (2 n, nv)
