@@ -15,7 +15,7 @@ jams, and what the allocation cannot do without, raises ``abort_request``.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -132,7 +132,8 @@ class _Detector(LeafSystem):
     def __init__(self, setup: BlockSetup) -> None:
         super().__init__()
         scenario, coordinates = setup.scenario, setup.coordinates
-        assert scenario.faults is not None and scenario.faults.detection is not None
+        assert scenario.faults is not None
+        assert scenario.faults.detection is not None
         self._settings, self._step = scenario.faults.detection, setup.sample_time
         self._model, self._names = setup.nominal, _units(scenario, coordinates)
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
@@ -187,7 +188,8 @@ class _Detector(LeafSystem):
             "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort": (1,),
             "raw": (size,), "seen": (size,), "off": (2 * nv,), "stale": (size,),
             "codes": (len(self._names),), "repeats": (len(self._sensors),),
-            "since": (2 * nv,), "jitter": (nv,), "rough": (nv,), "usual": (nv,), "steady": (nv,), "slope": (nv,),
+            "since": (2 * nv,), "jitter": (nv,), "rough": (nv,),
+            "usual": (nv,), "steady": (nv,), "slope": (nv,),
             "observed": (size,), "acceleration": (nv,), "told": (units,),
             "momentum": (wheel_count,), "suspected": (3 * len(self._force),),
             "sums": (3 * nv + units + wheel_count,),
@@ -506,9 +508,10 @@ class _Detector(LeafSystem):
     def _notice(self, memory: Memory, unit: str, kind: str) -> None:
         memory["codes"][self._names.index(unit)] = _CODE[kind]
         self._forget(memory)
-        if self._base is None or unit.startswith("joints."):
-            memory["abort"][0] = 1.0
-        elif not self._base.without(self._isolated(memory["codes"]))[2]:
+        is_without = self._base is not None and not unit.startswith("joints.")
+        if is_without and self._base is not None:
+            is_without = self._base.without(self._isolated(memory["codes"]))[2]
+        if not is_without:
             memory["abort"][0] = 1.0
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
@@ -532,9 +535,7 @@ class _Detector(LeafSystem):
         change -= memory["steady"]
         speed = np.abs(np.diff(blocks[:, 2 * nv : 3 * nv], axis=0)).max(axis=0) / step
         stands = speed < _STILL + 4.0 * self._velocity_noise / np.sqrt(_EVERY)
-        least = np.maximum(
-            _USUAL * np.sqrt(memory["usual"]), self._settings.threshold * deviation
-        )
+        least = np.maximum(_USUAL * np.sqrt(memory["usual"]), self._settings.threshold * deviation)
         holds = np.abs(mass @ change) > _HOLDS + self._stiction
         for index in np.flatnonzero(stands & holds & (np.abs(change) > least)):
             if index >= NUM_BASE_VELOCITIES and self._sees_forces:

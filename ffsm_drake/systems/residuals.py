@@ -3,14 +3,14 @@
 The unexplained velocity Y(t) = sum (dv - L H^-1 (tau - C)), with tau as told to the actuators and
 H, C of the nominal masses, is noise where all works. Where thruster i fires though told not to it
 grows by theta a_i (F_i t - I_i), where it gives too little by -theta a_i I_i (a_i: acceleration
-of its unit force; I_i: impulse as told; F_i: its force). Of each such hypothesis g the best theta, at most 1, and what it
-explains of Y,
+of its unit force; I_i: impulse as told; F_i: its force). Of each such hypothesis g the best theta,
+at most 1, and what it explains of Y,
 
     theta = g' M Y / g' M g,    J = 2 theta g' M Y - theta^2 g' M g,
 
-with M the inverse of Y's covariance after a constant is taken out: white noise, and an external
-force that nobody told of. J is the square of a number of standard deviations: the generalized
-likelihood ratio of one unknown size.
+with M the inverse of Y's covariance after a constant is taken out: white noise, and an acceleration
+that nobody told of and that drifts. J is the square of a number of standard deviations: the
+generalized likelihood ratio of one unknown size.
 """
 
 import dataclasses

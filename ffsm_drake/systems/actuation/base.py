@@ -255,7 +255,8 @@ class BaseActuators(LeafSystem):
                 settings = dataclasses.replace(thrusters.settings, failures=failures)
                 thrusters = ThrusterSet(settings, sample_time=step)
             if wheels is not None and isolated[count:].any():
-                lost = [name for name, told in zip(wheels.names, isolated[count:]) if told]
+                told_of_wheels = zip(wheels.names, isolated[count:], strict=True)
+                lost = [name for name, told in told_of_wheels if told]
                 wheels = WheelSet(wheels.settings, sample_time=step, alone=alone, lost=lost)
         except ScenarioError:
             return self.thrusters, self.wheels, False
