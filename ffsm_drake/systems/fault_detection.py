@@ -43,7 +43,8 @@ KINDS = (
 _CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 _EVERY, _KEPT, _OLD = 5, 60, 20  # control samples of a block; blocks that are kept, that are old
 _WINDOWS = (8, 16, 32)  # blocks
-_CONFIRMED = 4  # looks in a row that name the same thruster
+# looks in a row that name the same thruster, each at this share of the threshold
+_CONFIRMED, _ASKED = 4, 0.75
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
 _JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
@@ -583,7 +584,7 @@ class _Detector(LeafSystem):
         )
         looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(len(blocks))]
         before, looks[:] = looks[found.thruster], 0.0
-        if found.explained > self._settings.threshold**2 and found.is_isolated:
+        if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
             looks[found.thruster] = before + 1.0
             if looks[found.thruster] >= _CONFIRMED:
                 self._notice(memory, self._names[found.thruster], found.kind)
