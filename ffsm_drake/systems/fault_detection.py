@@ -43,7 +43,8 @@ KINDS = (
 _CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 _EVERY, _KEPT, _OLD = 5, 60, 20  # control samples of a block; blocks that are kept, that are old
 _WINDOWS = (8, 16, 32)  # blocks
-# looks in a row that name the same thruster, each at this share of the threshold
+# looks in a row that name the same thruster; share of the threshold for one that is stuck on,
+# which costs most, and which little else looks like
 _CONFIRMED, _ASKED = 4, 0.75
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
@@ -584,7 +585,8 @@ class _Detector(LeafSystem):
         )
         looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(len(blocks))]
         before, looks[:] = looks[found.thruster], 0.0
-        if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
+        share = _ASKED if found.kind == "stuck_on" else 1.0
+        if found.explained > (share * self._settings.threshold) ** 2 and found.is_isolated:
             looks[found.thruster] = before + 1.0
             if looks[found.thruster] >= _CONFIRMED:
                 self._notice(memory, self._names[found.thruster], found.kind)
