@@ -29,6 +29,7 @@ from ffsm_drake.systems.controllers.joined import join_controllers
 from ffsm_drake.systems.deflections import Deflections
 from ffsm_drake.systems.disturbance import HarmonicDisturbance
 from ffsm_drake.systems.environment import OrbitalEnvironment
+from ffsm_drake.systems.fault_detection import FaultDetection
 from ffsm_drake.systems.faults import settled
 from ffsm_drake.systems.faulty_sensors import FaultySensors
 from ffsm_drake.systems.frame_path import FRAME_SIZE
@@ -50,13 +51,15 @@ from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 from ffsm_drake.systems.supervisor import SupervisorPart
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
-FRAME, NUMBER = str(FRAME_SIZE), "1"
+FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
 # Outputs of actuators that act on the plant beside the applied force.
 BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
 ABORT = "abort_request"
 TOLD = "told_force"  # what actuators with faults seem to apply to whom the faults are unknown
 THRUST = "thruster_force"  # an output of actuators that some forces follow from
+# What a stage of sensing that looks for faults reads of the actuators, and tells them.
+OF_ACTUATORS, ISOLATED = (TOLD, "gyroscopic_force", "told_units", "wheel_momentum"), "isolated"
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -80,11 +83,16 @@ BLOCKS: dict[str, Ports] = {
     "sensing": Ports(
         # ``state`` is what the stage before gives, of the first one the plant's state.
         inputs={"state": STATE},
-        optional_inputs={"true_state": STATE, "measurement_is_new": STATE},
+        optional_inputs={
+            "true_state": STATE,
+            "measurement_is_new": STATE,
+            **dict.fromkeys(OF_ACTUATORS, VELOCITY),
+            **dict.fromkeys(OF_ACTUATORS[2:], UNITS),
+        },
         outputs={"estimated_state": STATE},
         # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without
         # this port all are new.
-        optional_outputs={"measurement_is_new": STATE},
+        optional_outputs={"measurement_is_new": STATE, ISOLATED: UNITS},
     ),
     "controller": Ports(
         inputs={"estimated_state": STATE, "desired_state": STATE, "desired_acceleration": VELOCITY},
@@ -116,7 +124,7 @@ BLOCKS: dict[str, Ports] = {
     ),
     "actuation": Ports(
         inputs={"commanded_force": VELOCITY},
-        optional_inputs={"state": STATE},
+        optional_inputs={"state": STATE, ISOLATED: UNITS},
         outputs={"applied_force": VELOCITY},
         # What acts on the plant beside it and is not held over a sample.
         optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY},
@@ -146,6 +154,7 @@ _SECTION_PARTS: dict[str, type[Part]] = {
     "flexible": Deflections,
     "supervisor": SupervisorPart,
     "sensing.faults": FaultySensors,
+    "sensing.detection": FaultDetection,
     DISTURBANCE: HarmonicDisturbance,
     "forces.environment": OrbitalEnvironment,
     GRIPPER: Gripper,

@@ -28,7 +28,17 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, guarded, is_user_supplied
-from ffsm_drake.loop.blocks import ABORT, BESIDES, BLOCKS, THRUST, TOLD, kind_of, make_blocks
+from ffsm_drake.loop.blocks import (
+    ABORT,
+    BESIDES,
+    BLOCKS,
+    ISOLATED,
+    OF_ACTUATORS,
+    THRUST,
+    TOLD,
+    kind_of,
+    make_blocks,
+)
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
@@ -473,6 +483,23 @@ class _Wiring:
             applied = (actuation, TOLD)
         if controller.HasInputPort(name):
             self._builder.Connect(_port(applied), controller.GetInputPort(name))
+        self._tell_of_actuators(applied)
+
+    def _tell_of_actuators(self, told: Source) -> None:
+        """The stages of sensing that look for faults, and what they tell the actuators."""
+        for stage in self._of_kind("sensing").values():
+            found = {TOLD: told}
+            if self._actuation is not None:
+                found |= {
+                    name: (self._actuation, name)
+                    for name in OF_ACTUATORS[1:]
+                    if self._actuation.HasOutputPort(name)
+                }
+                if stage.HasOutputPort(ISOLATED) and self._actuation.HasInputPort(ISOLATED):
+                    port = self._actuation.GetInputPort(ISOLATED)
+                    self._builder.Connect(stage.GetOutputPort(ISOLATED), port)
+            for name in filter(stage.HasInputPort, found):
+                self._builder.Connect(_port(found[name]), stage.GetInputPort(name))
 
     def _supervise(self, supervisor: System) -> Source:
         """The force that a supervisor commands, from the law's and what blocks ask for."""

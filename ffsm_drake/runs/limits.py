@@ -48,9 +48,13 @@ def run_remarks(record: RunRecord) -> list[str]:
     plant = make_plant(record.scenario.model)
     limits, remarks = joint_limits(record.scenario, plant), list[str]()
     faults = settle_faults(record.scenario, coordinates_of(plant)).faults
+    noticed = dict(record.metrics.get("faults", {}).get("noticed") or {})
     for fault in () if faults is None else faults.events.values():
         if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
-            remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on")
+            found = [name for name in noticed if name.partition(" ")[0] == fault.unit]
+            told = "".join(f", noticed at {noticed.pop(name):.2f} s" for name in found[:1])
+            remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on{told}")
+    remarks += [f"{name}: noticed at {at:.2f} s, and works" for name, at in noticed.items()]
     remarks += list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
     remarks += clearance_remarks(
         lambda: run_clearance(record), record.scenario.clearance, "the run"

@@ -13,7 +13,7 @@ from ffsm_drake.scenario.actuation import (
 )
 from ffsm_drake.scenario.blocks import Block, Blocks
 from ffsm_drake.scenario.capture import CAPTURE_AXES, Approach, Capture
-from ffsm_drake.scenario.faults import Fault, Faults
+from ffsm_drake.scenario.faults import Detection, Fault, Faults
 from ffsm_drake.scenario.fields import PerCoordinate
 from ffsm_drake.scenario.forces import Disturbance, Environment, Harmonic, SolarPressure
 from ffsm_drake.scenario.layers import (
@@ -88,6 +88,7 @@ __all__ = [
     "Blocks",
     "Capture",
     "CommandFilter",
+    "Detection",
     "Disturbance",
     "Drives",
     "Environment",

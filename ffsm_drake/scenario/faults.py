@@ -44,10 +44,28 @@ class Fault:
 
 
 @dataclass
+class Detection:
+    """How the flight software looks for faults, and what it does."""
+
+    threshold: float = unitless(
+        8.0, "standard deviations of its noise, as measured, beyond which a residual is a fault",
+        above=0,
+    )  # fmt: skip
+    isolation_valves: bool = unitless(
+        True,
+        "each thruster has a valve upstream, which is shut when it fails; without, the others "
+        "cancel one that is stuck on",
+    )
+
+
+@dataclass
 class Faults:
-    """Faults of actuators, sensors and joints, of which the flight software does not know."""
+    """Faults of actuators, sensors and joints, and whether the flight software looks for them."""
 
     events: dict[str, Fault] = unitless({}, "faults, by any names")
+    detection: Detection | None = unitless(
+        None, "null: the flight software does not know of any fault"
+    )
     seed: int | None = unitless(
         None, "of what is drawn; null: random_seed", least=0, most=2**31 - 1
     )

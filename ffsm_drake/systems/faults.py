@@ -62,6 +62,11 @@ def hits(scenario: Scenario, part: str) -> list[tuple[str, Fault]]:
     return [(unit, fault) for of, unit, fault in each if of == part]
 
 
+def detects(scenario: Scenario) -> bool:
+    """Whether the flight software looks for faults."""
+    return scenario.faults is not None and scenario.faults.detection is not None
+
+
 def first_sample(fault: Fault, sample_time: float) -> int:
     """The control sample from which on a fault is there."""
     return math.ceil(fault.time[0] / sample_time - 1e-9)

@@ -18,7 +18,7 @@ from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock, Hit
 from ffsm_drake.systems.actuation.drives import DriveSet, JointDrives, JointFriction, RateLimit
 from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import ReactionWheels, WheelSet
-from ffsm_drake.systems.faults import first_sample, hits
+from ffsm_drake.systems.faults import detects, first_sample, hits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.sensing import Quantizer
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
@@ -60,6 +60,8 @@ class Actuators(CompositeBlock):
                 builder.ExportOutput(port, port.get_name())
             if system.HasInputPort("state"):
                 readers.append(system.GetInputPort("state"))
+            if system.HasInputPort("isolated"):
+                builder.ExportInput(system.GetInputPort("isolated"), "isolated")
         for before, after in itertools.pairwise(chain):
             builder.Connect(before.get_output_port(0), after.get_input_port(0))
         builder.ExportInput(chain[0].get_input_port(0), "commanded_force")
@@ -116,7 +118,13 @@ def wide_actuation_of(setups: Sequence[BlockSetup]) -> Actuators | None:
         for part in ("thrusters", "wheels")
         for unit, fault in hits(scenario, part)
     ]
-    return _make_actuation(settings, setups[0].coordinates, sample_time=step, faults=faults)
+    return _make_actuation(
+        settings,
+        setups[0].coordinates,
+        sample_time=step,
+        faults=faults,
+        detects=detects(scenario),
+    )
 
 
 def _by_copy(settings: Actuation) -> dict[str, Any]:
@@ -160,6 +168,7 @@ def _make_actuation(
     sample_time: float,
     base: System | None = None,
     faults: Sequence[Hit] = (),
+    detects: bool = False,
 ) -> Actuators | None:
     """As ``make_actuation``, of each of the settings, which differ by ``_by_copy``."""
     settings, copies = of_copies[0], len(of_copies)
@@ -176,7 +185,12 @@ def _make_actuation(
         row["base"] = base
     elif settings.thrusters is not None or settings.wheels is not None:
         own = make_base_actuators(
-            settings, coordinates, sample_time=sample_time, copies=copies, faults=faults
+            settings,
+            coordinates,
+            sample_time=sample_time,
+            copies=copies,
+            faults=faults,
+            detects=detects,
         )
         row["base"] = BaseBlock(own, coordinates, copies=copies)
     if beside and not row:
@@ -219,9 +233,10 @@ def make_base_actuators(
     sample_time: float,
     copies: int = 1,
     faults: Sequence[Hit] = (),
+    detects: bool = False,
 ) -> BaseActuators:
-    """Thrusters and wheels, of all copies of the spacecraft, as one system, with their faults;
-    errors as for ``make_actuation``.
+    """Thrusters and wheels, of all copies of the spacecraft, as one system, with their faults and
+    an input for what is detected of them; errors as for ``make_actuation``.
     """
     thrusters, wheels = None, None
     if settings.thrusters is not None:
@@ -229,5 +244,11 @@ def make_base_actuators(
     if settings.wheels is not None:
         wheels = WheelSet(settings.wheels, sample_time=sample_time, alone=thrusters is None)
     return BaseActuators(
-        thrusters, wheels, coordinates, sample_time=sample_time, copies=copies, faults=faults
+        thrusters,
+        wheels,
+        coordinates,
+        sample_time=sample_time,
+        copies=copies,
+        faults=faults,
+        detects=detects,
     )

@@ -1,5 +1,6 @@
 """Thrusters and wheels in the closed loop: they give the base's force and torque."""
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -11,10 +12,12 @@ from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
     DiscreteValues,
+    InputPort,
     LeafSystem,
 )
 from pydrake.systems.primitives import Demultiplexer
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Fault
@@ -30,7 +33,13 @@ from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 # Commands beyond their limits are not: the controller reads applied_force and repeats them.
 _RECOVERY = 10
 Hit = tuple[str, Fault, int]  # unit, fault, the control sample from which on it is there
+# What detection tells of a thruster or wheel: it does nothing and gets nothing, the valve upstream
+# of a thruster being shut; a thruster that stays open.
+LOST, STUCK_ON = 1.0, 2.0
 _LARGEST = 1e300  # N m and N; products of larger numbers overflow
+
+
+_Working = tuple[ThrusterSet | None, WheelSet | None, bool]
 
 
 class BaseActuators(LeafSystem):
@@ -43,6 +52,7 @@ class BaseActuators(LeafSystem):
       state: [q; v] of the plant (nq + nv).
       stored_momentum: with wheels only, their momentum in world axes as it is integrated (3), N m
         s.
+      isolated: with detection only, of each thruster, then wheel, 0, ``LOST`` or ``STUCK_ON``.
     Output, which changes at control samples only:
       sample: stacked by ``sizes``, each for copy after copy of the spacecraft:
         applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world
@@ -53,9 +63,12 @@ class BaseActuators(LeafSystem):
         with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
           (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
           (3), the part of applied_force's torque that is theirs;
-        with faults told_force (nv), what seems to be applied to whom they are unknown;
+        with faults or detection told_force (nv), what seems to be applied to whom they are
+          unknown; told_units, likewise the force of each thruster, N, and the torque on each
+          wheel, N m;
         memory, which the next update keeps.
-    With faults the discrete state has ``gains_and_floors``, and 1 of each wheel that stops.
+    With these the discrete state has ``gains_and_floors``, and 1 of each wheel that stops; with
+    detection also ``isolated``.
     The base turns within a sample. Its attitude at the middle, from the angular velocity at the
     start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
     of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
@@ -74,11 +87,12 @@ class BaseActuators(LeafSystem):
         sample_time: float,
         copies: int = 1,
         faults: Sequence[Hit] = (),
+        detects: bool = False,
     ) -> None:
         super().__init__()
         # of one spacecraft vectors, which are faster than rows
         self._rows = (copies, -1) if copies > 1 else (-1,)
-        self._thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
+        self.thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
         # control samples from one allocation to the next
         self.frame = 1 if thrusters is None else thrusters.settings.frame
         nv = len(coordinates.names)
@@ -99,10 +113,16 @@ class BaseActuators(LeafSystem):
                 "wheel_reaction": 3,
             }
             self._stored = self.DeclareVectorInputPort("stored_momentum", 3 * copies)
-        self._faults = faults
-        if faults:
-            self.sizes |= {"told_force": nv}
+        self._faults, self._may_break = faults, detects or bool(faults)
+        if self._may_break:
+            self.units = [name for each in (thrusters, wheels) if each for name in each.names]
+            self.sizes |= {"told_force": nv, "told_units": len(self.units)}
             self._broken = self.DeclareDiscreteState(self._faults_at(-1))
+        self._told: InputPort | None = None
+        if detects:
+            self._told = self.DeclareVectorInputPort("isolated", len(self.units))
+            self._isolated = self.DeclareDiscreteState(len(self.units))
+            self._without = dict[bytes, _Working]()
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
@@ -133,16 +153,19 @@ class BaseActuators(LeafSystem):
         turning: np.ndarray,
         begins: bool,
         broken: np.ndarray | None = None,
+        isolated: np.ndarray | None = None,
     ) -> np.ndarray:
         """The output ``sample`` (...), a row for each copy, as a pure function of the command
         (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
-        ``turning`` (..., 6), ``begins``, with faults ``broken``.
+        ``turning`` (..., 6), ``begins``, with faults ``broken``, with detection ``isolated``.
 
         A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
         such a run has diverged.
         """
         commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
-        thrusters, wheels = self._thrusters, self.wheels
+        thrusters, wheels = self.thrusters, self.wheels
+        if isolated is not None and isolated.any():
+            thrusters, wheels, _ = self.without(isolated)
         back = rotation.swapaxes(-1, -2)
         pairs = (*commanded.shape[:-1], 2, 3)
         # torque, force in the base's axes
@@ -178,10 +201,11 @@ class BaseActuators(LeafSystem):
                 owed = owed + more * self._sample_time
             kept += [owed, fuel.packed()]
             wanted[..., 0, :] -= fired[..., 0, :]
-        told = applied
+        told, told_units = applied, list[np.ndarray]()
         if broken is not None:
             told = applied.copy()
             if thrusters is not None:
+                told_units.append(firing.force)
                 gain, floor = broken[: 2 * len(thrusters.names)].reshape(2, -1)
                 parts[0] = np.maximum(gain * firing.level, floor) * thrusters.force
                 really = times(thrusters.wrenches, parts[0]).reshape(pairs)
@@ -191,6 +215,7 @@ class BaseActuators(LeafSystem):
             by_wheels = times(rotation, torques.on_base) + missing
             if broken is not None:
                 told[..., :3] = by_wheels + (0.0 if thrusters is None else told[..., :3])
+                told_units.append(torques.on_wheels)
                 stops = broken[-len(wheels.names) :]
                 torques = wheels.stopping(torques, stops, momentum, w_WB)
                 by_wheels = times(rotation, torques.on_base) + missing
@@ -206,14 +231,42 @@ class BaseActuators(LeafSystem):
                 *kept,
             ]
         if broken is not None:
-            parts.append(told)
+            parts += [told, *told_units]
         return np.concatenate([applied, *parts, *kept], axis=-1)
+
+    def without(self, isolated: np.ndarray) -> "_Working":
+        """Thrusters and wheels (None: none) for the allocation without what is ``isolated``, and
+        whether they give every wrench; those without none where they do not.
+        """
+        key = isolated.tobytes()
+        if key not in self._without:
+            self._without[key] = self._make_without(isolated)
+        return self._without[key]
+
+    def _make_without(self, isolated: np.ndarray) -> "_Working":
+        thrusters, wheels, step = self.thrusters, self.wheels, self._sample_time
+        count, alone = 0 if thrusters is None else len(thrusters.names), thrusters is None
+        try:
+            if thrusters is not None and isolated[:count].any():
+                failures = dict(thrusters.settings.failures)
+                for name, told in zip(thrusters.names, isolated[:count], strict=True):
+                    if told:
+                        failures[name] = "stuck_on" if told == STUCK_ON else "stuck_off"
+                settings = dataclasses.replace(thrusters.settings, failures=failures)
+                thrusters = ThrusterSet(settings, sample_time=step)
+            if wheels is not None and isolated[count:].any():
+                told_of_wheels = zip(wheels.names, isolated[count:], strict=True)
+                lost = [name for name, told in told_of_wheels if told]
+                wheels = WheelSet(wheels.settings, sample_time=step, alone=alone, lost=lost)
+        except ScenarioError:
+            return self.thrusters, self.wheels, False
+        return thrusters, wheels, True
 
     def _faults_at(self, sample: int) -> np.ndarray:
         """Gains, floors, stopped wheels at a control sample."""
         there = [(name, fault) for name, fault, since in self._faults if sample >= since]
         thrusters, wheels = (
-            () if each is None else each.names for each in (self._thrusters, self.wheels)
+            () if each is None else each.names for each in (self.thrusters, self.wheels)
         )
         of_thrusters = gains_and_floors(thrusters, [e for e in there if e[1].kind != "stops"])
         stopped = {name for name, fault in there if fault.kind == "stops"}
@@ -227,7 +280,8 @@ class BaseActuators(LeafSystem):
             rotation=value(self._rotation).reshape(*self._rows[:-1], 3, 3),
             turning=value(self._turning).reshape(rows),
             begins=bool(value(self._begins).item()),
-            broken=value(self._broken) if self._faults else None,
+            broken=value(self._broken) if self._may_break else None,
+            isolated=None if self._told is None else value(self._isolated),
         )
         output.SetFromVector(sample.ravel()[self._by_name])
 
@@ -237,9 +291,16 @@ class BaseActuators(LeafSystem):
         if sample > 0:
             memory = self._sample.Eval(context)[-memory.size :]
             values.set_value(self._memory, memory)
-        if self._faults:
-            values.set_value(self._broken, self._faults_at(sample))
-        if self._thrusters is not None:
+        if self._may_break:
+            broken = self._faults_at(sample)
+            if self._told is not None:
+                isolated = self._told.Eval(context)
+                values.set_value(self._isolated, isolated)
+                if self.thrusters is not None:  # a shut valve lets nothing through
+                    count = len(self.thrusters.names)
+                    broken[: 2 * count] *= np.tile(isolated[:count] != LOST, 2)
+            values.set_value(self._broken, broken)
+        if self.thrusters is not None:
             values.set_value(self._begins, [float(sample % self.frame == 0)])
         state, nv = self._state.Eval(context).reshape(rows), self.sizes["applied_force"]
         quaternion, w_WB = state[..., :4], state[..., nv + 1 : nv + 4]
@@ -279,6 +340,8 @@ class BaseBlock(Diagram):
         outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
         builder.ExportInput(base.GetInputPort("commanded_force"), "commanded_force")
         builder.ExportInput(base.GetInputPort("state"), "state")
+        if base.HasInputPort("isolated"):
+            builder.ExportInput(base.GetInputPort("isolated"), "isolated")
         if base.wheels is not None:
             stored = self._stored = builder.AddNamedSystem(
                 "gyroscopic", Gyroscopic(coordinates, copies=copies)

@@ -61,8 +61,11 @@ class WheelTorques:
 class WheelSet:
     """Torques of a set of wheels: pure functions of arrays."""
 
-    def __init__(self, settings: Wheels, *, sample_time: float, alone: bool) -> None:
-        """Args: the wheels; s; whether there are no thrusters beside them.
+    def __init__(
+        self, settings: Wheels, *, sample_time: float, alone: bool, lost: Sequence[str] = ()
+    ) -> None:
+        """Args: the wheels; s; whether there are no thrusters beside them; wheels that get no
+        torque.
 
         Raises ScenarioError: alone they cannot give every torque. Beside them thrusters give the
         torque about an axis that the wheels leave out.
@@ -90,8 +93,9 @@ class WheelSet:
                 "viscous_friction",
             )
         )
-        self._share = np.linalg.pinv(self.axes, rcond=1e-9)
-        left, sizes, _ = np.linalg.svd(self.axes)
+        used = self.axes * [name not in lost for name in self.names]
+        self._share = np.linalg.pinv(used, rcond=1e-9)
+        left, sizes, _ = np.linalg.svd(used)
         self._lost = left[:, np.count_nonzero(sizes > 1e-9) :].T  # unit axes of no torque
         if alone and len(self._lost):
             axis = ", ".join(f"{number:.3g}" for number in self._lost[-1].round(3) + 0.0)

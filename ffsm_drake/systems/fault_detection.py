@@ -1,0 +1,609 @@
+"""The flight software's look at faults: the last stage of the section ``sensing``.
+
+At each sample it holds what was measured against what was told to the actuators:
+
+- a sensor falls silent where it says that nothing is new; is frozen where it repeats its bits
+  though the others move; is biased where a position jumps by more than its velocity explains, or
+  a velocity differs from its position's slope;
+- a wheel stops where its momentum, from its tachometer, does not change by the torque told;
+- a joint is jammed where it stands still and takes a force that nobody told of;
+- of thrusters see ``systems.residuals``.
+
+A lost position is carried on by its velocity, a lost velocity comes from an observer of position
+and told force, a bias is taken off. A lost thruster or wheel leaves the allocation. A joint that
+jams, and what the allocation cannot do without, raises ``abort_request``.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RotationMatrix
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.so3 import turning_matrix
+from ffsm_drake.scenario import Scenario, thrusters_of
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, position_error
+from ffsm_drake.systems.actuation import make_base_actuators
+from ffsm_drake.systems.actuation.base import LOST, STUCK_ON
+from ffsm_drake.systems.controllers.estimators import assumed_noise
+from ffsm_drake.systems.faults import detects, hits
+from ffsm_drake.systems.faulty_sensors import entries_in_state, sensors_of
+from ffsm_drake.systems.part import Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.residuals import Observer, slope_of, suspect, times_of
+from ffsm_drake.systems.sensing import measurement_times
+from ffsm_drake.systems.setup import BlockSetup
+
+KINDS = (
+    *("", "stuck_on", "stuck_off", "leaking", "weak", "stops", "jammed"),
+    *("frozen", "silent", "biased"),
+)
+_CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
+_EVERY, _KEPT, _OLD = 5, 60, 20  # control samples of a block; blocks that are kept, that are old
+_WINDOWS = (8, 16, 32)  # blocks
+# looks in a row that name the same thruster; share of the threshold for one that is stuck on,
+# which costs most, and which little else looks like
+_CONFIRMED, _ASKED = 4, 0.75
+_LEARNT = 50  # samples, or blocks, after which a variance is known
+_REPEATED = 5  # samples with the same bits
+_JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
+_SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the impulse told, by which a wheel may be off
+_STILL, _HOLDS, _USUAL = 2e-4, 0.05, 4.0  # of a jam: rad/s; N m or N; times the usual force
+_PULSE = 0.1  # share of the largest impulse of a frame that is noise
+_DRIFT = 4.0  # times the usual change in a second that an acceleration may be off
+_BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
+
+
+class FaultDetection(Part):
+    """The section ``faults.detection`` of a scenario."""
+
+    title = "Fault detection"
+    section = "Faults"
+    about = "What was noticed: " + ", ".join(f"{i} {kind}" for i, kind in enumerate(KINDS) if kind)
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "FaultDetection | None":
+        """None where the flight software does not look for faults."""
+        return cls() if detects(scenario) else None
+
+    def build(self, setup: BlockSetup) -> LeafSystem:
+        """The stage."""
+        return _Detector(setup)
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """What is noticed of each unit."""
+        return (
+            Signal(
+                name="fault_detected",
+                unit="1",
+                meaning=f"what is noticed of each unit: {self.about.partition(': ')[2]}, 0 nothing",
+                components=tuple(_units(setup.scenario, setup.coordinates)),
+                dimension="fault_unit",
+                heading="",
+            ),
+        )
+
+    def metrics(self) -> Sequence[Metric]:
+        """When what was noticed."""
+        return (
+            Metric(
+                key="faults.noticed", unit="s", label="Noticed", column="", of=_noticed,
+            ),
+        )  # fmt: skip
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """What was noticed, with times."""
+        (found,) = (each.value for each in figures if each.key == "faults.noticed")
+        assert isinstance(found, dict)
+        listed = ", ".join(f"{name} at {time:.2f} s" for name, time in found.items())
+        return f"Faults noticed: {listed or 'none'}"
+
+
+def _noticed(run: View) -> dict[str, float]:
+    """Unit and kind -> time, s."""
+    found, codes = dict[str, float](), np.asarray(run["fault_detected"])
+    for unit, of_unit in zip(_units(run.scenario, run.coordinates), codes.T, strict=True):
+        for k in np.flatnonzero(np.diff(of_unit, prepend=0.0)):
+            found[f"{unit} {KINDS[int(of_unit[k])]}"] = float(run.time[k])
+    return dict(sorted(found.items(), key=lambda item: item[1]))
+
+
+def _units(scenario: Scenario, coordinates: Coordinates) -> list[str]:
+    """All that may be noticed, as ``faults`` names it."""
+    thrusters, wheels = scenario.actuation.thrusters, scenario.wheels
+    return [
+        *(f"thrusters.{name}" for name in ({} if thrusters is None else thrusters_of(thrusters))),
+        *(f"wheels.{name}" for name in ({} if wheels is None else wheels.units)),
+        *(f"joints.{name}" for name in coordinates.joints),
+        *(f"sensing.{name}" for name in sensors_of(coordinates)),
+    ]
+
+
+Memory = dict[str, np.ndarray]
+
+
+class _Detector(LeafSystem):
+    """Inputs: those of the block; of actuators ``told_force`` (nv), and, where they have them,
+    ``gyroscopic_force`` (nv), ``told_units`` and ``wheel_momentum``. Outputs: the block's,
+    ``fault_detected``, ``abort_request``, and with thrusters or wheels ``isolated``. Discrete
+    state: ``Memory``, one array after another.
+    """
+
+    def __init__(self, setup: BlockSetup) -> None:
+        super().__init__()
+        scenario, coordinates = setup.scenario, setup.coordinates
+        assert scenario.faults is not None
+        assert scenario.faults.detection is not None
+        self._settings, self._step = scenario.faults.detection, setup.sample_time
+        self._model, self._names = setup.nominal, _units(scenario, coordinates)
+        self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
+        # the nominal payload changes at a grasp
+        self._leg = float(scenario.payload.nominal.mass)
+        actuation = scenario.actuation
+        self._base = None
+        if actuation.thrusters is not None or actuation.wheels is not None:
+            self._base = make_base_actuators(
+                actuation, coordinates, sample_time=self._step, detects=True
+            )
+        self._read_sensors(scenario, coordinates)
+        drives, nothing = actuation.drives, np.zeros(self._nv)
+        self._stiction = nothing
+        if drives is not None:
+            frictions = [drives.coulomb_friction, drives.static_friction or {}]
+            each = [coordinates.vector(of, key="drives", default=0.0) for of in frictions]
+            self._stiction = 1.5 * np.maximum(*each)
+        self._observer = Observer(
+            coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0), self._step
+        )
+        self._declare()
+
+    def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
+        """What sensors show, and how well."""
+        self._sensors = sensors_of(coordinates)
+        period, delay = measurement_times(scenario.sensing, coordinates)
+        self._is_prompt = (period == 1) & (delay == 0)
+        self._patience = 3 * period + delay  # control samples without anything new
+        noise = assumed_noise(scenario, coordinates)
+        self._velocity_noise = noise[1]
+        quantized = [
+            coordinates.vector(of, key="sensing", default=0.0)
+            for of in (
+                scenario.sensing.position_quantization,
+                scenario.sensing.velocity_quantization,
+            )
+        ]
+        self._is_fine = np.concatenate(quantized) == 0.0
+        silent = any(fault.kind == "silent" for _, fault in hits(scenario, "sensing"))
+        self._may_be_old = silent or bool((period > 1).any())
+        self._sees_forces = bool(self._is_prompt.all())
+
+    def _declare(self) -> None:
+        nq, nv, base = self._nq, self._nv, self._base
+        size, units = nq + nv, 0 if base is None else len(base.units)
+        thrusters, wheels = (None, None) if base is None else (base.thrusters, base.wheels)
+        self._force = np.zeros(0) if thrusters is None else thrusters.force
+        self._thrusters, self._wheels = thrusters, wheels
+        wheel_count = 0 if wheels is None else len(wheels.names)
+        self._shapes = {
+            "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort": (1,),
+            "raw": (size,), "seen": (size,), "off": (2 * nv,), "stale": (size,),
+            "codes": (len(self._names),), "repeats": (len(self._sensors),),
+            "since": (2 * nv,), "jitter": (nv,), "rough": (nv,),
+            "usual": (nv,), "steady": (nv,), "slope": (nv,),
+            "observed": (size,), "acceleration": (nv,), "told": (units,),
+            "momentum": (wheel_count,), "suspected": (3 * len(self._force),),
+            "sums": (3 * nv + units + wheel_count,),
+            "part": (3 * nv + units + wheel_count,),
+            "kept": (_KEPT, 3 * nv + units + wheel_count),
+        }  # fmt: skip
+        self._state = self.DeclareVectorInputPort("state", size)
+        self._told = self.DeclareVectorInputPort("told_force", nv)
+        self._new = self._gyroscopic = self._told_units = self._momentum = None
+        if self._may_be_old:
+            self._new = self.DeclareVectorInputPort("measurement_is_new", size)
+        if units:
+            self._told_units = self.DeclareVectorInputPort("told_units", units)
+        if wheel_count:
+            self._gyroscopic = self.DeclareVectorInputPort("gyroscopic_force", nv)
+            self._momentum = self.DeclareVectorInputPort("wheel_momentum", wheel_count)
+        sizes = [int(np.prod(shape)) for shape in self._shapes.values()]
+        ends, total = np.cumsum([0, *sizes]).tolist(), sum(sizes)
+        places = itertools.starmap(slice, itertools.pairwise(ends))
+        self._places = dict(zip(self._shapes, places, strict=True))
+        self._memory = self.DeclareDiscreteState(total)
+        self._look = self.DeclareVectorOutputPort("look", size + total, weak_callback(self._calc))
+        self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc_state))
+        if self._may_be_old:
+            new = weak_callback(self._calc_new)
+            self.DeclareVectorOutputPort("measurement_is_new", size, new)
+        held = {self.xd_ticket()}
+        for name, calc, number in (
+            ("fault_detected", self._calc_codes, len(self._names)),
+            ("abort_request", self._calc_abort, 1),
+            *([("isolated", self._calc_isolated, units)] if units else []),
+        ):
+            self.DeclareVectorOutputPort(name, number, weak_callback(calc), held)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weak_callback(self._update))
+        untie(self)
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """Before the start, ``state`` was measured."""
+        memory = {name: np.zeros(shape) for name, shape in self._shapes.items()}
+        memory["leg"][0] = -1.0
+        memory["raw"][:] = memory["seen"][:] = memory["observed"][:] = state
+        context.SetDiscreteState(self._memory, self._packed(memory))
+
+    def _packed(self, memory: Memory) -> np.ndarray:
+        return np.concatenate([memory[name].ravel() for name in self._shapes])
+
+    def _recalled(self, context: Context) -> Memory:
+        """A copy of the memory."""
+        whole = context.get_discrete_state(self._memory).value().copy()
+        return {
+            name: whole[self._places[name]].reshape(shape) for name, shape in self._shapes.items()
+        }
+
+    def _held(self, context: Context, name: str) -> np.ndarray:
+        """One array of the memory, to read."""
+        held: np.ndarray = context.get_discrete_state(self._memory).value()[self._places[name]]
+        return held
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        memory = self._recalled(context)
+        self._look_at(memory, context)
+        output.SetFromVector(np.concatenate([memory["seen"], self._packed(memory)]))
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._look.Eval(context)[: output.size()])
+
+    def _calc_new(self, context: Context, output: BasicVector) -> None:
+        """A value in a lost sensor's place is new."""
+        assert self._new is not None
+        new = self._new.Eval(context).copy()
+        codes = self._held(context, "codes")
+        for name, entries in self._sensors.items():
+            if codes[self._unit(name)] and self._is_prompt[entries].all():
+                new[entries_in_state(entries)] = 1.0
+        output.SetFromVector(new)
+
+    def _calc_codes(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._held(context, "codes"))
+
+    def _calc_abort(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._held(context, "abort"))
+
+    def _calc_isolated(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._isolated(self._held(context, "codes")))
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        size = self._nq + self._nv
+        values.set_value(self._memory, self._look.Eval(context)[size:])
+
+    def _unit(self, sensor: str) -> int:
+        return self._names.index(f"sensing.{sensor}")
+
+    def _isolated(self, codes: np.ndarray) -> np.ndarray:
+        """What the actuators are told (units)."""
+        assert self._base is not None
+        told = (codes[: len(self._base.units)] > 0.0) * LOST
+        if not self._settings.isolation_valves:
+            told[codes[: told.size] == _CODE["stuck_on"]] = STUCK_ON
+            told[codes[: told.size] == _CODE["leaking"]] = 0.0
+        return told
+
+    def _look_at(self, memory: Memory, context: Context) -> None:
+        """Bring the memory up to date with a sample; ``seen`` is the state without lost sensors."""
+        raw = self._state.Eval(context)
+        is_first = memory["leg"][0] != self._leg
+        seen = memory["seen"].copy()
+        q, v = np.split(seen, [self._nq])
+        mass, bias = self._model.calc_mass_matrix(q), self._model.calc_bias(q, v)
+        force = self._acting(memory, context)
+        if is_first:
+            memory["leg"][0] = self._leg
+            self._forget(memory)
+            memory["samples"][0] = 0.0
+        changes = np.linalg.solve(mass, np.column_stack([force - bias, self._pushes(seen)]))
+        expected = self._step * changes[:, 0] * (not is_first)
+        self._correct(memory, raw, seen, expected, is_first=is_first)
+        if not is_first:
+            self._look_at_sensors(memory, raw, seen, context)
+            if self._collect(memory, seen, expected, changes[:, 1:]):
+                self._look_at_blocks(memory, mass, changes[:, 1:])
+        memory["raw"][:] = raw
+
+    def _acting(self, memory: Memory, context: Context) -> np.ndarray:
+        """The force (nv) on the plant in the last sample as told, torques of wheels as measured;
+        their sums in ``part`` go on.
+        """
+        nv, units = self._nv, len(memory["told"])
+        force = self._told.Eval(context).copy()
+        if self._gyroscopic is not None:
+            force += self._gyroscopic.Eval(context)
+        if self._told_units is not None:
+            memory["sums"][3 * nv : 3 * nv + units] += self._step * memory["told"]
+        if self._momentum is not None and self._wheels is not None:
+            now, count = self._momentum.Eval(context), memory["momentum"].size
+            if memory["samples"][0] > 1.0:
+                beyond = now - memory["momentum"] - self._step * memory["told"][-count:]
+                memory["sums"][-count:] += beyond
+                axes = self._turned(memory["seen"]) @ self._wheels.axes
+                force[:3] -= axes @ beyond / self._step
+            memory["momentum"][:] = now
+        if self._told_units is not None:
+            memory["told"][:] = self._told_units.Eval(context)
+        return force
+
+    def _pushes(self, state: np.ndarray) -> np.ndarray:
+        """Generalized forces (nv, n) of unit forces of thrusters."""
+        pushes = np.zeros((self._nv, len(self._force)))
+        if self._thrusters is not None:
+            pairs = self._thrusters.wrenches.reshape(2, 3, -1)
+            pushes[:6] = (self._turned(state) @ pairs).reshape(6, -1)
+        return pushes
+
+    @staticmethod
+    def _turned(state: np.ndarray) -> np.ndarray:
+        """R_WB."""
+        quaternion = Quaternion(state[:4] / np.linalg.norm(state[:4]))
+        rotation: np.ndarray = RotationMatrix(quaternion).matrix()
+        return rotation
+
+    @staticmethod
+    def _forget(memory: Memory) -> None:
+        """Begin a window with the next block."""
+        memory["blocks"][0] = -1.0
+
+    def _correct(
+        self,
+        memory: Memory,
+        raw: np.ndarray,
+        seen: np.ndarray,
+        expected: np.ndarray,
+        *,
+        is_first: bool,
+    ) -> None:
+        """Write the measured state, without lost sensors and biases, into ``seen`` of the memory;
+        ``seen`` is the one before.
+        """
+        nq, nv, off = self._nq, self._nv, memory["off"]
+        q, v = _moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
+        lost = self._lost(memory["codes"])
+        if lost[nv:].any():
+            before, at = memory["observed"], memory["acceleration"]
+            shift, speed = self._observer.step(before[nq:], at, expected=expected)
+            ahead = _moved(before[:nq], shift)
+            of_q, of_v, of_a = self._observer.corrections(position_error(q, ahead))
+            before[:nq], before[nq:] = _moved(ahead, of_q), speed + of_v
+            at += of_a
+            v = np.where(lost[nv:], before[nq:], v)
+        if lost[:nv].any() and not is_first:
+            carried = _moved(seen[:nq], 0.5 * self._step * (seen[nq:] + v))
+            q = np.where(np.concatenate([lost[:1], lost[:nv]]), carried, q)
+        memory["seen"][:] = np.concatenate([q, v])
+
+    def _lost(self, codes: np.ndarray) -> np.ndarray:
+        """Which measurements (2 nv) are replaced."""
+        lost = np.zeros(2 * self._nv, dtype=bool)
+        for name, entries in self._sensors.items():
+            if codes[self._unit(name)] in (_CODE["frozen"], _CODE["silent"]):
+                lost[entries] = self._is_prompt[entries]
+        return lost
+
+    def _jammed(self, codes: np.ndarray) -> np.ndarray:
+        """Which coordinates (nv) are."""
+        base, joints = np.zeros(NUM_BASE_VELOCITIES, dtype=bool), self._model.coordinates.joints
+        at = [self._names.index(f"joints.{name}") for name in joints]
+        return np.concatenate([base, codes[at] > 0.0])
+
+    def _look_at_sensors(
+        self, memory: Memory, raw: np.ndarray, before: np.ndarray, context: Context
+    ) -> None:
+        """Those that are silent, frozen, or jump."""
+        nq, nv, codes = self._nq, self._nv, memory["codes"]
+        now, old = memory["seen"], memory["raw"]
+        slip = position_error(now[:nq], before[:nq])
+        slip -= 0.5 * self._step * (now[nq:] + before[nq:])
+        memory["since"] += np.tile(slip, 2)
+        new = None if self._new is None else self._new.Eval(context)
+        memory["stale"][:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory["stale"] + 1.0)
+        lost, joints = self._lost(codes), self._jammed(codes)
+        known = memory["samples"][0] >= _LEARNT
+        for index, (name, entries) in enumerate(self._sensors.items()):
+            columns = entries_in_state(entries)
+            if codes[self._unit(name)]:
+                slip[entries[entries < nv]] = 0.0
+                continue
+            same = bool((raw[columns] == old[columns]).all())
+            memory["repeats"][index] = memory["repeats"][index] + 1.0 if same else 0.0
+            if not same:
+                memory["since"][entries] = 0.0
+            prompt = self._is_prompt[entries].all()
+            if (memory["stale"][columns] > self._patience[entries[0]]).all():
+                self._lose(memory, name, "silent")
+            elif prompt and self._is_fine[entries].all() and memory["repeats"][index] >= _REPEATED:
+                if np.abs(memory["since"][entries]).max() > 1e-7 and not joints[entries % nv].any():
+                    self._lose(memory, name, "frozen")
+            elif same:
+                continue  # a jump back to what it shows would be none
+            elif prompt and known and entries[0] < nv and not lost[entries + nv].any():
+                size = np.linalg.norm(slip[entries] / np.sqrt(memory["jitter"][entries] + 1e-30))
+                if size > self._settings.threshold + 1.0 and np.linalg.norm(slip[entries]) > _JUMP:
+                    memory["off"][entries] += slip[entries]
+                    turn = np.zeros(nv)
+                    turn[entries] = slip[entries]
+                    now[:nq] = _moved(now[:nq], -turn)
+                    slip[entries] = 0.0
+                    self._lose(memory, name, "biased")
+        gain = 1.0 / min(memory["samples"][0] + 1.0, 4.0 * _LEARNT)
+        memory["jitter"] += gain * (slip**2 - memory["jitter"])
+        memory["sums"][nv : 2 * nv] += slip
+
+    def _lose(self, memory: Memory, sensor: str, kind: str) -> None:
+        """A sensor is lost: what is known of its coordinates begins anew."""
+        nq, nv, entries = self._nq, self._nv, self._sensors[sensor]
+        memory["codes"][self._unit(sensor)] = _CODE[kind]
+        now = memory["seen"]
+        if kind != "biased" and entries[0] < nv:  # what was missed meanwhile
+            missed = np.zeros(nv)
+            missed[entries] = memory["since"][entries]
+            now[:nq] = _moved(now[:nq], -missed)
+        elif kind != "biased":
+            memory["observed"][:] = now
+            memory["acceleration"][:] = 0.0
+        lost = self._lost(memory["codes"])
+        if (lost[:nv] & lost[nv:]).any() or not self._is_prompt[entries].all():
+            memory["abort"][0] = 1.0
+        self._forget(memory)
+
+    def _collect(
+        self, memory: Memory, before: np.ndarray, expected: np.ndarray, pushes: np.ndarray
+    ) -> bool:
+        """Sums of what is unexplained, in blocks; whether one ends."""
+        nq, nv, now = self._nq, self._nv, memory["seen"]
+        left = now[nq:] - before[nq:] - expected
+        count = memory["samples"][0] = memory["samples"][0] + 1.0
+        bound = self._settings.threshold * np.sqrt(memory["rough"])
+        bound += self._step * np.abs(pushes) @ self._force
+        if count > _LEARNT and (np.abs(left) > bound).any():  # a jump is no force
+            self._forget(memory)
+            left = np.clip(left, -bound, bound)
+        memory["rough"] += (left**2 - memory["rough"]) / min(count, 4.0 * _LEARNT)
+        memory["sums"][:nv] += left
+        memory["sums"][2 * nv : 3 * nv] += self._step * now[nq:]
+        memory["part"] += memory["sums"] / _EVERY
+        is_whole = bool(count % _EVERY == 0.0)
+        if is_whole:
+            memory["kept"][:-1] = memory["kept"][1:].copy()
+            memory["kept"][-1], memory["part"][:] = memory["part"], 0.0
+            memory["blocks"][0] += 1.0
+        return is_whole
+
+    def _look_at_blocks(self, memory: Memory, mass: np.ndarray, pushes: np.ndarray) -> None:
+        """Wheels, joints, velocities, thrusters, in windows of blocks."""
+        valid, step, nv = int(memory["blocks"][0]), _EVERY * self._step, self._nv
+        kept, learnt = memory["kept"], memory["looks"]
+        if valid >= _KEPT or (learnt[0] < _OLD and valid >= 2 * _OLD):
+            first, then = np.split(kept[-min(valid, _KEPT) :][: 2 * _OLD], 2)
+            first, then = (slope_of(each[:, : 2 * nv], step)[0] for each in (first, then))
+            learnt[0] += 1.0
+            gain, few = (1.0 / min(learnt[0], most) for most in (2.0 * _LEARNT, float(_OLD)))
+            memory["steady"] += few * (then[:nv] - memory["steady"])
+            memory["slope"] += gain * (then[nv:] - memory["slope"])
+            change = (then - first)[:nv] ** 2
+            if learnt[0] > _OLD:
+                change = np.minimum(change, 9.0 * memory["usual"])
+            memory["usual"] += gain * (change - memory["usual"])
+        if self._wheels is not None:
+            self._look_at_wheels(memory, valid)
+        # of a spacecraft that does what nobody expects nothing more can be told
+        if learnt[0] >= _OLD and not memory["abort"][0]:
+            for window in (each for each in _WINDOWS if each <= valid):
+                blocks = kept[-window:]
+                self._look_at_joints(memory, blocks, step, mass)
+                self._look_at_velocities(memory, blocks, step)
+                if self._thrusters is not None and self._sees_forces:
+                    self._look_at_thrusters(memory, blocks, step, pushes)
+
+    def _notice(self, memory: Memory, unit: str, kind: str) -> None:
+        memory["codes"][self._names.index(unit)] = _CODE[kind]
+        self._forget(memory)
+        is_without = self._base is not None and not unit.startswith("joints.")
+        if is_without and self._base is not None:
+            is_without = self._base.without(self._isolated(memory["codes"]))[2]
+        if not is_without:
+            memory["abort"][0] = 1.0
+
+    def _look_at_wheels(self, memory: Memory, valid: int) -> None:
+        """Momentum that does not change by the torque told."""
+        assert self._wheels is not None
+        count = len(self._wheels.names)
+        for window in (each for each in (_EVERY, *_WINDOWS) if each < valid):
+            change = memory["kept"][-1] - memory["kept"][-1 - window]
+            told, beyond = np.abs(change[-2 * count :].reshape(2, count))
+            for index in np.flatnonzero(beyond > _SHARE * told + _SPEED * self._wheels.inertia):
+                unit = f"wheels.{self._wheels.names[index]}"
+                if not memory["codes"][self._names.index(unit)]:
+                    self._notice(memory, unit, "stops")
+
+    def _look_at_joints(
+        self, memory: Memory, blocks: np.ndarray, step: float, mass: np.ndarray
+    ) -> None:
+        """Those that stand still under a force that nobody told of."""
+        nv = self._nv
+        change, deviation = slope_of(blocks[:, :nv], step, _white(memory["rough"]))
+        change -= memory["steady"]
+        speed = np.abs(np.diff(blocks[:, 2 * nv : 3 * nv], axis=0)).max(axis=0) / step
+        stands = speed < _STILL + 4.0 * self._velocity_noise / np.sqrt(_EVERY)
+        least = np.maximum(_USUAL * np.sqrt(memory["usual"]), self._settings.threshold * deviation)
+        holds = np.abs(mass @ change) > _HOLDS + self._stiction
+        for index in np.flatnonzero(stands & holds & (np.abs(change) > least)):
+            if index >= NUM_BASE_VELOCITIES and self._sees_forces:
+                unit = f"joints.{self._model.coordinates.names[index]}"
+                if not memory["codes"][self._names.index(unit)]:
+                    self._notice(memory, unit, "jammed")
+
+    def _look_at_velocities(self, memory: Memory, blocks: np.ndarray, step: float) -> None:
+        """Those that differ from the slope of their position."""
+        nv, codes = self._nv, memory["codes"]
+        white = _white(memory["jitter"])
+        slope, deviation = slope_of(blocks[:, nv : 2 * nv], step, white)
+        off = slope - memory["slope"]
+        walk = self._velocity_noise / np.sqrt(len(blocks) * _EVERY)
+        deviation = np.hypot(deviation, 1.2 * walk)
+        for name, entries in self._sensors.items():
+            at = entries - nv
+            if at[0] < 0 or codes[self._unit(name)] or codes[self._unit(_position_of(name))]:
+                continue
+            if not (self._is_prompt[entries].all() and self._is_prompt[at].all()):
+                continue
+            if np.linalg.norm(off[at]) > _SLOPE and (
+                np.linalg.norm(off[at] / (deviation[at] + 1e-30)) > self._settings.threshold + 1.0
+            ):
+                memory["off"][entries] -= off[at]
+                self._lose(memory, name, "biased")
+
+    def _look_at_thrusters(
+        self, memory: Memory, blocks: np.ndarray, step: float, pushes: np.ndarray
+    ) -> None:
+        """The likelihood ratios of ``systems.residuals``."""
+        assert self._thrusters is not None
+        nv, count, base = self._nv, len(self._force), NUM_BASE_VELOCITIES
+        pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
+        steady = np.outer(times_of(len(blocks), step), memory["steady"][:base])
+        found = suspect(
+            blocks[:, :base] - steady,
+            blocks[:, 3 * nv : 3 * nv + count],
+            pushes=pushes[:base],
+            force=self._force,
+            external=_DRIFT * np.sqrt(memory["usual"][:base]),
+            least_noise=np.hypot(_white(memory["rough"]), pulse)[:base],
+            in_use=memory["codes"][:count] == 0.0,
+            step=step,
+        )
+        looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(len(blocks))]
+        before, looks[:] = looks[found.thruster], 0.0
+        share = _ASKED if found.kind == "stuck_on" else 1.0
+        if found.explained > (share * self._settings.threshold) ** 2 and found.is_isolated:
+            looks[found.thruster] = before + 1.0
+            if looks[found.thruster] >= _CONFIRMED:
+                self._notice(memory, self._names[found.thruster], found.kind)
+
+
+def _white(square: np.ndarray) -> np.ndarray:
+    """The noise of a block's mean, from the mean square of the differences of its samples."""
+    noise: np.ndarray = np.sqrt(square / (2.0 * _EVERY))
+    return noise
+
+
+def _position_of(velocity: str) -> str:
+    return velocity.removesuffix("_velocity")
+
+
+def _moved(q: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """A configuration (nq) after a rotation vector and differences (nv)."""
+    moved = np.concatenate([q[:4], q[4:] + by[3:]])
+    moved[:4] = turning_matrix(by[:3]) @ q[:4]
+    return moved

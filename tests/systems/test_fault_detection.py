@@ -1,0 +1,172 @@
+"""Fault detection: what breaks is noticed and isolated, what works is not, and looking costs no
+bit.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffsm_drake import load_scenario, simulate
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.scenario import Thrusters
+from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.actuation import make_base_actuators
+from ffsm_drake.systems.actuation.base import LOST
+from ffsm_drake.systems.actuation.thrusters import ThrusterSet
+from ffsm_drake.systems.fault_detection import KINDS
+from ffsm_drake.systems.residuals import LEAST_LEAK, slope_of, suspect
+
+NAME, SENSORS = "thrusters_and_wheels", "flight_sensors"
+
+
+def run(name, unit=None, kind=None, *overrides, time=0.8, duration=1.0):
+    events = {} if unit is None else {"it": {"unit": unit, "kind": kind, "time": [time]}}
+    faults = {"faults": {"detection": {}, "events": events}}
+    return make_rollout(load_scenario(name, [f"duration={duration}", faults, *overrides])).run()
+
+
+def noticed(log):
+    """Unit -> kind, at the end."""
+    (part,) = (each for name, each in log.parts.items() if name == "sensing.detection")
+    codes = log.series["fault_detected"][-1].astype(int)
+    names = part.signals[0].components
+    return {name: KINDS[code] for name, code in zip(names, codes, strict=True) if code}
+
+
+def test_looking_changes_no_bit():
+    plain = make_rollout(load_scenario(NAME, ["duration=0.4"])).run()
+    looked = run(NAME, duration=0.4)
+    for name, values in plain.series.items():
+        assert np.array_equal(values, looked.series[name]), name
+    assert noticed(looked) == {}
+
+
+@pytest.mark.parametrize(
+    ("sensor", "kind"),
+    [("base_rotation", "frozen"), ("joint_2", "silent"), ("base_position", "biased")],
+)
+def test_lost_positions(sensor, kind):
+    log = run(SENSORS, f"sensing.{sensor}", kind)
+    assert noticed(log) == {f"sensing.{sensor}": kind}
+    nq = len(log.coordinates.position_names)
+    error = position_error(log.series["measurement"][-1][:nq], log.series["state"][-1][:nq])
+    assert np.abs(error).max() < 6e-3  # of the bias itself one measurement tells, with its noise
+
+
+@pytest.mark.parametrize("kind", ["frozen", "silent"])
+def test_lost_velocities(kind):
+    log = run(SENSORS, "sensing.joint_2_velocity", kind, duration=1.4)
+    assert noticed(log) == {"sensing.joint_2_velocity": kind}
+    column = len(log.coordinates.position_names) + log.coordinates.names.index("joint_2")
+    error = log.series["measurement"][-20:, column] - log.series["state"][-20:, column]
+    assert np.abs(error).max() < 1e-3
+
+
+def test_a_stopped_wheel_gets_no_torque():
+    turning = "actuation.wheels.units.wheel_1.initial_momentum=1.0"
+    log = run(NAME, "wheels.wheel_1", "stops", turning, time=0.5)
+    assert noticed(log) == {"wheels.wheel_1": "stops"}
+    assert np.abs(log.series["wheel_torque"][-5:, 1:]).max() > 0.0
+
+
+def test_what_is_isolated_does_nothing():
+    scenario = load_scenario(NAME)
+    base = make_base_actuators(
+        scenario.actuation, make_nominal_plant(scenario).coordinates, sample_time=0.01, detects=True
+    )
+    isolated = np.zeros(len(base.units))
+    isolated[[2, 12]] = LOST  # a thruster, a wheel
+    thrusters, wheels, gives_all = base.without(isolated)
+    assert gives_all
+    rng = np.random.default_rng(0)
+    for wrench in rng.uniform(-1.0, 1.0, (20, 6)):
+        memory = thrusters.allocate(wrench, thrusters.initial_memory())
+        assert memory.wanted[2] == 0.0
+        assert thrusters.wrenches @ memory.wanted == pytest.approx(wrench, abs=1e-6)
+        torques = wheels.give(0.5 * wrench[:3], np.zeros(4), np.zeros(3))
+        assert abs(torques.motor[0]) < 1e-12
+        assert torques.on_base == pytest.approx(0.5 * wrench[:3], abs=1e-9)
+    assert not base.without(np.full(len(base.units), LOST))[2]
+
+
+SET = ThrusterSet(Thrusters(), sample_time=0.01)
+STEP, COUNT = 0.05, 32
+
+
+def window(rng, noise=1e-5):
+    """Pulses as told (m, n), N s, and the noise of what is unexplained (m, 6)."""
+    fired = STEP * SET.force * (rng.random((COUNT, len(SET.force))) < 0.15)
+    return np.cumsum(fired, axis=0), noise * rng.standard_normal((COUNT, 6))
+
+
+def ask(unexplained, told):
+    return suspect(
+        unexplained, told, pushes=SET.wrenches / 500.0, force=SET.force, external=np.full(6, 1e-4),
+        least_noise=np.full(6, 1e-5), in_use=np.ones(len(SET.force), dtype=bool), step=STEP,
+    )  # fmt: skip
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 11), st.booleans(), st.floats(0.3, 1.0), st.integers(0, 10**6),
+    st.floats(-1e-4, 1e-4),
+)  # fmt: skip
+def test_the_bank_names_the_thruster(index, is_loss, share, seed, external):
+    told, unexplained = window(np.random.default_rng(seed))
+    push = SET.wrenches[:, index] / 500.0
+    time = STEP * np.arange(COUNT)
+    more = -told[:, index] if is_loss else SET.force[index] * time - told[:, index]
+    unexplained = unexplained + share * np.outer(more, push) + external * time[:, None]
+    found = ask(unexplained, told)
+    assert (found.thruster, found.is_isolated) == (index, True)
+    assert found.kind in (("stuck_off", "weak") if is_loss else ("stuck_on", "leaking"))
+    assert found.theta == pytest.approx(share, abs=0.15)
+    assert found.explained > 64.0
+
+
+def test_the_bank_is_silent_on_noise_and_external_forces():
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        told, unexplained = window(rng)
+        drift = rng.normal(0.0, 1e-4, 6) * STEP * np.arange(COUNT)[:, None]
+        assert ask(unexplained + drift, told).explained < 36.0
+    assert LEAST_LEAK > 0.0
+
+
+def test_slopes():
+    rng = np.random.default_rng(2)
+    lines = 0.3 * STEP * np.arange(COUNT)[:, None] + 0.01 * rng.standard_normal((COUNT, 2000))
+    slope, deviation = slope_of(lines, STEP)
+    assert slope.mean() == pytest.approx(0.3, abs=1e-3)
+    assert np.sqrt((deviation**2).mean()) == pytest.approx(slope.std(), rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "unit", "kind"),
+    [
+        (NAME, "thrusters.a_x", "stuck_on"),
+        (NAME, "thrusters.a_x", "stuck_off"),
+        (NAME, "wheels.wheel_2", "stops"),
+        (SENSORS, "joints.joint_2", "jammed"),
+        (SENSORS, "sensing.joint_3_velocity", "biased"),
+        (NAME, None, None),
+    ],
+)
+def test_faults_with_a_supervisor(name, unit, kind):
+    events = {} if unit is None else {"it": {"unit": unit, "kind": kind, "time": [6.0]}}
+    faults = {"faults": {"detection": {}, "events": events}, "supervisor": {}}
+    record = simulate(load_scenario(name, ["duration=9", faults]))
+    assert record.dataset["time"][-1] > 8.99
+    found = record.metrics["faults"]["noticed"]
+    remarks = [remark for remark in run_remarks(record) if "noticed" in remark]
+    if unit is None:
+        assert (found, remarks) == (None, [])
+        return
+    assert list(found) == [f"{unit} {kind}"]
+    (time,) = found.values()
+    assert 6.0 < time < 8.0
+    assert remarks == [f"{unit}: {kind} from 6.00 s on, noticed at {time:.2f} s"]
