@@ -69,13 +69,13 @@ def rms(values: np.ndarray) -> float:
 def compare(name: str, law: str, *, seconds: float, seeds: int) -> dict[str, Any]:
     """The row of one pair."""
 
-    def foresee(candidate: Scenario) -> str:
+    def predict_mission(candidate: Scenario) -> str:
         found = verdict(candidate)
         return found.warnings[0] if found.is_alarm else ""
 
     begin = time.monotonic()
     scenario = load_scenario(name, [f"controller={law}"])
-    found = design(scenario, time_limit=seconds, foresee=foresee)
+    found = design(scenario, time_limit=seconds, predict_mission=predict_mission)
     row: dict[str, Any] = {
         "pair": f"{name}, {law}",
         "seconds": time.monotonic() - begin,

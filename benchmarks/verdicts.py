@@ -4,7 +4,7 @@
         [--out out/verdicts.json]
 
 Missions are drawn from all that scenarios can say (``random_missions``); one that cannot be loaded
-or built is drawn again. Of each the verdict is asked (``foresee``), then it runs. A *miss* is a run
+or built is drawn again. Of each the verdict is asked (``predict``), then it runs. A *miss* is a run
 that diverges, grows at its end, misses its target or fails, of which no warning was given; a *false
 alarm* is a warning of a run that settles. Both are printed with the command that repeats them.
 
@@ -55,7 +55,7 @@ _ATTEMPTS = 200  # draws of one mission
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Foreseen:
+class Predicted:
     """What is said before a run."""
 
     warnings: list[str] = dataclasses.field(default_factory=list)
@@ -80,7 +80,7 @@ class End:
     message: str = ""
 
 
-def foresee(scenario: Scenario) -> Foreseen:
+def predict(scenario: Scenario) -> Predicted:
     """What ``ffsm validate`` says of a scenario: the one place that asks for it.
 
     Remarks on the plan stand beside the verdict, whether it is an alarm or not.
@@ -89,7 +89,7 @@ def foresee(scenario: Scenario) -> Foreseen:
     remarks = plan_remarks(scenario)
     found = verdict(scenario)
     nothing = found.linear is None and found.run is None
-    return Foreseen(
+    return Predicted(
         warnings=found.warnings if found.is_alarm else [],
         beside=remarks if found.is_alarm else [*remarks, *found.warnings],
         unknown=found.not_linear if nothing else "",
@@ -97,12 +97,12 @@ def foresee(scenario: Scenario) -> Foreseen:
     )
 
 
-def _asked(scenario: Scenario) -> Foreseen:
-    """As ``foresee``; an error is a verdict that cannot be given."""
+def _asked(scenario: Scenario) -> Predicted:
+    """As ``predict``; an error is a verdict that cannot be given."""
     try:
-        return foresee(scenario)
+        return predict(scenario)
     except Exception as error:
-        return Foreseen(unknown=f"{type(error).__name__}: {one_line(error)}")
+        return Predicted(unknown=f"{type(error).__name__}: {one_line(error)}")
 
 
 def end_of(log: RunLog) -> End:
@@ -203,14 +203,14 @@ def drawn(kind: str, number: int, seed: int) -> tuple[Mission, Scenario, list[st
 
 def evaluate(kind: str, number: int, seed: int, seconds: float) -> dict[str, Any]:
     """The result of one mission, as plain data; errors become part of it."""
-    found, foreseen = dict[str, Any](), Foreseen(unknown="not asked")
+    found, predicted = dict[str, Any](), Predicted(unknown="not asked")
     stage, cpu = "draw", 0.0
     try:
         with time_limit(seconds):
             mission, scenario, refused = drawn(kind, number, seed)
             found = {**dataclasses.asdict(mission), "refused": refused}
             stage = "verdict"
-            foreseen = _asked(scenario)
+            predicted = _asked(scenario)
             stage, start = "run", time.process_time()
             end = fly(scenario)
             cpu = time.process_time() - start
@@ -219,13 +219,13 @@ def evaluate(kind: str, number: int, seed: int, seconds: float) -> dict[str, Any
     except Exception as error:
         text = f"{stage}: {type(error).__name__}: {one_line(error)}"
         end = End(kind="failed", time=0.0, message=text)
-    return make_result(found, foreseen=foreseen, end=end, cpu=cpu)
+    return make_result(found, predicted=predicted, end=end, cpu=cpu)
 
 
 def make_result(
     found: Mapping[str, Any] | None = None,
     *,
-    foreseen: Foreseen | None = None,
+    predicted: Predicted | None = None,
     end: End,
     cpu: float = 0.0,
 ) -> dict[str, Any]:
@@ -234,15 +234,15 @@ def make_result(
     Args: the mission and what was refused before it; what was said; how it ended; what the run
     cost, s.
     """
-    foreseen = foreseen or Foreseen(unknown="not asked")
+    predicted = predicted or Predicted(unknown="not asked")
     return {
         "base": "",
         "overrides": [],
         "refused": [],
         **(found or {}),
-        "verdict": {"said": foreseen.said, **dataclasses.asdict(foreseen)},
+        "verdict": {"said": predicted.said, **dataclasses.asdict(predicted)},
         "end": dataclasses.asdict(end),
-        "cpu": {**foreseen.cpu, "run": cpu},
+        "cpu": {**predicted.cpu, "run": cpu},
     }
 
 

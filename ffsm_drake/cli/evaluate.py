@@ -201,7 +201,7 @@ def design(
     check_writable(out)
     missions = list[tuple["Scenario", "Verdict"]]()
 
-    def foresee(candidate: "Scenario") -> str:
+    def predict_mission(candidate: "Scenario") -> str:
         mission = verdict(candidate)
         missions.append((candidate, mission))
         return mission.warnings[0] if mission.is_alarm else ""
@@ -212,7 +212,7 @@ def design(
         payload_range=payload_range,
         trade=trade,
         time_limit=time_limit,
-        foresee=foresee,
+        predict_mission=predict_mission,
         progress=search_progress(),
     )
     chosen = found.chosen.scenario

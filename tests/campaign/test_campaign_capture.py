@@ -1,5 +1,5 @@
 """Campaigns of captures: what the grasp adds to a row, which limit fails first, what is refused,
-what is foreseen.
+what is predicted.
 """
 
 import numpy as np

@@ -109,23 +109,23 @@ def test_a_mission_that_will_not_go_as_planned_ranks_last(coordinates):
     assert requirement.rank(alarmed) > requirement.rank(point_of(coordinates, errors=9.0))
 
 
-def test_what_is_foreseen_of_the_given_gains_frees_the_choice():
+def test_what_is_predicted_of_the_given_gains_frees_the_choice():
     """Whatever goes as planned is better than what does not; nothing else is chosen."""
     free = ("controller=pd_plus", "actuation.limit={joints: 500}")
     scenario = load_scenario("flight_sensors", [*free, *SHORT])
     asked = []
 
-    def foresee(candidate):
+    def predict_mission(candidate):
         asked.append(candidate)
         return "it misses" if len(asked) == 1 else ""
 
-    found = design(scenario, time_limit=20.0, foresee=foresee)
+    found = design(scenario, time_limit=20.0, predict_mission=predict_mission)
     assert asked[0] is found.given.scenario
     assert found.given.alarm == "it misses"
     assert found.requirement.baseline is None
     assert not found.kept
     assert asked[-1] is found.chosen.scenario
-    never = design(scenario, time_limit=8.0, foresee=lambda candidate: "it misses")
+    never = design(scenario, time_limit=8.0, predict_mission=lambda candidate: "it misses")
     assert never.kept
     assert "it misses" in never.remarks[0]
 

@@ -1,4 +1,4 @@
-"""Stability where only the joints are driven: foreseen by the wired loop, and run."""
+"""Stability where only the joints are driven: predicted by the wired loop, and run."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ EDGE = {
 
 
 def free(controller, *overrides):
-    """Gains are held: adaptation and the sign term are foreseen apart from the loop."""
+    """Gains are held: adaptation and the sign term are predicted apart from the loop."""
     held = {"aismc": ["controllers.aismc.alpha=0"], "tde_aismc": ["controllers.tde_aismc.alpha=0"]}
     return load_scenario(
         "postcapture", [*FREE, f"controller={controller}", *held.get(controller, []), *overrides]

@@ -154,7 +154,7 @@ def test_the_published_estimate_does_not_fly(run, controller):
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc", "pd_plus"])
 def test_prediction_against_three_seeds(run, controller):
-    """Rms error and effort foreseen from the wiring agree with Monte Carlo."""
+    """Rms error and effort predicted from the wiring agree with Monte Carlo."""
     predicted = predict(load_scenario("flight_sensors", [f"controller={controller}"]))
     runs = [
         run("flight_sensors", f"controller={controller}", f"random_seed={seed}")

@@ -60,7 +60,7 @@ def with_wheels():
 
 
 def test_wheels_that_give_too_little_are_told(with_wheels):
-    """Foreseen; that it is so: below."""
+    """Predicted; that it is so: below."""
     (told,) = verdict(with_wheels(1.0), rehearsal=False).warnings
     assert "thrusters and wheels give 1.3 to 2.3 N m" in told
 

@@ -58,7 +58,7 @@ REFUSED = {
     )
 }
 
-# What runs, and is foreseen as unstable: `one_sample` divides a step of a held measurement by one
+# What runs, and is predicted as unstable: `one_sample` divides a step of a held measurement by one
 # sample's time.
 WARNED = [
     frozenset({("law", law), ("estimator", "one_sample"), ("sensors", "late")})

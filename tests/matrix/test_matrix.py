@@ -1,5 +1,5 @@
 """Capabilities in pairs: every pair of values of two factors (``missions.FACTORS``) occurs in a
-mission that settles as foreseen, is refused in one line that names both, or is warned of.
+mission that settles as predicted, is refused in one line that names both, or is warned of.
 """
 
 import re
@@ -117,7 +117,7 @@ def test_what_is_refused_says_so_in_one_line(combination, workshop, tmp_path):
 
 @pytest.mark.parametrize("row", QUICK, ids=name_of_combination)
 @pytest.mark.smoke
-def test_a_few_missions_are_foreseen_without_a_run(row, workshop):
+def test_a_few_missions_are_predicted_without_a_run(row, workshop):
     found = verdict(workshop({**PLAIN, **row}), rehearsal=False)
     assert found.linear is not None
     assert not found.is_linearly_unstable
@@ -125,7 +125,7 @@ def test_a_few_missions_are_foreseen_without_a_run(row, workshop):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS, ids=name_of)
-def test_a_mission_settles_as_foreseen(row, workshop, tmp_path, monkeypatch):
+def test_a_mission_settles_as_predicted(row, workshop, tmp_path, monkeypatch):
     """The row's command looks ahead anew only at what is not the row's own mission."""
     scenario = workshop(row)
     found = verdict(scenario)
@@ -145,7 +145,7 @@ def test_a_mission_settles_as_foreseen(row, workshop, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("combination", WARNED, ids=name_of_combination)
-def test_what_is_warned_of_is_foreseen_as_unstable(combination, workshop):
+def test_what_is_warned_of_is_predicted_as_unstable(combination, workshop):
     found = verdict(workshop({**PLAIN, **dict(combination)}), rehearsal=False)
     assert found.is_linearly_unstable
     assert found.is_alarm

@@ -1,5 +1,5 @@
 """The shipped mission with a capture, thrusters, wheels and flexible panels at once: what is
-foreseen of it, and what it does.
+predicted of it, and what it does.
 """
 
 import re
@@ -140,6 +140,6 @@ def test_following_what_helps_makes_a_craft_settle(numbers):
         return
     assert "what helps: --set " in remark
     found = verdict(scenario, rehearsal=False).advice
-    if not found:  # foreseen to settle, with other noises
+    if not found:  # predicted to settle, with other noises
         found = advice(scenario, {"wheels": 1.0}, settles=False)
     assert simulate(followed(scenario, found), check_stability=False).ending.is_settled

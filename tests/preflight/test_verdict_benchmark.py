@@ -105,10 +105,10 @@ def test_a_mission_that_takes_too_long_is_a_result(verdicts, monkeypatch):
 
 def test_misses_and_false_alarms_are_named(verdicts):
     def result(warnings, kind, unknown=""):
-        foreseen = verdicts.Foreseen(warnings=warnings, unknown=unknown, cpu={"validate": 1.0})
+        predicted = verdicts.Predicted(warnings=warnings, unknown=unknown, cpu={"validate": 1.0})
         end = verdicts.End(kind=kind, time=2.0)
         found = {"base": "postcapture", "overrides": ["duration=2"], "refused": ["no"]}
-        return verdicts.make_result(found, foreseen=foreseen, end=end, cpu=4.0)
+        return verdicts.make_result(found, predicted=predicted, end=end, cpu=4.0)
 
     printed = verdicts.table({
         "mission 0": result([], "settled"),

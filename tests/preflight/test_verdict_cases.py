@@ -93,8 +93,8 @@ def test_a_user_is_told(number, verdicts):
     warns = case.get("warns", verdicts.end_of(log).kind in verdicts.BAD)
     for when in case.get("told", ["before"]):
         if when == "before":
-            foreseen = verdicts.foresee(log.scenario)
-            told = foreseen.warnings + (foreseen.beside if warns else [])
+            predicted = verdicts.predict(log.scenario)
+            told = predicted.warnings + (predicted.beside if warns else [])
         else:
             told = [log.ending.sentence, *run_remarks(record)]
         text = "\n".join(told)

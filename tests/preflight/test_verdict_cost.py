@@ -34,10 +34,10 @@ def cost():
 )
 def test_every_loop_is_linearised_once(cost, name, maps, of_margins):
     scenario = load_scenario(name)
-    with cost.Counted() as foreseen:
+    with cost.Counted() as predicted:
         verdict(scenario, rehearsal=False)
-    assert 0 < foreseen.maps <= maps
-    assert foreseen.built == 1
+    assert 0 < predicted.maps <= maps
+    assert predicted.built == 1
     with cost.Counted() as with_margins:
         verdict(scenario, rehearsal=False, margins=True)
     assert with_margins.maps <= maps + of_margins

@@ -102,7 +102,7 @@ def fate(url, site, frame):
         with page_at(url, site) as page:
             try:
                 page.send(frame)
-                if foreseen(frame) == "heard":
+                if predicted(frame) == "heard":
                     return "heard" if page.ping().wait(30.0) else "silent"
                 until_closed(page)
             except ConnectionClosed as closed:
@@ -111,7 +111,7 @@ def fate(url, site, frame):
         return "outside" if error.response.status_code == 403 else error.response.status_code
 
 
-def foreseen(frame):
+def predicted(frame):
     """What is to become of a frame of the view's own page."""
     if len(frame if isinstance(frame, bytes) else frame.encode()) > 4096:
         return 1009
@@ -142,7 +142,7 @@ def hostile_frames(process, url, count):
     def send(drawn):
         site, frame = drawn
         found = fate(url, site, frame)
-        assert found == (foreseen(frame) if site == url else "outside"), drawn
+        assert found == (predicted(frame) if site == url else "outside"), drawn
         arrived[found] += 1
         assert process.poll() is None
 

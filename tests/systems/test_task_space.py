@@ -338,12 +338,12 @@ def at_zero_momentum(scenario):
     ("law", "boundary"),
     [
         ("task_time_delay", 2.78),
-        # what is foreseen of them: the poles below
+        # what is predicted of them: the poles below
         pytest.param("resolved_rate", 9.99, marks=pytest.mark.slow),
         pytest.param("task_computed_torque", 19.99, marks=pytest.mark.slow),
     ],
 )
-def test_boundary_of_stability_foreseen_and_run(law, boundary):
+def test_boundary_of_stability_predicted_and_run(law, boundary):
     """Free floating and held: 1.5 % inside the boundary of the gains a kick dies out, 1.5 % outside
     it grows.
     """

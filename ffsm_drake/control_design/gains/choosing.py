@@ -157,7 +157,7 @@ def design(
     payload_range: tuple[float, float] | None = None,
     trade: Collection[str] = (),
     time_limit: float | None = None,
-    foresee: Callable[[Scenario], str] = lambda scenario: "",
+    predict_mission: Callable[[Scenario], str] = lambda scenario: "",
     progress: Callable[[int, str], None] | None = None,
 ) -> Design:
     """Design the gains of the scenario's controller and, for a law with one, its estimator.
@@ -175,8 +175,8 @@ def design(
       time_limit: s of wall time, within which the best so far is chosen and confirmed; the given
         gains are evaluated in any case. None: no limit. Outside of the main thread a candidate is
         finished first.
-      foresee: what is in the way of a mission, one line, empty for one that is expected to go as
-        planned; asked of the given gains and of those to be chosen.
+      predict_mission: what is in the way of a mission, one line, empty for one that is expected to
+        go as planned; asked of the given gains and of those to be chosen.
       progress: called with the number of candidates tried, and what they are.
 
     Raises:
@@ -186,7 +186,12 @@ def design(
     """
     end = math.inf if time_limit is None else time.monotonic() + time_limit
     search = _Search(
-        complete_gains(checked(scenario)), budget, payload_range, tuple(trade), foresee, progress
+        complete_gains(checked(scenario)),
+        budget,
+        payload_range,
+        tuple(trade),
+        predict_mission,
+        progress,
     )
     search.run(end)
     return search.result()
@@ -211,11 +216,11 @@ class _Search:
         budget: float | None,
         payload_range: tuple[float, float] | None,
         trade: Sequence[str],
-        foresee: Callable[[Scenario], str],
+        predict_mission: Callable[[Scenario], str],
         progress: Callable[[int, str], None] | None,
     ) -> None:
         begin = time.monotonic()
-        self._asked, self._foresee, self._progress = budget, foresee, progress
+        self._asked, self._predict_mission, self._progress = budget, predict_mission, progress
         self._demand, self._masses = make_demand(scenario), _masses(scenario, payload_range)
         limit = self._demand.coordinates.vector(
             scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
@@ -275,8 +280,8 @@ class _Search:
             self.ended_by = self.ended_by or "the time limit"
 
     def _look_at_the_given(self) -> None:
-        """What is foreseen of the given gains, and their margins."""
-        alarm = self._foreseen(self.given.scenario)
+        """What is predicted of the given gains, and their margins."""
+        alarm = self._obstacle(self.given.scenario)
         self.given = self.chosen = dataclasses.replace(self.given, alarm=alarm)
         if alarm or not self._is_usable:
             return  # whatever goes as planned is better
@@ -347,19 +352,19 @@ class _Search:
 
     def _objection(self, point: DesignPoint) -> str:
         """What else is against a point, one line: a margin at the posture of its own that is worse
-        than it was, or what is foreseen of its mission.
+        than it was, or what is predicted of its mission.
         """
         if id(point) not in self._objections:
             worse, baseline = "", self.requirement.baseline
             if baseline is not None:
                 self._margins[id(point)], _ = _boundaries(point.scenario)
                 worse = baseline.worse_margin(self._margins[id(point)])
-            self._objections[id(point)] = worse or self._foreseen(point.scenario)
+            self._objections[id(point)] = worse or self._obstacle(point.scenario)
         return self._objections[id(point)]
 
-    def _foreseen(self, scenario: Scenario) -> str:
+    def _obstacle(self, scenario: Scenario) -> str:
         """What is in the way of a mission. Raises KeyboardInterrupt, which its run would keep."""
-        alarm, signals = self._foresee(scenario), current()
+        alarm, signals = self._predict_mission(scenario), current()
         if signals is not None and signals.number and not self.ended_by:
             raise KeyboardInterrupt
         return alarm

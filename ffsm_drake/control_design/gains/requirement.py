@@ -50,7 +50,7 @@ class DesignPoint:
     # whether its run without noise was made; else the prediction is that of perfect tracking
     is_run: bool = True
     lost_margin: str = ""  # the margin that is worse than it was, one line
-    alarm: str = ""  # what is foreseen to be in the way of its mission, one line
+    alarm: str = ""  # what is predicted to be in the way of its mission, one line
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
