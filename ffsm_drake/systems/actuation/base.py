@@ -23,6 +23,7 @@ from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Fault
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.thrusters import (
+    Firing,
     ThrusterMemory,
     ThrusterSet,
     gains_and_floors,
@@ -166,73 +167,85 @@ class BaseActuators(LeafSystem):
         thrusters, wheels = self.thrusters, self.wheels
         if isolated is not None and isolated.any():
             thrusters, wheels, _ = self.without(isolated)
-        back = rotation.swapaxes(-1, -2)
-        pairs = (*commanded.shape[:-1], 2, 3)
         # torque, force in the base's axes
-        wanted = np.matmul(commanded[..., :6].reshape(pairs), rotation)
-        memories = iter([memory[..., part] for part in self._parts])
-        parts, kept = list[np.ndarray](), list[np.ndarray]()
-        applied, by_wheels = commanded.copy(), np.zeros(3)
+        wanted = np.matmul(commanded[..., :6].reshape(*commanded.shape[:-1], 2, 3), rotation)
         asked = wanted.copy()  # of the thrusters
+        memories = iter([memory[..., part] for part in self._parts])
+        parts, kept, told_units = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+        applied = commanded.copy()
         if wheels is not None:
             short, momentum, unloads = next(memories), next(memories), next(memories) > 0.0
             w_WB, missing = turning[..., :3], turning[..., 3:]
-            wanted[..., 0, :] += times(back, short) / (_RECOVERY * self._sample_time)
+            recovered = times(rotation.swapaxes(-1, -2), short)
+            wanted[..., 0, :] += recovered / (_RECOVERY * self._sample_time)
             if begins:
                 unloads = wheels.unloads(unloads, momentum, w_WB)
             asked[..., 0, :] = wheels.assist_torque(wanted[..., 0, :])
             if unloads.any():
                 asked[..., 0, :] += np.where(unloads, wheels.unloading_torque(momentum), 0.0)
+        told = applied
         if thrusters is not None:
-            owed, fuel = next(memories), ThrusterMemory.unpacked(next(memories))
-            if begins:
-                with_owed = asked + np.matmul(owed.reshape(pairs), rotation) / thrusters.frame
-                fuel = thrusters.allocate(with_owed.reshape(owed.shape), fuel)
-                if (fuel.given < 1.0).any():  # the rest is given up
-                    all_owed = np.matmul(with_owed, back).reshape(owed.shape)
-                    rest = (1.0 - fuel.given) * thrusters.frame * all_owed
-                    owed = np.where(fuel.given < 1.0, owed - rest, owed)
-            firing, fuel = thrusters.fire(fuel)
-            fired = firing.wrench.reshape(pairs)
-            applied[..., :6] = np.matmul(fired, back).reshape(owed.shape)
-            parts += [firing.force, firing.open_share, firing.given]
-            if thrusters.carries_over:
-                more = np.matmul(asked - fired, back).reshape(owed.shape)
-                owed = owed + more * self._sample_time
-            kept += [owed, fuel.packed()]
-            wanted[..., 0, :] -= fired[..., 0, :]
-        told, told_units = applied, list[np.ndarray]()
-        if broken is not None:
-            told = applied.copy()
-            if thrusters is not None:
+            owed, memory = next(memories), next(memories)
+            firing, kept = self._fire(thrusters, asked, owed, memory, rotation, begins=begins)
+            force, fired = firing.force, firing.wrench.reshape(wanted.shape)
+            applied[..., :6] = _turned_back(fired, rotation)
+            if broken is not None:
+                told = applied.copy()
                 told_units.append(firing.force)
                 gain, floor = broken[: 2 * len(thrusters.names)].reshape(2, -1)
-                parts[0] = np.maximum(gain * firing.level, floor) * thrusters.force
-                really = times(thrusters.wrenches, parts[0]).reshape(pairs)
-                applied[..., :6] = np.matmul(really, back).reshape(owed.shape)
+                force = np.maximum(gain * firing.level, floor) * thrusters.force
+                really = times(thrusters.wrenches, force).reshape(wanted.shape)
+                applied[..., :6] = _turned_back(really, rotation)
+            parts += [force, firing.open_share, firing.given]
+            wanted[..., 0, :] -= fired[..., 0, :]
+        elif broken is not None:
+            told = applied.copy()
         if wheels is not None:
             torques = wheels.give(wanted[..., 0, :], momentum, w_WB)
             by_wheels = times(rotation, torques.on_base) + missing
             if broken is not None:
                 told[..., :3] = by_wheels + (0.0 if thrusters is None else told[..., :3])
                 told_units.append(torques.on_wheels)
-                stops = broken[-len(wheels.names) :]
-                torques = wheels.stopping(torques, stops, momentum, w_WB)
+                torques = wheels.stopping(torques, broken[-len(wheels.names) :], momentum, w_WB)
                 by_wheels = times(rotation, torques.on_base) + missing
             applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
             parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
             # What is missing has been given already, in a direction that was held.
             given = told[..., :3] - missing
             left = short + (commanded[..., :3] - given) * self._sample_time
-            kept = [
-                wheels.bounded(left, _RECOVERY),
-                momentum + torques.on_wheels * self._sample_time,
-                unloads * 1.0,
-                *kept,
-            ]
+            momentum = momentum + torques.on_wheels * self._sample_time
+            kept = [wheels.bounded(left, _RECOVERY), momentum, unloads * 1.0, *kept]
         if broken is not None:
             parts += [told, *told_units]
         return np.concatenate([applied, *parts, *kept], axis=-1)
+
+    def _fire(
+        self,
+        thrusters: ThrusterSet,
+        asked: np.ndarray,
+        owed: np.ndarray,
+        memory: np.ndarray,
+        rotation: np.ndarray,
+        *,
+        begins: bool,
+    ) -> tuple[Firing, list[np.ndarray]]:
+        """What thrusters fire of the torque and force that are asked of them (..., 2, 3, the base's
+        axes), with the impulse that they owe; and what they keep.
+        """
+        fuel = ThrusterMemory.unpacked(memory)
+        if begins:
+            in_base = np.matmul(owed.reshape(asked.shape), rotation)
+            with_owed = asked + in_base / thrusters.frame
+            fuel = thrusters.allocate(with_owed.reshape(owed.shape), fuel)
+            if (fuel.given < 1.0).any():  # the rest is given up
+                all_owed = _turned_back(with_owed, rotation)
+                rest = (1.0 - fuel.given) * thrusters.frame * all_owed
+                owed = np.where(fuel.given < 1.0, owed - rest, owed)
+        firing, fuel = thrusters.fire(fuel)
+        if thrusters.carries_over:
+            left = asked - firing.wrench.reshape(asked.shape)
+            owed = owed + _turned_back(left, rotation) * self._sample_time
+        return firing, [owed, fuel.packed()]
 
     def without(self, isolated: np.ndarray) -> "_Working":
         """Thrusters and wheels (None: none) for the allocation without what is ``isolated``, and
@@ -313,6 +326,12 @@ class BaseActuators(LeafSystem):
             missing = self._stored.Eval(context).reshape(rows) - times(now, in_base)
             turning = [times(now.swapaxes(-1, -2), w_WB), missing / self._sample_time]
             values.set_value(self._turning, np.concatenate(turning, axis=-1).ravel())
+
+
+def _turned_back(wrench: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Torque and force (..., 2, 3) of the base's axes in the world's, in a row (..., 6)."""
+    in_world: np.ndarray = np.matmul(wrench, rotation.swapaxes(-1, -2))
+    return in_world.reshape(*wrench.shape[:-2], 6)
 
 
 def _part_after_part(sizes: list[int], copies: int) -> np.ndarray:

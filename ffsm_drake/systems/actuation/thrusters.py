@@ -47,9 +47,8 @@ _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 class Firing(NamedTuple):
     """What thrusters do in one control sample; of one spacecraft, or of several in rows."""
 
-    wrench: (
-        np.ndarray
-    )  # (..., 6) its mean on the base, torque then force in the base's axes; N m and N
+    # (..., 6) its mean on the base, torque then force in the base's axes; N m and N
+    wrench: np.ndarray
     force: np.ndarray  # (..., n) mean force of each, N
     open_share: np.ndarray  # (..., n) share of the sample for which each is open
     # (..., 1) the part of the wanted wrench that the last allocation could give, 0 to 1
