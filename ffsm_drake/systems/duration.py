@@ -9,8 +9,8 @@ import numpy as np
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit, tightest
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.systems.limits import limits_of
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def shortest_duration(
     """
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model = make_nominal_plant(scenario)
-    coordinates, limits = model.coordinates, limits_of(scenario, model.plant)
+    limits = limits_of(scenario, model.plant)
     force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
     if not np.isfinite(np.concatenate([force.upper, rate.upper])).any():
         raise ScenarioError(
@@ -50,25 +50,7 @@ def shortest_duration(
             "auto needs a limit of force or velocity: give actuation.limit, actuators that have "
             "one, or a number of seconds",
         )
-    named = ("force on", "velocity of", "position of")
-    names = [f"{what} {name}" for what in named for name in coordinates.names]
-
-    def worst(duration: float) -> tuple[float, str]:
-        """The largest fraction of a limit that is used, and the name of that limit."""
-        motion = motion_in(duration)
-        instants = math.ceil(_INSTANTS * duration / (duration - shaped_by))
-        times = np.linspace(motion.begin, motion.end, instants)
-        nq, nv = len(coordinates.position_names), len(coordinates.names)
-        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
-        shares = [
-            np.abs(model.calc_tracking_force(q, v, a)) / (free * force.upper),
-            np.abs(v) / (free * rate.upper),
-            position.used(q[:, 1:]),
-        ]
-        largest = np.concatenate([share.max(axis=0) for share in shares])
-        index = int(np.argmax(largest))
-        return float(largest[index]), names[index]
-
+    worst = _worst_of(model, motion_in, force, rate, position, free=free, shaped_by=shaped_by)
     sample_time, least = scenario.sample_time, (math.inf, "", 0.0)
     before = samples = math.floor(_LEAST_SHAPED * shaped_by / sample_time) + 1
     while samples * sample_time <= _LONGEST:
@@ -91,3 +73,38 @@ def shortest_duration(
         half = (before + samples) // 2
         before, samples = (before, half) if worst(half * sample_time)[0] <= 1.0 else (half, samples)
     return samples * sample_time
+
+
+def _worst_of(
+    model: PlantModel,
+    motion_in: Callable[[float], "PlannedMotion"],
+    force: Limit,
+    rate: Limit,
+    position: Limit,
+    *,
+    free: float,
+    shaped_by: float,
+) -> Callable[[float], tuple[float, str]]:
+    """Duration, s -> the largest fraction of a limit that its motion uses, and that limit's name;
+    of forces and rates the share ``free`` may be used.
+    """
+    coordinates = model.coordinates
+    named = ("force on", "velocity of", "position of")
+    names = [f"{what} {name}" for what in named for name in coordinates.names]
+    nq, nv = len(coordinates.position_names), len(coordinates.names)
+
+    def worst(duration: float) -> tuple[float, str]:
+        motion = motion_in(duration)
+        instants = math.ceil(_INSTANTS * duration / (duration - shaped_by))
+        times = np.linspace(motion.begin, motion.end, instants)
+        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
+        shares = [
+            np.abs(model.calc_tracking_force(q, v, a)) / (free * force.upper),
+            np.abs(v) / (free * rate.upper),
+            position.used(q[:, 1:]),
+        ]
+        largest = np.concatenate([share.max(axis=0) for share in shares])
+        index = int(np.argmax(largest))
+        return float(largest[index]), names[index]
+
+    return worst
