@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,6 +56,9 @@ _scheduler_option = click.option(
     metavar="ADDRESS",
     help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786.",
 )
+_slurm_option = click.option(
+    "--slurm", is_flag=True, help="Under srun: its tasks are the cluster, one of them the driver."
+)
 _source = click.argument("source", metavar="SPEC|DATABASE")
 _database_option = click.option(
     "--database",
@@ -91,6 +94,7 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 @_cases_option
 @workers_option
 @_scheduler_option
+@_slurm_option
 @click.option("--shard", metavar="I/N", default="1/1", help="Only every N-th case, from the I-th.")
 def run(
     spec: str,
@@ -98,6 +102,7 @@ def run(
     cases: int | None,
     workers: int | None,
     scheduler: str | None,
+    slurm: bool,
     shard: str,
 ) -> None:
     """Run a campaign into a new database.
@@ -110,6 +115,7 @@ def run(
       ffsm campaign run payload_uncertainty
       ffsm campaign run payload_uncertainty --shard 1/4
       ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
+      srun --ntasks=34 ffsm campaign run mine.yaml --slurm
     """
     from ffsm_drake.campaign.run import start_campaign
     from ffsm_drake.campaign.store import Shard
@@ -117,7 +123,7 @@ def run(
     part = Shard.parse(shard)
     path = database or _default_database(spec, "" if part == Shard() else f"-{shard}")
     start = partial(start_campaign, _load(spec, cases), shard=part)
-    _drive(start, path, workers, scheduler)
+    _drive(start, path, workers, scheduler, slurm=slurm)
 
 
 @campaign.command()
@@ -143,7 +149,10 @@ def merge(databases: tuple[Path, ...], out: Path) -> None:
 @_database_option
 @workers_option
 @_scheduler_option
-def resume(source: str, database: Path | None, workers: int | None, scheduler: str | None) -> None:
+@_slurm_option
+def resume(
+    source: str, database: Path | None, workers: int | None, scheduler: str | None, slurm: bool
+) -> None:
     """Run the remaining cases of an interrupted campaign.
 
     \b
@@ -152,7 +161,7 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
     """
     from ffsm_drake.campaign.run import resume_campaign
 
-    _drive(resume_campaign, _locate(source, database), workers, scheduler)
+    _drive(resume_campaign, _locate(source, database), workers, scheduler, slurm=slurm)
 
 
 @campaign.command()
@@ -304,21 +313,34 @@ def _locate(source: str, database: Path | None) -> Path:
 
 
 def _drive(
-    drive: Callable[..., None], path: Path, workers: int | None, scheduler: str | None
+    drive: Callable[..., None],
+    path: Path,
+    workers: int | None,
+    scheduler: str | None,
+    *,
+    slurm: bool,
 ) -> None:
     """Start or resume a campaign with the chosen workers, then print its status."""
-    from ffsm_drake.common.workers import cluster_workers, local_workers, stop_on_signals
-
-    if scheduler is not None and workers is not None:
-        raise CampaignError(
-            "--workers: the cluster at --scheduler has its own workers; leave one of them out"
-        )
-    crew = (
-        cluster_workers(scheduler)
-        if scheduler is not None
-        else local_workers(workers or processors())
+    from ffsm_drake.common.workers import (
+        cluster_workers,
+        local_workers,
+        slurm_workers,
+        stop_on_signals,
     )
-    with stop_on_signals() as stop, crew as opened, closing(ProgressLine()) as progress:
+
+    if sum((workers is not None, scheduler is not None, slurm)) > 1:
+        raise CampaignError(
+            "--workers, --scheduler and --slurm each say who does the work; give one of them"
+        )
+    with ExitStack() as stack:
+        if slurm:  # most tasks of the step end here
+            opened = stack.enter_context(slurm_workers())
+        stop = stack.enter_context(stop_on_signals())
+        if scheduler is not None:
+            opened = stack.enter_context(cluster_workers(scheduler))
+        elif not slurm:
+            opened = stack.enter_context(local_workers(workers or processors()))
+        progress = stack.enter_context(closing(ProgressLine()))
         drive(path, workers=opened, stop=stop, progress=progress)
     _print_status(path)
     click.echo(f"Next: ffsm campaign report {path}")

@@ -30,6 +30,7 @@ from concurrent.futures import (
     wait,
 )
 from multiprocessing import get_context, parent_process
+from tempfile import gettempdir
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
@@ -48,6 +49,8 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
+# Of a cluster's workers: one ends after a time, and another begins with fresh memory.
+_RENEWED = {"lifetime": "30m", "lifetime_stagger": "5m", "lifetime_restart": True}
 _POLL = 0.5  # s between checks for a request to stop
 
 Task = TypeVar("Task")
@@ -108,27 +111,61 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
         raise WorkersError(
             "a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
         ) from None
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(_quiet_dask())
+    with _quiet_dask():
         try:
             client = distributed.Client(address, timeout=patience, set_as_default=False)
         except Exception as error:
             raise WorkersError(
                 f"{address}: no Dask scheduler answers there: {one_line(error)}"
             ) from error
-        stack.enter_context(client)
-        try:
-            client.wait_for_workers(1, timeout=patience)
-        except TimeoutError:
-            raise WorkersError(
-                f"{address}: no worker joined the cluster within {patience:g} s"
-            ) from None
-        yield Workers(
-            # Not pure: Dask must not reuse the result of a task with equal arguments.
-            open=lambda: client.get_executor(pure=False),
-            in_flight=lambda: 2 * max(len(client.nthreads()), 1),
-            renewable=False,
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=patience)
+            except TimeoutError:
+                raise WorkersError(
+                    f"{address}: no worker joined the cluster within {patience:g} s"
+                ) from None
+            yield Workers(
+                # Not pure: Dask must not reuse the result of a task with equal arguments.
+                open=lambda: client.get_executor(pure=False),
+                in_flight=lambda: 2 * max(len(client.nthreads()), 1),
+                renewable=False,
+            )
+
+
+@contextlib.contextmanager
+def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
+    """A Dask cluster of the tasks of this Slurm step: the first schedules, the second goes on here,
+    the others work. All but the second end here, with the step. In the main thread.
+
+    Raises:
+      WorkersError: it is no Slurm step of three tasks or more, or as ``cluster_workers``.
+    """
+    tasks = os.environ.get("SLURM_NTASKS", "")
+    if "SLURM_PROCID" not in os.environ or not tasks.isdecimal() or int(tasks) < 3:
+        raise WorkersError(
+            "--slurm: is for a step of three tasks or more: srun --ntasks=9 ffsm campaign ..."
         )
+    try:
+        jobqueue: Any = importlib.import_module("dask_jobqueue.slurm")
+    except ImportError:
+        raise WorkersError(
+            "--slurm: needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
+        ) from None
+    # a job that was put back in the queue keeps its number
+    turn = [os.environ.get(f"SLURM_{name}", "0") for name in ("STEP_ID", "RESTART_COUNT")]
+    file = "scheduler-{job_id}-" + "-".join(turn) + ".json"
+    os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "critical")  # of processes that it starts
+    with _quiet_dask():
+        runner = jobqueue.SLURMRunner(
+            scheduler_file=file,
+            scheduler_options={"dashboard": False},
+            worker_class="distributed.Nanny",
+            worker_options={"nthreads": 1, "local_directory": gettempdir(), **_RENEWED},
+        )
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the runner has one of its own
+    with runner, cluster_workers(runner.scheduler_address, patience=patience) as workers:
+        yield workers
 
 
 @contextlib.contextmanager

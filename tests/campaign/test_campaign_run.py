@@ -249,6 +249,34 @@ def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
         assert len({store.result(case, "tdc")["worker"] for case in range(16)}) == 2
 
 
+@pytest.mark.slow
+def test_a_slurm_step_gives_the_same_table(spec, database, tmp_path):
+    pytest.importorskip("dask_jobqueue")
+    command = [sys.executable, "-m", "ffsm_drake", "campaign", "run", str(spec)]
+    tasks = [
+        subprocess.Popen(
+            [*command, "--database", "whole.db", "--slurm"],
+            cwd=tmp_path,
+            env={
+                **os.environ,
+                "SLURM_JOB_ID": "7",
+                "SLURM_NTASKS": "4",
+                "SLURM_PROCID": str(number),
+            },
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for number in range(4)
+    ]
+    said = [task.communicate(timeout=120)[0] for task in tasks]
+    assert [task.returncode for task in tasks] == [0] * 4, said
+    assert "32 of 32 runs" in said[1]
+    assert not said[0] + said[2] + said[3]
+    assert table(tmp_path / "whole.db") == table(database)
+    assert not list(tmp_path.glob("scheduler-*"))
+
+
 def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
     result = invoke(
         "rerun",
@@ -337,8 +365,9 @@ def test_databases_that_cannot_be_used(spec, database, tmp_path):
     )
     one_line_error(
         invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"),
-        "leave one of them out",
+        "give one of them",
     )
+    one_line_error(invoke("run", spec, "--slurm"), "srun --ntasks")
 
 
 DAMAGES = {
