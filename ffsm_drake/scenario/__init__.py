@@ -65,6 +65,7 @@ from ffsm_drake.scenario.schema import (
 from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml, write_yaml
 from ffsm_drake.scenario.supervisor import Supervisor
+from ffsm_drake.scenario.target_sensing import TargetSensor, TargetTracker
 
 __all__ = [
     "as_dict",
@@ -111,6 +112,8 @@ __all__ = [
     "Shaper",
     "SolarPressure",
     "Supervisor",
+    "TargetSensor",
+    "TargetTracker",
     "Thruster",
     "Thrusters",
     "Wheel",

@@ -12,13 +12,12 @@ acceleration of p in a uniform rotation at 1 rad/s about an axis u through the o
 three inverse dynamics (``PlantModel``).
 """
 
-import math
 from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RollPitchYaw, RotationMatrix
+from pydrake.math import RotationMatrix
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
@@ -28,12 +27,11 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.copies import CopiesModel, copies_of
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexible_plant
+from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.actuation import own_parts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
-EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
-EARTH_RADIUS = 6378136.3  # m; at the equator (EGM2008)
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
 _SHARES = np.array([2.0, -1.0, -1.0])  # of the rotations about r, t, h
 # a -> the matrix of a x (.), its rows one after another
@@ -46,13 +44,6 @@ _CROSS = np.array(
 )
 
 
-def mean_motion(settings: Environment) -> float:
-    """Angular rate n of the circular orbit, rad/s."""
-    if settings.mean_motion is not None:
-        return settings.mean_motion
-    return math.sqrt(EARTH_GRAVITY / (EARTH_RADIUS + (settings.altitude or 0.0)) ** 3)
-
-
 class OrbitalForce:
     """The generalized force of the environment on a plant, or on several copies of it, as a
     function of configuration and time.
@@ -61,10 +52,9 @@ class OrbitalForce:
     def __init__(self, settings: Environment, model: PlantModel) -> None:
         """Args: the environment; the plant with its masses; every call sets its context."""
         self._settings, self._model = settings, model
-        self._rate = mean_motion(settings)
+        self._orbit = Orbit(settings)
+        self._rate = self._orbit.rate
         self._velocity = np.zeros(model.plant.num_velocities())  # scratch pad: v of rotations
-        # R_WH at the start
-        self._hill = RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()
         solar = settings.solar_pressure
         self._pressure, self._arm = np.zeros(3), np.zeros(3)
         if solar is not None:
@@ -73,12 +63,6 @@ class OrbitalForce:
                 -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
             )
             self._arm = np.array(solar.center_of_pressure, dtype=float)
-
-    def axes(self, time: float) -> np.ndarray:
-        """Hill's axes in the world frame at a time in s: rows r, t, h (3, 3)."""
-        c, s = math.cos(self._rate * time), math.sin(self._rate * time)
-        turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._hill.T
-        return turned
 
     def calc(self, q: np.ndarray, time: float) -> np.ndarray:
         """Generalized force (..., nv) in configurations q (..., nq) at a time in s, N m and N.
@@ -106,7 +90,7 @@ class OrbitalForce:
 
     def _gravity_gradient(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
         """About the centre of mass; with the tide about the origin, which gives both."""
-        plant, context, axes = self._model.plant, self._model.context, self.axes(time)
+        plant, context, axes = self._model.plant, self._model.context, self._orbit.axes(time)
         arm = q[..., _POSITION] if self._settings.tidal else -_center_of_mass(H)
         across = applied((axes @ _CROSS).reshape(9, 3), arm)  # axis x arm, one after another
         velocity, force = self._velocity.reshape(H.shape[:-1]), np.zeros(H.shape[:-1])
@@ -119,7 +103,7 @@ class OrbitalForce:
 
     def _tide(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
         """On the centre of mass, as if the mass stood there."""
-        radial, center = self.axes(time)[0], q[..., _POSITION] + _center_of_mass(H)
+        radial, center = self._orbit.axes(time)[0], q[..., _POSITION] + _center_of_mass(H)
         acceleration = applied(3.0 * np.outer(radial, radial) - np.eye(3), center)
         return self._rate * self._rate * applied(H[..., 3:6], acceleration)
 

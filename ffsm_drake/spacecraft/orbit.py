@@ -1,0 +1,62 @@
+"""The circular orbit whose point the world frame W falls with; W's axes do not turn."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+
+from ffsm_drake.scenario import Environment
+
+EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
+EARTH_RADIUS = 6378136.3  # m; at the equator (EGM2008)
+
+
+def mean_motion(settings: Environment) -> float:
+    """Angular rate n of the circular orbit, rad/s."""
+    if settings.mean_motion is not None:
+        return settings.mean_motion
+    return math.sqrt(EARTH_GRAVITY / (EARTH_RADIUS + (settings.altitude or 0.0)) ** 3)
+
+
+@dataclasses.dataclass(frozen=True)
+class Orbit:
+    """Hill's axes, and what gravity does to a free body to first order in its distance from W."""
+
+    settings: Environment
+
+    @functools.cached_property
+    def rate(self) -> float:
+        """n, rad/s."""
+        return mean_motion(self.settings)
+
+    @functools.cached_property
+    def _first(self) -> np.ndarray:
+        """Hill's axes at the start."""
+        return RollPitchYaw(self.settings.hill_rpy).ToRotationMatrix().matrix().T
+
+    def axes(self, time: float) -> np.ndarray:
+        """Hill's axes in the world frame at a time in s: rows r, t, h (3, 3)."""
+        c, s = math.cos(self.rate * time), math.sin(self.rate * time)
+        turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._first
+        return turned
+
+    def tide(self, position: np.ndarray, time: float) -> np.ndarray:
+        """Acceleration (..., 3) at positions (..., 3) from W's origin, m/s^2."""
+        if not self.settings.tidal:
+            return np.zeros_like(position)
+        up = self.axes(time)[0]
+        along = (position * up).sum(axis=-1, keepdims=True) * up
+        tide: np.ndarray = self.rate**2 * (3.0 * along - position)
+        return tide
+
+    def gradient(self, R: np.ndarray, inertia: np.ndarray, time: float) -> np.ndarray:
+        """Torque (..., 3) in the axes of bodies with attitudes R (..., 3, 3) by their inertia in
+        these axes (..., 3, 3), N m for kg m^2.
+        """
+        if not self.settings.gravity_gradient:
+            return np.zeros(R.shape[:-1])
+        up = self.axes(time)[0] @ R
+        torque: np.ndarray = 3.0 * self.rate**2 * np.cross(up, (inertia @ up[..., None])[..., 0])
+        return torque

@@ -1,0 +1,162 @@
+"""The filter of a target: consistent over many runs, right about the motion, robust to outliers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RotationMatrix
+from scipy.stats import chi2
+
+from ffsm_drake.scenario import MassProperties, TargetSensor, TargetTracker
+from ffsm_drake.spacecraft.capture import coast
+from ffsm_drake.spacecraft.free_body import SIZE, Target, matrix_of, shape_spread
+from ffsm_drake.systems.target_filter import TargetFilter, observed
+
+BODY = MassProperties(
+    mass=100.0, center_of_mass=[0.1, -0.05, 0.3], inertia=[20.0, 14.0, 9.0, 1.0, -0.5, 0.8]
+)
+MOTION = np.array([0.9, 0.1, -0.3, 0.3, 1.0, 2.0, 3.0, 0.08, -0.05, 0.1, 0.01, 0.0, -0.02])
+PLACE = np.array([0.0, -3.0, 1.0])
+SAMPLE = 0.02
+SETTINGS = TargetTracker()
+DROPS = TargetSensor(dropouts=0.2)
+
+
+def motion(rate):
+    """MOTION, turning at a rate, rad/s."""
+    turning = MOTION.copy()
+    turning[7:10] *= rate / np.linalg.norm(MOTION[7:10])
+    return turning
+
+
+def drawn(random, runs, rate):
+    """Targets and the one that they are drawn about, at the deviations of SETTINGS."""
+    prior = Target.from_motion(motion(rate), BODY)
+    attitude = random.normal(size=(runs, 4))
+
+    def about(value, deviation):
+        return value + deviation * random.normal(size=(runs, 3))
+
+    unlike = random.normal(size=(runs, 6)) @ shape_spread(prior.shape).T
+    target = Target(
+        quaternion=attitude / np.linalg.norm(attitude, axis=1)[:, None],
+        rate=about(prior.rate, SETTINGS.rate_deviation),
+        center=about(prior.center, 0.0),
+        velocity=about(prior.velocity, SETTINGS.velocity_deviation),
+        arm=about(prior.arm, SETTINGS.center_deviation),
+        shape=prior.shape + SETTINGS.inertia_deviation * unlike,
+    )
+    return target, prior
+
+
+def followed(sensor, runs, images, seed, rate=0.14):
+    """Estimates and targets when each image's pose arrives, a latency after it."""
+    random = np.random.default_rng(seed)
+    target, prior = drawn(random, runs, rate)
+    tracker = TargetFilter(SETTINGS, prior)
+    # the first pose is one that fits: no filter knows a wrong one from a right one
+    first, _ = observed(dataclasses.replace(sensor, outliers=0.0), target, PLACE, random)
+    estimate = tracker.first(0.0, first)
+    for image in range(1, images + 1):
+        time, arrives = (SAMPLE * (image * sensor.period + late) for late in (0, sensor.latency))
+        target = tracker.moved(target, estimate.time, time)
+        pose, given = observed(sensor, target, PLACE, random)
+        estimate = tracker.updated(tracker.predicted(estimate, time), pose, given)
+        yield tracker.predicted(estimate, arrives), tracker.moved(target, time, arrives)
+
+
+def nees(estimate, truth):
+    """Squared errors in units of their covariances (runs,)."""
+    error = estimate.target.error(truth)
+    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(estimate.covariance), error)
+
+
+def band(runs):
+    """Where the mean of ``nees`` over runs lies, 95 % of the time."""
+    low, high = chi2.ppf([0.025, 0.975], SIZE * runs) / runs
+    return low, high
+
+
+def means(sensor, images, seeds, **kwargs):
+    """Mean of ``nees`` over 200 runs (seeds, images)."""
+    return np.array(
+        [
+            [nees(*both).mean() for both in followed(sensor, 200, images, seed, **kwargs)]
+            for seed in seeds
+        ]
+    )
+
+
+def test_consistent_at_first():
+    low, high = band(200)
+    found = means(DROPS, 15, [0])
+    assert low < found.mean() < high
+
+
+@pytest.mark.slow
+def test_consistent():
+    # an instant's mean is within the band of 200 runs; five such sets show the expected value
+    low, high = band(200)
+    found = means(DROPS, 100, range(5)).mean(axis=0)
+    assert np.mean((low < found) & (found < high)) >= 0.95
+
+
+def test_moves_as_drake_does():
+    target = Target.from_motion(motion(0.14), BODY)
+    pose = RigidTransform(RotationMatrix(matrix_of(target.quaternion)), target.position)
+    twist = target.motion[7:]
+    samples = coast(BODY, pose, twist, samples=101, sample_time=0.1, onward=True)
+    tracker = TargetFilter(SETTINGS, target)
+    found = tracker.moved(target, 0.0, 10.0).motion
+    expected = samples[-1]
+    found[:4] *= np.sign(found[:4] @ expected[:4])
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+def test_transition_is_the_motion_s_derivative():
+    target, step, small = Target.from_motion(motion(0.8), BODY), 0.05, 1e-6
+    middle = target.after(0.5 * step)
+    ends = middle.after(0.5 * step)
+    columns = [
+        ends.error(target.corrected(small * unit).after(step)) / small for unit in np.eye(SIZE)
+    ]
+    np.testing.assert_allclose(middle.transition(step), np.array(columns).T, atol=2e-4)
+
+
+def test_learns():
+    *_, (estimate, truth) = followed(DROPS, 50, 100, 1)
+    first = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)).mean(axis=0)
+    error = np.abs(estimate.target.error(truth)).mean(axis=0)
+    assert np.all(error < 1.2 * first)
+    assert np.all(error[3:6] < 0.3 * SETTINGS.rate_deviation)
+    assert np.all(error[9:12] < 0.2 * SETTINGS.velocity_deviation)
+
+
+def test_leaves_outliers_out():
+    sensor = dataclasses.replace(DROPS, outliers=0.05)
+    *_, (estimate, truth) = followed(sensor, 50, 60, 2)
+    assert np.median(nees(estimate, truth)) < 1.3 * SIZE
+    assert np.all(estimate.fitted > 0)
+
+
+def test_begins_anew_where_nothing_fits():
+    *_, (estimate, truth) = followed(DROPS, 1, 20, 3)
+    tracker = TargetFilter(SETTINGS, Target.from_motion(motion(0.14), BODY))
+    random = np.random.default_rng(4)
+    aside = dataclasses.replace(truth, center=truth.center + 2.0)
+    for _ in range(8):
+        pose, _ = observed(DROPS, aside, PLACE, random)
+        estimate = tracker.updated(estimate, pose, np.array([True]))
+    assert np.linalg.norm(estimate.target.position - aside.position) < 0.1
+    _, position = estimate.pose_deviation
+    assert position < 0.1
+
+
+def test_noise_grows_with_range():
+    random = np.random.default_rng(5)
+    target = Target.from_motion(MOTION, BODY)
+    deviations = [
+        np.sqrt(np.trace(observed(DROPS, target, target.position + far, random)[0].covariance))
+        for far in (np.array([1.0, 0.0, 0.0]), np.array([0.0, 10.0, 0.0]))
+    ]
+    assert deviations[0] < deviations[1]
