@@ -274,7 +274,9 @@ class ClosedLoop:
         """
         self.set_whole_states(root_context, before.whole_states(context_before))
         for name, block in self.blocks.items():
-            if name == "reference" or (afresh and name in ("controller", "supervisor")):
+            if name == "reference" and not getattr(block, "carries_on", False):
+                continue
+            if afresh and name in ("controller", "supervisor"):
                 continue
             context = block.GetMyMutableContextFromRoot(root_context)
             source = before.blocks[name].GetMyContextFromRoot(context_before)

@@ -155,7 +155,7 @@ class CaptureRollout:
         held, handover = legs.held()
         handovers = Handovers([handover], afresh=True)
         handovers.keep(legs.loop, legs.context)
-        stop = Rollout(held, blocks=legs.blocks)
+        stop = Rollout(held, blocks=legs.followed(legs.blocks, follows=False, sees=False))
         handovers.meet(stop.loop)
         log = stop.run(progress=progress, leg=Leg(first=legs.sample, begin=handovers.grasp))
         log = dataclasses.replace(log, scenario=chosen)

@@ -42,6 +42,7 @@ from ffsm_drake.systems.reference import make_motion, without_target
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.retreat import Move, RetreatReference
 from ffsm_drake.systems.supervisor import Mode, SupervisorPart
+from ffsm_drake.systems.tracked_target import Approached, TrackedTarget, drawn_path
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
@@ -91,6 +92,10 @@ class ClosingRun:
         # motion of the target (n, 13) at the samples of the run, as far as is known
         last = handover.sample - 1
         self._path = np.vstack([handover.path[:last], self._onward(handover.path[last], last)])
+        self._measured = self._capture.measured is not None
+        if self._measured:
+            motion, self._expected = drawn_path(scenario, self._path[0])
+            self._path = self._onward(motion, 0)
         place = np.array(scenario.initial_posture.base_position)  # at the grasp
         self._reach = float(np.linalg.norm(place - self._center(self._path[handover.sample])))
         self._legs: list[tuple[str, int]] = []
@@ -104,6 +109,9 @@ class ClosingRun:
         """
         first = self.handover.sample - self._samples
         alone = None if scenario is None else without_target(scenario)
+        if self._measured:
+            rollout = Rollout(without_target(self.scenario), blocks=self.followed(self.blocks))
+            alone = None
         flown = self._leg(rollout, [("approach", first)], begin, alone)
         tries, retreat = 1, self._capture.retreat
         while flown and not self._close(tries):
@@ -225,6 +233,7 @@ class ClosingRun:
         name = "closing" if tries == 1 else f"closing_{tries}"
         part = Gripper(self._capture.compliance or Compliance())
         blocks = self._supervised({**self.blocks, GRIPPER: part}, waits=True)
+        blocks = self.followed(blocks, sees=False)
         limp = self._closing.joints == "limp"
         applied = self.logs[-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
         rollout = Rollout(
@@ -283,28 +292,28 @@ class ClosingRun:
         the gripper is to close once more.
         """
         period = self._chosen.sample_time
+        self._known = self._seen
         moves = [self._away(retreat)]
         end = self.sample + round(moves[0].duration / period)
         if end > self._chosen.num_control_periods:
             return False
         failed, number_of = self.outcome, "" if tries == 1 else f"_{tries}"
-        names = [(f"retreat{number_of}", end)]
-        again = tries < retreat.tries and self._meet_again(moves[0].goal, end)
-        reference = RetreatReference(moves=tuple(moves))
+        self.outcome, name, left = None, f"retreat{number_of}", tries < retreat.tries
+        touched = failed is not None and failed.status != MISSED
+        flown = True
+        if left and self._measured:  # it looks at the target before it plans the next try
+            flown = self._go(moves, [(name, end)], touched=touched)
+            self._known, touched = self._seen, False
+        again = flown and left and self._meet_again(moves[0].goal, end)
         if again:
             begin = self.handover.sample - round(self.scenario.grasp_time / period)
-            moves.append(self._across)
-            reference = RetreatReference(moves=tuple(moves), again=begin * period)
             names = [
-                (names[0][0], begin),
+                (name, begin),
                 (f"approach_{tries + 1}", self.handover.sample - self._samples),
             ]
-        self.blocks["reference"] = reference
-        own = moves[0].begin if reference.again is None else reference.again
-        self.blocks = self._supervised(self.blocks, begin=own)
-        self.outcome = None
-        rollout = Rollout(without_target(self.scenario), blocks=self.blocks)
-        flown = self._leg(rollout, names, self._go_on(afresh=True))
+            flown = self._go([*moves, self._across], names, again=begin * period, touched=touched)
+        elif self.sample < end and flown:
+            flown = self._go(moves, [(name, end)], touched=touched)
         if failed is not None and flown and not again:
             last = self.loop.whole_states(self.context)[0][4:7]
             apart = float(np.linalg.norm(last - self._center(self._path[self.sample - 1])))
@@ -312,6 +321,30 @@ class ClosingRun:
             time = (self.sample - 1) * period
             self.outcome = dataclasses.replace(failed, time=time, message=message)
         return flown and again
+
+    def _go(
+        self,
+        moves: Sequence[Move],
+        names: Sequence[tuple[str, int]],
+        *,
+        again: float | None = None,
+        touched: bool,
+    ) -> bool:
+        """Run a leg along moves, and from ``again`` on (s) along the next approach; ``touched``:
+        the gripper has touched the target since it was seen. False: it ends before.
+        """
+        self.blocks["reference"] = RetreatReference(moves=tuple(moves), again=again)
+        begin = moves[0].begin if again is None else again
+        self.blocks = self._supervised(self.blocks, begin=begin)
+        blocks = self.followed(self.blocks, follows=again is not None)
+        rollout = Rollout(without_target(self.scenario), blocks=blocks)
+
+        def renew(loop: ClosedLoop, root_context: Context) -> None:
+            block: Any = loop.blocks["reference"]
+            block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
+
+        tell = renew if self._measured else None
+        return self._leg(rollout, names, self._go_on(tell, afresh=True))
 
     def _away(self, retreat: Retreat) -> Move:
         """From the measured state to rest away from the target, at a pace that the limits and the
@@ -321,7 +354,7 @@ class ClosingRun:
         scenario, coordinates = self._chosen, self.loop.coordinates
         state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
         q, v = np.split(state, [len(coordinates.position_names)])
-        from_target = q[4:7] - self._center(self._path[self.sample])
+        from_target = q[4:7] - self._center(self._known[self.sample])
         straight, moves = from_target / np.linalg.norm(from_target), []
         for direction in (
             straight,
@@ -341,7 +374,7 @@ class ClosingRun:
             )
             moves.append(self._paced(move))
             last = self.sample + round(moves[-1].duration / scenario.sample_time)
-            samples = np.linspace(self.sample, min(last, len(self._path) - 1), 2 * _INSTANTS)
+            samples = np.linspace(self.sample, min(last, len(self._known) - 1), 2 * _INSTANTS)
             motion = moves[-1].motion(scenario, coordinates)
             if self._is_clear(motion, samples, self.sample):
                 return moves[-1]
@@ -361,6 +394,45 @@ class ClosingRun:
         left = (scenario.num_control_periods - self.sample) * scenario.sample_time
         duration = gentle_duration(scenario, motion_in, move.duration)
         return dataclasses.replace(move, duration=max(min(duration, left), move.duration))
+
+    def followed(
+        self, blocks: dict[str, Factory], *, follows: bool = True, sees: bool = True
+    ) -> dict[str, Factory]:
+        """Blocks with a reference that follows the target's estimate, if that is measured, or only
+        estimates it; ``sees``: whether there are images.
+        """
+        if not self._measured:
+            return blocks
+        period, meets = self._chosen.sample_time, self.handover.sample
+        begin = meets - round(self.scenario.grasp_time / period)
+        approached = Approached(
+            begin=begin * period,
+            contact=(meets - self._samples) * period,
+            meets=meets * period,
+            motion=self.handover.expected,
+        )
+        inner: Any = blocks.get("reference")
+        part = TrackedTarget(
+            self._chosen,
+            self._path,
+            self._expected,
+            inner=inner,
+            approached=approached if follows else None,
+            sees=sees,
+        )
+        return {**blocks, "reference": part}
+
+    @property
+    def _seen(self) -> np.ndarray:
+        """The target's motion (n, 13) as the servicer knows it: from now on by the estimate."""
+        if not self._measured:
+            return self._path
+        block: Any = self.loop.blocks["reference"]
+        context = block.GetMyContextFromRoot(self.context)
+        motion = block.known_motion(context, self.sample * self._chosen.sample_time)
+        if motion is None:
+            return self._path
+        return np.vstack([self._path[: self.sample], self._onward(motion, self.sample)])
 
     def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
         """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
@@ -389,13 +461,13 @@ class ClosingRun:
         X_W0 = _base_pose(start)
         candidates = []
         for sample in range(earliest, latest + 1, max(1, round(_EVERY / period))):
-            motion = self._path[sample]
+            motion = self._known[sample]
             X_WB = RigidTransform(Quaternion(motion[:4]), motion[4:7]) @ X_BP.inverse()
             X_0S = X_W0.inverse() @ X_WB @ X_BS
             way = np.linalg.norm(X_0S.translation())
             candidates.append((way + _LENGTH * X_0S.rotation().ToAngleAxis().angle(), sample, X_WB))
         for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
-            scenario = self._try(X_WB, X_WB @ X_BS, self._path[sample])
+            scenario = self._try(X_WB, X_WB @ X_BS, self._known[sample])
             begin = sample - lasts
             if self._leads_to(start, scenario, first, begin) and self._is_clear(
                 make_motion(without_target(scenario), self.loop.coordinates),
@@ -446,7 +518,7 @@ class ClosingRun:
         samples, scenario = samples.round().astype(int), self._chosen
         times = (samples - first) * scenario.sample_time
         q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
-        target = self._path[samples, :7]
+        target = self._known[samples, :7]
         nearest = closest_of(scenario, times, q, target=target)
         return all(each.distance >= scenario.clearance for each in nearest)
 

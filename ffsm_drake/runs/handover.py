@@ -34,6 +34,9 @@ class Handover:
         # The target's own motion up to where it is to be met.
         self._twist = planned.target_velocity
         self._X_WP, self.path = target_path(scenario, model, planned)
+        # motion (13) of the target where the arm is planned to meet it
+        pose = [*self._X_WP.rotation().ToQuaternion().wxyz(), *self._X_WP.translation()]
+        self.expected = np.concatenate([pose, self._twist])
         self.legs: tuple[tuple[str, int], ...] = ()  # before the grasp; see GraspLog
 
     def start(self, loop: ClosedLoop) -> np.ndarray:

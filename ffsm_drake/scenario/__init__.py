@@ -65,7 +65,7 @@ from ffsm_drake.scenario.schema import (
 from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml, write_yaml
 from ffsm_drake.scenario.supervisor import Supervisor
-from ffsm_drake.scenario.target_sensing import TargetSensor, TargetTracker
+from ffsm_drake.scenario.target_sensing import Measured, TargetSensor, TargetTracker
 
 __all__ = [
     "as_dict",
@@ -112,6 +112,7 @@ __all__ = [
     "Shaper",
     "SolarPressure",
     "Supervisor",
+    "Measured",
     "TargetSensor",
     "TargetTracker",
     "Thruster",

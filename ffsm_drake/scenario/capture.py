@@ -15,6 +15,7 @@ from ffsm_drake.scenario.fields import (
     vector_in,
 )
 from ffsm_drake.scenario.model import Posture
+from ffsm_drake.scenario.target_sensing import Measured
 
 CAPTURE_AXES = ("target", "world")
 
@@ -224,6 +225,9 @@ class Capture:
     )
     retreat: Retreat | None = unitless(
         None, "of a closing gripper that missed the target, and further tries; null: the run ends"
+    )
+    measured: Measured | None = unitless(
+        None, "a target that is measured on the way to it; null: its motion is known"
     )
     envelope: Envelope = setting(Envelope())
     accepted_drift: PerCoordinate | None = setting(

@@ -1,8 +1,9 @@
 """A sensor of a target's pose, and the filter of its motion: their settings."""
 
 from dataclasses import dataclass
+from typing import Any
 
-from ffsm_drake.common.settings import setting
+from ffsm_drake.common.settings import Problems, setting
 from ffsm_drake.scenario.fields import in_samples, unitless
 
 
@@ -49,3 +50,27 @@ class TargetTracker:
     gate: float = unitless(
         22.5, "poses beyond are outliers: squared, of the six innovations' deviations", above=0
     )
+
+
+@dataclass
+class Measured:
+    """A target that is measured, and whose estimate the approach follows. Its rate and velocity at
+    the start differ from what ``capture`` says by numbers drawn at the filter's deviations.
+    """
+
+    sensor: TargetSensor = setting(TargetSensor())
+    filter: TargetTracker = setting(TargetTracker())
+    replan: float = setting(1.0, "s", "from a new plan of the approach to the next", above=0)
+    last: float = setting(
+        3.0, "s", "before the gripper closes, the last plan; then covariance decides", above=0
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """A closing gripper, and a reference that can follow."""
+        if scenario.capture.closing is None:
+            yield key, "needs capture.closing: the gripper meets a target that is elsewhere"
+        if scenario.blocks.reference is not None:
+            yield key, "has no effect with blocks.reference; leave one of them out"
+        closing, approach = scenario.capture.closing, scenario.capture.approach
+        if closing and approach and self.last + closing.duration >= approach.duration:
+            yield f"{key}.last", "must leave time to follow the target in capture.approach.duration"

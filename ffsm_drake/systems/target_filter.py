@@ -34,6 +34,7 @@ from ffsm_drake.spacecraft.orbit import Orbit
 _POSE = np.r_[ROTATION, POSITION]
 _OF_POSE = np.eye(SIZE)[_POSE]
 _SLOWEST = 0.02  # rad/s
+_LASTS = 0.85  # rad
 _LEAST = 1e-13
 _TRUSTED = 5  # poses in a row, the memory of how many fitted
 
@@ -162,7 +163,7 @@ class TargetFilter:
             covariance = sound(covariance)
             mean, spread = middle.bend(covariance)
             # it turns with the body, so that it lasts for about a radian
-            lasts = 1.0 / np.maximum(np.linalg.norm(middle.rate, axis=-1), _SLOWEST)
+            lasts = _LASTS / np.maximum(np.linalg.norm(middle.rate, axis=-1), _SLOWEST)
             covariance[..., RATE, RATE] += step * lasts[..., None, None] * spread
             middle = dataclasses.replace(middle, rate=middle.rate + step * mean)
             target = middle.after(0.5 * step, begin + 0.5 * step, self._orbit)
