@@ -216,7 +216,9 @@ class Target:
         mean = own.sum(axis=-2)
         variances = np.diagonal(covariance, axis1=-2, axis2=-1)[..., RATE]
         most = (self.rate**2 + variances).sum(axis=-1)[..., None]
-        size = np.sqrt(np.trace(spread, axis1=-2, axis2=-1)[..., None] + (mean**2).sum(-1)[..., None])
+        size = np.sqrt(
+            np.trace(spread, axis1=-2, axis2=-1)[..., None] + (mean**2).sum(-1)[..., None]
+        )
         share = np.minimum(1.0, most / np.maximum(size, 1e-300))
         return share * mean, share[..., None] ** 2 * spread
 

@@ -17,7 +17,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import attitude_motion, quaternion_of
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_body import SIZE, Target, composed, matrix_of, turn_between
 from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -35,7 +35,12 @@ _SIGMAS = 3.0
 # What a gripper that touched the target may have changed: rad, rad/s, m, m/s.
 _TOUCH = np.repeat([0.1, 0.1, 0.1, 0.1, 0.0, 0.0], [3, 3, 3, 3, 3, 5])
 _ROW = 21  # of ``Target.as_row``
-_SIZES = {"target_estimate": 13, "target_error": _SHOWN, "target_deviation": _SHOWN, "target_nees": 1}
+_SIZES = {
+    "target_estimate": 13,
+    "target_error": _SHOWN,
+    "target_deviation": _SHOWN,
+    "target_nees": 1,
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -123,8 +128,8 @@ class TrackedTarget(Part):
             Metric(
                 key="target.nees",
                 unit="1",
-                label=f"NEES of the target's estimate ({SIZE} expected)",
-                of=lambda run: _mean_nees(run),
+                label="NEES of the target's estimate, mean",
+                of=_mean_nees,
             ),
             Metric(
                 key="target.position_error",

@@ -10,6 +10,7 @@ from ffsm_drake.show.chart import Chart, Curve
 from ffsm_drake.show.panels import Panel, Thinning, View, escape, panel, panels
 from ffsm_drake.show.results import Result
 from ffsm_drake.show.run_charts import run_curve
+from ffsm_drake.show.style import Style
 from ffsm_drake.systems.part import STEPS, TIMELINE, Drawing, PartRecord, pulses_of
 
 _MOST_BOXES = 20_000  # of one run that are drawn one by one
@@ -99,11 +100,31 @@ def _curves(
             names = signal[signal.dims[1]].values.astype(str).tolist()
             columns = dict(zip(names, signal.values.T, strict=True))
         for name in drawing.panels:
-            curves[name].append(run_curve(results, i, columns[name], steps=drawing.chart == STEPS))
+            steps = drawing.chart == STEPS
+            curves[name].append(run_curve(results, i, columns[name], steps=steps))
+            curves[name] += _band(results, i, drawing, name)
     return panels(
         (Chart(title=name.replace("_", " "), y=units[name], curves=curves[name]) for name in units),
         thin,
     )
+
+
+def _band(results: Sequence[Result], i: int, drawing: Drawing, name: str) -> list[Curve]:
+    """Three standard deviations of a component, both ways, if the run has them: an ``<x>_error``
+    has them in ``<x>_deviation``.
+    """
+    dataset, known = results[i].record.dataset, drawing.signal.replace("_error", "_deviation")
+    if known == drawing.signal or known not in dataset:
+        return []
+    values, color = dataset[known], results[i].style.color
+    column = values[:, values[values.dims[1]].values.astype(str).tolist().index(name)].values
+    return [
+        run_curve(
+            results, i, sign * column, name="3 deviations", style=Style(color), width=0.8,
+            steps=drawing.chart == STEPS, opacity=0.5,
+        )
+        for sign in (3.0, -3.0)
+    ]  # fmt: skip
 
 
 def _timelines(
