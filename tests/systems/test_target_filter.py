@@ -4,12 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
 from ffsm_drake.scenario import MassProperties, TargetSensor, TargetTracker
 from ffsm_drake.spacecraft.capture import coast
-from ffsm_drake.spacecraft.free_body import SIZE, Target, matrix_of, shape_spread
+from ffsm_drake.spacecraft.free_body import (
+    SIZE,
+    Target,
+    inverse_inertia,
+    matrix_of,
+    shape_spread,
+)
 from ffsm_drake.systems.target_filter import TargetFilter, observed
 
 BODY = MassProperties(
@@ -77,28 +85,62 @@ def band(runs):
     return low, high
 
 
-def means(sensor, images, seeds, **kwargs):
-    """Mean of ``nees`` over 200 runs (seeds, images)."""
+def means(sensor, images, seeds, runs=200):
+    """Mean of ``nees`` over runs (seeds, images)."""
     return np.array(
-        [
-            [nees(*both).mean() for both in followed(sensor, 200, images, seed, **kwargs)]
-            for seed in seeds
-        ]
+        [[nees(*both).mean() for both in followed(sensor, runs, images, seed)] for seed in seeds]
     )
 
 
 def test_consistent_at_first():
-    low, high = band(200)
-    found = means(DROPS, 15, [0])
-    assert low < found.mean() < high
+    low, high = band(60)
+    assert low < means(DROPS, 8, [0], runs=60).mean() < high
 
 
 @pytest.mark.slow
 def test_consistent():
-    # an instant's mean is within the band of 200 runs; five such sets show the expected value
+    low, high = band(60)
+    found = means(DROPS, 80, [26], runs=60)
+    assert low < found.mean() < high
+
+
+@pytest.mark.exhaustive
+def test_consistent_over_200_runs():
+    # images of one set err alike: five sets show the expected value of each instant
     low, high = band(200)
-    found = means(DROPS, 100, range(5)).mean(axis=0)
-    assert np.mean((low < found) & (found < high)) >= 0.95
+    found = means(DROPS, 150, range(21, 26))
+    assert np.all((low < found.mean(axis=1)) & (found.mean(axis=1) < high))
+    found = found.mean(axis=0)
+    assert np.mean((low < found) & (found < high)) >= 0.9
+
+
+@given(
+    wide=st.floats(-2.0, 2.0),
+    tight=st.floats(-2.0, 1.0),
+    rate=st.floats(0.0, 1.5),
+    dropouts=st.floats(0.0, 0.95),
+    outliers=st.floats(0.0, 0.5),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=12)
+def test_stays_sound(wide, tight, rate, dropouts, outliers, seed):
+    """Whatever is known at first, seen and lost: numbers, and covariances that are."""
+    random = np.random.default_rng(seed)
+    names = ("rate_deviation", "velocity_deviation", "center_deviation", "inertia_deviation")
+    prior = {name: getattr(SETTINGS, name) * 10.0**wide for name in names}
+    noise = {name: getattr(DROPS, name) * 10.0**tight for name in ("position_noise", "angle_noise")}
+    sensor = dataclasses.replace(DROPS, dropouts=dropouts, outliers=outliers, **noise)
+    target = Target.from_motion(motion(rate), BODY)
+    tracker = TargetFilter(dataclasses.replace(SETTINGS, **prior), target)
+    estimate = tracker.first(0.0, observed(sensor, target, PLACE, random)[0])
+    for time in np.cumsum(random.uniform(0.2, 2.0, size=6)):
+        target = tracker.moved(target, estimate.time, time)
+        pose, seen = observed(sensor, target, PLACE, random)
+        estimate = tracker.updated(tracker.predicted(estimate, time), pose, seen)
+        size = estimate.deviation
+        assert np.all(np.isfinite(estimate.target.as_row()))
+        assert np.linalg.eigvalsh(estimate.covariance / np.outer(size, size)).min() > 0.0
+        assert np.linalg.eigvalsh(inverse_inertia(estimate.target.shape)).min() > 0.0
 
 
 def test_moves_as_drake_does():
@@ -124,17 +166,17 @@ def test_transition_is_the_motion_s_derivative():
 
 
 def test_learns():
-    *_, (estimate, truth) = followed(DROPS, 50, 100, 1)
+    *_, (estimate, truth) = followed(DROPS, 20, 60, 1)
     first = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)).mean(axis=0)
     error = np.abs(estimate.target.error(truth)).mean(axis=0)
-    assert np.all(error < 1.2 * first)
-    assert np.all(error[3:6] < 0.3 * SETTINGS.rate_deviation)
-    assert np.all(error[9:12] < 0.2 * SETTINGS.velocity_deviation)
+    assert np.all(error < 1.5 * first)
+    assert np.all(error[3:6] < 0.4 * SETTINGS.rate_deviation)
+    assert np.all(error[9:12] < 0.3 * SETTINGS.velocity_deviation)
 
 
 def test_leaves_outliers_out():
     sensor = dataclasses.replace(DROPS, outliers=0.05)
-    *_, (estimate, truth) = followed(sensor, 50, 60, 2)
+    *_, (estimate, truth) = followed(sensor, 20, 40, 2)
     assert np.median(nees(estimate, truth)) < 1.3 * SIZE
     assert np.all(estimate.fitted > 0)
 
