@@ -29,6 +29,7 @@ SHAPE = slice(15, SIZE)
 _SIZES = np.cumsum([4, 3, 3, 3, 3])  # of ``Target.as_row``
 _STEP, _TURN = 0.25, 0.1  # s and rad; of the integration, at most
 _THINNEST = 0.02  # least eigenvalue of G
+_FASTEST = 5.0  # rad/s; of an estimate, whose integration then takes a step of 0.02 s
 _SMALL = 0.01  # of a deviation, for second derivatives
 _DIAGONAL, _OFF = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]), ((0, 1), (0, 2), (1, 2))
 
@@ -159,7 +160,7 @@ class Target:
         arm = self.arm + error[..., ARM]
         return Target(
             quaternion=quaternion,
-            rate=self.rate + error[..., RATE],
+            rate=_within(self.rate + error[..., RATE], _FASTEST),
             center=self.position + error[..., POSITION] + times(matrix_of(quaternion), arm),
             velocity=self.velocity + error[..., VELOCITY],
             arm=arm,
@@ -255,10 +256,17 @@ class Target:
         return found
 
 
+def _within(vector: np.ndarray, most: float) -> np.ndarray:
+    """Vectors (..., 3) shortened to a length."""
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector * np.minimum(1.0, most / np.maximum(length, most))
+
+
 def _possible(shape: np.ndarray) -> np.ndarray:
     """A shape whose G has no eigenvalue below the least."""
     least = np.linalg.eigvalsh(inverse_inertia(shape))[..., :1]
-    return shape * np.where(least < _THINNEST, (1.0 - _THINNEST) / (1.0 - least), 1.0)
+    share = (1.0 - _THINNEST) / (1.0 - np.minimum(least, _THINNEST))
+    return shape * np.minimum(share, 1.0)
 
 
 def steps_between(target: Target, first: float, last: float) -> list[tuple[float, float]]:

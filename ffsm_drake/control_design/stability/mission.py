@@ -41,6 +41,8 @@ def _scope(scenario: Scenario, leg: Leg) -> str:
     capture = scenario.capture
     if leg == "approach" and capture is not None and capture.closing is not None:
         left.append("the gripper's closing")
+        if capture.measured is not None:
+            left.append("the target's estimate")
     alone = ", the servicer alone" if leg == "approach" else ""
     return f"moving as planned, without {', '.join(left[:-1])} and {left[-1]}{alone}"
 
