@@ -139,7 +139,7 @@ def test_the_approach_meets_a_target_that_is_not_where_it_is_expected():
     # within three standard deviations, by and large
     images = slice(100, 400)
     error, known = data["target_error"].values[images], data["target_deviation"].values[images]
-    assert np.mean(np.abs(error) < 3.0 * known) > 0.98
+    assert np.mean(np.abs(error) < 3.0 * known) > 0.95
     assert 5.0 < record.metrics["target"]["nees"] < 30.0
     assert np.abs(data["error"].values[200:400]).max() < 0.02
     # a reference without jumps: its rates are those of its positions
