@@ -266,11 +266,11 @@ class ClosingRun:
     def _onward(self, motion: np.ndarray, sample: int) -> np.ndarray:
         """The free target's motion (n, 13) from a sample to the end of the run."""
         return coast(
-            self._chosen.payload.truth,
+            self._chosen,
             RigidTransform(Quaternion(motion[:4]), motion[4:7]),
             motion[7:],
+            time=sample * self._chosen.sample_time,
             samples=self._chosen.num_control_periods + 1 - sample,
-            sample_time=self._chosen.sample_time,
             onward=True,
         )
 

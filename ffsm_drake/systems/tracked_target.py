@@ -19,6 +19,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import attitude_motion, quaternion_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_body import SIZE, Target, composed, matrix_of, turn_between
+from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
@@ -128,7 +129,7 @@ class TrackedTarget(Part):
             Metric(
                 key="target.nees",
                 unit="1",
-                label="NEES of the target's estimate, mean",
+                label="Mean NEES of the target's estimate",
                 of=_mean_nees,
             ),
             Metric(
@@ -184,7 +185,8 @@ class TrackedReference(LeafSystem):
         assert scenario.capture.measured is not None
         self._part, self._motion, self._scenario = part, motion, scenario
         self._settings, self._envelope = scenario.capture.measured, scenario.capture.envelope
-        self._filter = TargetFilter(self._settings.filter, part.expected)
+        orbit = None if scenario.environment is None else Orbit(scenario.environment)
+        self._filter = TargetFilter(self._settings.filter, part.expected, orbit)
         self._period = scenario.sample_time
         self._nq, nv = len(motion.coordinates.position_names), len(motion.coordinates.names)
         # time, whether there is one, poses that fitted, target, covariance

@@ -19,7 +19,7 @@ from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.handover import seen_from
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
-from ffsm_drake.scenario import MassProperties, from_grasp
+from ffsm_drake.scenario import MassProperties, Payload, Scenario, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.capture import NOTHING, coast, planned_contact
@@ -212,7 +212,8 @@ def test_a_free_target_keeps_its_momentum_and_energy():
         RotationMatrix(Rotation.from_rotvec([0.2, 0.4, -0.9]).as_matrix()), [1.0, 2.0, 3.0]
     )
     twist = np.array([0.1, -0.2, 0.15, 0.02, 0.01, -0.03])
-    states = coast(properties, X_WP, twist, samples=1000, sample_time=0.01)
+    scenario = Scenario(payload=Payload(truth=properties), sample_time=0.01)
+    states = coast(scenario, X_WP, twist, time=10.0, samples=1000)
     assert states.shape == (1000, 13)
 
     def kept(q, v):

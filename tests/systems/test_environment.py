@@ -20,13 +20,9 @@ from ffsm_drake.scenario import Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_true_plant
+from ffsm_drake.spacecraft.orbit import EARTH_GRAVITY, mean_motion
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.environment import (
-    EARTH_GRAVITY,
-    EnvironmentForce,
-    OrbitalForce,
-    mean_motion,
-)
+from ffsm_drake.systems.environment import EnvironmentForce, OrbitalForce
 
 # D-SPOSE 1.0.0 (github.com/McGill-AML/D-SPOSE), input/ and output/expected-output/: Envisat, TEME
 # axes. kg m^2

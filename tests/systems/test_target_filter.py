@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
-from ffsm_drake.scenario import MassProperties, TargetSensor, TargetTracker
+from ffsm_drake.scenario import (
+    Environment,
+    MassProperties,
+    Scenario,
+    TargetSensor,
+    TargetTracker,
+    inertia_matrix,
+)
 from ffsm_drake.spacecraft.capture import coast
 from ffsm_drake.spacecraft.free_body import (
     SIZE,
@@ -18,6 +25,7 @@ from ffsm_drake.spacecraft.free_body import (
     matrix_of,
     shape_spread,
 )
+from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.target_filter import TargetFilter, observed
 
 BODY = MassProperties(
@@ -141,16 +149,69 @@ def test_stays_sound(wide, tight, rate, dropouts, outliers, seed):
         assert np.linalg.eigvalsh(inverse_inertia(estimate.target.shape)).min() > 0.0
 
 
-def test_moves_as_drake_does():
-    target = Target.from_motion(motion(0.14), BODY)
+def coasted(target, environment=None, samples=101, time=0.0, onward=True, step=0.1):
+    payload = dataclasses.replace(Scenario().payload, truth=BODY)
+    scenario = dataclasses.replace(
+        Scenario(), payload=payload, sample_time=step, environment=environment
+    )
     pose = RigidTransform(RotationMatrix(matrix_of(target.quaternion)), target.position)
     twist = target.motion[7:]
-    samples = coast(BODY, pose, twist, samples=101, sample_time=0.1, onward=True)
-    tracker = TargetFilter(SETTINGS, target)
+    return coast(scenario, pose, twist, time=time, samples=samples, onward=onward)
+
+
+@pytest.mark.parametrize("environment", [None, Environment(hill_rpy=[0.3, -0.2, 1.0])])
+def test_moves_as_drake_does(environment):
+    target = Target.from_motion(motion(0.14), BODY)
+    expected = coasted(target, environment)[-1]
+    tracker = TargetFilter(SETTINGS, target, environment and Orbit(environment))
     found = tracker.moved(target, 0.0, 10.0).motion
-    expected = samples[-1]
     found[:4] *= np.sign(found[:4] @ expected[:4])
     np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+ORBIT = Environment(mean_motion=2e-3, altitude=None, hill_rpy=[0.3, -0.2, 1.0])
+
+
+def test_drifts_as_hill_s_equations_say():
+    """Clohessy and Wiltshire's closed form, in axes that turn with the orbit."""
+    n, time = 2e-3, 300.0
+    target = Target.from_motion(motion(0.0), BODY)
+    rows = Orbit(ORBIT).axes(0.0)
+    x, y, z = rows @ target.center
+    turning = np.array([0.0, 0.0, n])
+    u, v, w = rows @ target.velocity - np.cross(turning, [x, y, z])
+    s, c = np.sin(n * time), np.cos(n * time)
+    expected = [
+        (4.0 - 3.0 * c) * x + s / n * u + 2.0 / n * (1.0 - c) * v,
+        6.0 * (s - n * time) * x + y - 2.0 / n * (1.0 - c) * u + (4.0 * s / n - 3.0 * time) * v,
+        c * z + s / n * w,
+    ]
+    path = coasted(target, ORBIT, samples=3001)
+    last = Target.from_motion(path[-1], BODY)
+    np.testing.assert_allclose(Orbit(ORBIT).axes(time) @ last.center, expected, atol=1e-9)
+
+
+def test_turns_as_the_tide_on_its_parts_says():
+    """The torque of the tide on six points of mass that have the body's inertia."""
+    orbit, R = Orbit(ORBIT), matrix_of(np.array([0.7, -0.3, 0.5, 0.4]))
+    masses = dataclasses.replace(BODY, inertia=[5.0, 7.0, 8.0], center_of_mass=[0.0, 0.0, 0.0])
+    I = np.diag(inertia_matrix(masses))  # noqa: E741
+    squares = 0.5 * I.sum() - I  # of x, y, z, summed by mass
+    torque = np.zeros(3)
+    for axis, square in enumerate(squares):
+        for sign in (1.0, -1.0):
+            place = R @ (sign * np.sqrt(square / 2.0) * np.eye(3)[axis])
+            torque += np.cross(place, orbit.tide(place, 50.0))
+    found = R @ orbit.gradient(R, inertia_matrix(masses), 50.0)
+    np.testing.assert_allclose(found, torque, atol=1e-15)
+
+
+def test_goes_back_as_it_came():
+    target = Target.from_motion(motion(0.14), BODY)
+    path = coasted(target, ORBIT, samples=1001, time=40.0, step=0.01)
+    last = Target.from_motion(path[-1], BODY)
+    back = coasted(last, ORBIT, samples=1000, time=50.0, onward=False, step=0.01)
+    np.testing.assert_allclose(back[0], path[0], atol=1e-9)
 
 
 def test_transition_is_the_motion_s_derivative():
