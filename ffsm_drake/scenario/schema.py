@@ -238,7 +238,7 @@ def from_grasp(scenario: Scenario) -> Scenario:
     """The scenario from the grasp on, without an approach; one without a capture as it is."""
     if scenario.capture is None or scenario.grasp_time == 0.0:
         return scenario
-    held = replace(scenario.capture, approach=None)
+    held = replace(scenario.capture, approach=None, closing=None, retreat=None, measured=None)
     return replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
 
 

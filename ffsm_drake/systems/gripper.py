@@ -321,9 +321,21 @@ class GripperForce(LeafSystem):
             acting = self._act(context, memory, met, now - first)
         if self._closing.joints == "limp":
             rates = self._joint_rates(state) - context.get_discrete_state(self._rates).value()
-            acting[self._joints] -= self._closing.joint_damping * rates
+            acting[self._joints] -= self._damping(rates)
         self._keep(values, memory)
         values.set_value(self._acting, acting)
+
+    def _damping(self, rates: np.ndarray) -> np.ndarray:
+        """The torque or force that damps limp joints, by the rates that it leaves after a step: by
+        those before it, a light wrist would be thrown about.
+        """
+        if self._closing.joint_damping == 0.0:
+            return np.zeros_like(rates)
+        mass = self._model.plant.CalcMassMatrix(self._model.context)
+        mobility = np.linalg.inv(mass)[np.ix_(self._joints, self._joints)]
+        yielding = np.eye(rates.size) / self._closing.joint_damping + self._period * mobility
+        damping: np.ndarray = np.linalg.solve(yielding, rates)
+        return damping
 
     def _joint_rates(self, state: np.ndarray) -> np.ndarray:
         rates: np.ndarray = state[self._model.plant.num_positions() :][self._joints]

@@ -21,15 +21,18 @@ FACTORS = {
     "joint actuators": ("ideal", "drives"),
     "flexible": ("none", "panels", "slosh"),
     "orbit": ("none", "orbit"),
-    "start": ("held", "capture from the grasp", "capture with approach"),
+    "start": ("held", "capture from the grasp", "capture with approach", "measured target"),
     "motion": ("polynomial", "shaped", "frame", "plan"),
     "driven": ("all", "base rotation and joints", "joints"),
     "command filter": ("none", "command filter"),
+    "supervisor": ("none", "supervisor"),
+    "faults": ("none", "detection"),
     "command": ("run", "stability", "design", "plan", "compare", "campaign", "replay"),
 }
 PLAIN = {factor: values[0] for factor, values in FACTORS.items()}
 
 _UNDRIVEN = ("base rotation and joints", "joints")
+_APPROACHES = ("capture with approach", "measured target")
 # Combinations that are refused: what the one line names, beside the rows of docs/combinations.md.
 REFUSED = {
     frozenset(combination.items()): names
@@ -41,9 +44,16 @@ REFUSED = {
             for driven in _UNDRIVEN
             if (actuators, driven) != ("wheels", "base rotation and joints")
         ),
-        ({"start": "capture with approach", "motion": "frame"}, ("approach", "frame")),
+        *(({"start": start, "motion": "frame"}, ("approach", "frame")) for start in _APPROACHES),
         *(
-            ({"start": "capture with approach", "driven": driven}, ("approach", "driven"))
+            ({"start": start, "driven": driven}, ("approach", "driven"))
+            for start in _APPROACHES
+            for driven in _UNDRIVEN
+        ),
+        ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
+        *(
+            ({part: value, "driven": driven}, (part, "actuation.driven"))
+            for part, value in (("supervisor", "supervisor"), ("faults", "detection"))
             for driven in _UNDRIVEN
         ),
         ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
@@ -124,6 +134,7 @@ _SENSORS = {
     "late": {
         "sensing": {
             **_FLIGHT,
+            "velocity_noise": {**_FLIGHT["velocity_noise"], "base_position": 2e-4},
             **{f"{of}_period": {"base_position": 5} for of in ("position", "velocity")},
             **{f"{of}_delay": {"base_position": 3} for of in ("position", "velocity")},
         }
@@ -131,7 +142,7 @@ _SENSORS = {
     "own sensor": {"sensing": _NOISY, "blocks": {"sensing": {"tracker": "slow_tracker:Held"}}},
 }  # fmt: skip
 _WHEELS = {
-    f"wheel_{k}": {"axis": axis, "inertia": 0.08, "torque_limit": 16.0, "speed_limit": 628.0}
+    f"wheel_{k}": {"axis": axis, "inertia": 0.08, "torque_limit": 60.0, "speed_limit": 628.0}
     for k, axis in enumerate(_AXES, start=1)
 }
 _BASE_ACTUATORS = {
@@ -188,6 +199,13 @@ def overrides_of(row, scenario, plan):
         parts.append({"actuation": {"driven": _DRIVEN[row["driven"]]}})
     if row["command filter"] != "none":
         parts.append({"command_filter": {"low_pass": {"all": 20.0}}})
+    if row["supervisor"] != "none":
+        limits = {"base_position": 100.0, "base_rotation": 100.0, "joints": 200.0}
+        ideal = row["base actuators"] in ("ideal", "own actuator")
+        parts.append({"supervisor": {}})
+        parts.append({"actuation": {"limit": limits if ideal else {"joints": 200.0}}})
+    if row["faults"] != "none":
+        parts.append({"faults": {"detection": {}}})
     return parts
 
 
@@ -208,9 +226,12 @@ def _start(row, scenario):
     if row["start"] == "capture from the grasp":
         return {"capture": capture}
     joints = _on_the_way(scenario, 0.25)
-    envelope = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
-    return {"capture": {**capture, "envelope": envelope}, "duration": APPROACH + MOTION + HOLD}
+    capture["envelope"] = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
+    if row["start"] == "measured target":
+        capture |= {"closing": {"joints": "controlled"}, "measured": {"last": 2.0}}
+        capture["envelope"] |= {"position": 0.1, "angle": 0.2}
+    return {"capture": capture, "duration": APPROACH + MOTION + HOLD}
 
 
 def _motion(row, scenario, plan):
