@@ -7,6 +7,7 @@ action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
 
 import dataclasses
+import json
 import queue
 import threading
 from collections.abc import Mapping
@@ -18,19 +19,25 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.tracking import FRAME_COORDINATES, frame_rows
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State, is_wide
+from ffsm_drake.systems.controllers.policy import (
+    ACTIONS,
+    FURTHEST,
+    ActingLaw,
+    error_names,
+    inner_law,
+    observation,
+    observation_names,
+)
 from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.limits import actuation_limit
-from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
-ACTIONS = ("force", "residual", "setpoint")
 WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
-_FURTHEST = 100.0  # m or rad; observations are bounded, as many learners want it
 _UNLIMITED = 100.0  # N m or N; where the scenario limits no force
 for _id, _scenario in {
     "ffsm/PostCapture-v0": "postcapture",
@@ -94,53 +101,22 @@ class Exchange:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Steered(ControlLaw):
-    """A law whose force is an action's, or another law's changed by it."""
+class _Steered(ActingLaw):
+    """The law of an environment's actions."""
 
     wide: ClassVar[bool] = True
     exchange: Exchange
-    kind: str  # one of ACTIONS
-    scale: np.ndarray  # of actions (nv); zero for undriven coordinates
-    inner: ControlLaw | None  # None: the action alone
-    task: TaskSpace | None  # of a law that tracks a frame
 
-    @property
-    def tracks_frame(self) -> bool:  # type: ignore[override]
-        return self.task is not None
+    def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        return self.exchange.ask(seen, sample), {}
 
-    def initial_state(self) -> State:
-        return {} if self.inner is None else self.inner.initial_state()
+    def told(self, error: np.ndarray, force: np.ndarray) -> None:
+        self.exchange.told(error, force)
 
-    def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
-        if self.inner is None or not isinstance(before, _Steered) or before.inner is None:
-            return state
-        return self.inner.resume(state, before.inner, reference)
-
-    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        change = np.zeros_like(self.scale)
-        error, rate = sample.e, sample.e_dot
-        if self.task is not None:
-            point = self.task.at(sample, damping=0.0)
-            error = np.concatenate([error, point.e], axis=-1)
-            rate = np.concatenate([rate, point.e_dot], axis=-1)
-        seen = np.concatenate([error, rate, sample.q, sample.v], axis=-1)
-        change[self.scale > 0.0] = self.exchange.ask(seen, sample).ravel()
-        change *= self.scale
-        if self.kind == "setpoint":
-            sample = sample._replace(e=sample.e + change)
-        if self.inner is None:
-            force = change
-        else:
-            force, state = self._inner_step(self.inner, sample, state)
-            if self.kind == "residual":
-                force = force + change
-        self.exchange.told(error.copy(), np.array(force))
-        return force, state
-
-    def _inner_step(
+    def inner_step(
         self, inner: ControlLaw, sample: Sample, state: State
     ) -> tuple[np.ndarray, State]:
-        """The inner law's, which begins anew with a copy of the spacecraft that does."""
+        """That of a law that begins anew with a copy of the spacecraft that does."""
         exchange, fresh = self.exchange, self.exchange.fresh
         if sample.is_first:
             exchange.first = {name: np.array(values) for name, values in state.items()}
@@ -148,8 +124,7 @@ class _Steered(ControlLaw):
         if fresh is None or not fresh.any():
             return force, after
         first, anew = inner.step(sample._replace(is_first=True), exchange.first)
-        force = np.where(fresh[:, None], first, force)
-        return force, {
+        return np.where(fresh[:, None], first, force), {
             name: np.where(fresh.reshape(-1, *[1] * (rows.ndim - 1)), anew[name], rows)
             for name, rows in after.items()
         }
@@ -209,42 +184,27 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
-        self._scale = np.where(coordinates.is_driven, self._scales(scale), 0.0)
-        names = coordinates.names
-        self.action_names = tuple(
-            name for name, driven in zip(names, coordinates.is_driven, strict=True) if driven
-        )
+        self._scale = self._scales(scale)[coordinates.driven]
+        self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
         self._factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
         self._tracks_frame = bool(getattr(self._factory, "tracks_frame", False))
-        errors = [*zip(names, coordinates.group_of, strict=True)]
+        of_frame = {"tracks_frame": self._tracks_frame}
+        errors = error_names(self.scenario, coordinates, **of_frame)
+        self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
         self._counted = coordinates.is_driven.copy()
-        if self._tracks_frame:
-            errors += self._frame_errors()
-        self.observation_names = (
-            *(f"error.{name}" for name, _ in errors),
-            *(f"error_rate.{name}" for name, _ in errors),
-            *(f"position.{name}" for name in coordinates.position_names),
-            *(f"velocity.{name}" for name in names),
-        )
+        if self._tracks_frame:  # its pose counts in place of the joints
+            if action == "setpoint":
+                raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
+            self._counted &= np.array([group != "joints" for group in coordinates.group_of])
+        of_errors = len(errors) - self._counted.size
+        self._counted = np.append(self._counted, np.ones(of_errors, dtype=bool))
         self.action_space = _box(len(self.action_names), 1.0, dtype)
-        self.observation_space = _box(len(self.observation_names), _FURTHEST, dtype)
+        self.observation_space = _box(len(self.observation_names), FURTHEST, dtype)
         self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
         self._exchange: Exchange | None = None
         self._thread: threading.Thread | None = None
         self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
         self.log: RunLog | None = None  # of the last complete episode
-
-    def _frame_errors(self) -> list[tuple[str, str]]:
-        """Those of the frame's pose, which count in place of the joints, and whose tolerances
-        hold.
-        """
-        if self._kind == "setpoint":
-            raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
-        rows = np.flatnonzero(frame_rows(self.scenario))
-        self._counted &= np.array([group != "joints" for group in self.coordinates.group_of])
-        self._counted = np.append(self._counted, np.ones(rows.size, dtype=bool))
-        kinds = ("base_rotation",) * 3 + ("base_position",) * 3
-        return [(FRAME_COORDINATES[row], kinds[row]) for row in rows]
 
     def _scales(self, given: Mapping[str, float] | float | None) -> np.ndarray:
         if given is not None:
@@ -261,19 +221,30 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def steered(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
         """The law of a run, which takes its actions there; of several runs if not ``alone``."""
-        inner = None
-        if self._kind != "force":
-            settings = self.scenario.controllers.get(self._law, {})
-            own = dataclasses.replace(setup, name=self._law, settings=settings)
-            inner = call_factory(self._factory, own, place=self._law)
-            if not isinstance(inner, ControlLaw):
-                raise BlockError(f"{self._law}: must be a control law")
-            if not (alone or is_wide(inner)):
-                raise BlockError(f"{self._law}: is no wide law; vectorization_mode must be sync")
-        task = TaskSpace.from_setup(setup) if self._tracks_frame else None
+        inner = None if self._kind == "force" else inner_law(self._law, setup)
+        if not (inner is None or alone or is_wide(inner)):
+            raise BlockError(f"{self._law}: is no wide law; vectorization_mode must be sync")
         return _Steered(
-            exchange=exchange, kind=self._kind, scale=self._scale, inner=inner, task=task
+            exchange=exchange,
+            kind=self._kind,
+            acts=self.coordinates.driven,
+            scale=self._scale,
+            inner=inner,
+            task=TaskSpace.from_setup(setup) if self._tracks_frame else None,
         )
+
+    def policy_metadata(self) -> dict[str, str]:
+        """What an ONNX file of a policy for this environment says in its metadata, to be a control
+        law (``controller: policy:FILE``).
+        """
+        return {
+            "observation_names": json.dumps(self.observation_names),
+            "action_names": json.dumps(self.action_names),
+            "scale": json.dumps(self._scale.tolist()),
+            "action": self._kind,
+            "law": "" if self._kind == "force" else self._law,
+            "samples_per_step": str(self.samples_per_step),
+        }
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -339,11 +310,6 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Their weighted sum."""
         return sum(self._weights[name] * value for name, value in terms.items())
 
-    def observation(self, seen: np.ndarray) -> np.ndarray:
-        """What a law sees (..., n), within the bounds."""
-        bounded: np.ndarray = np.clip(seen, -_FURTHEST, _FURTHEST)
-        return bounded.astype(self.observation_space.dtype)
-
     def close(self) -> None:
         """End the run, if there is one."""
         if self._exchange is not None and self._thread is not None:
@@ -365,7 +331,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self.close()
             return found, spent
         seen, spent = found
-        self._seen = self.observation(seen)
+        self._seen = observation(seen, self.observation_space.dtype)
         return None, spent
 
 

@@ -26,6 +26,7 @@ from ffsm_drake.runs.ending import COMPLETED, DIVERGED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.systems.controllers.policy import observation
 from ffsm_drake.systems.setup import BlockSetup
 
 
@@ -277,5 +278,5 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if isinstance(found, list):
             return found, True
         seen, spent = found
-        self._seen = self._one.observation(seen)
+        self._seen = observation(seen, self._seen.dtype)
         return spent, False
