@@ -181,6 +181,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
         )
         self._kind, self._law = action, law or self.scenario.controller
+        self.scenario = self.scenario.replace(controller=self._law)
         self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
