@@ -177,18 +177,17 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
         if unknown := set(weights or {}) - set(WEIGHTS):
             raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
-        self.scenario = (
-            scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
-        )
-        self._kind, self._law = action, law or self.scenario.controller
-        self.scenario = self.scenario.replace(controller=self._law)
+        if not isinstance(scenario, Scenario):
+            scenario = load_scenario(scenario, overrides)
+        self._kind, self._law = action, law or scenario.controller
+        self.scenario = scenario.replace(controller=self._law)
         self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
         self._scale = self._scales(scale)[coordinates.driven]
         self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
-        self._factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
-        self._tracks_frame = bool(getattr(self._factory, "tracks_frame", False))
+        factory = find_factory("controller", self._law, python_path=scenario.python_path)
+        self._tracks_frame = bool(getattr(factory, "tracks_frame", False))
         of_frame = {"tracks_frame": self._tracks_frame}
         errors = error_names(self.scenario, coordinates, **of_frame)
         self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
