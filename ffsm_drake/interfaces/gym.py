@@ -1,15 +1,17 @@
 """A mission as an environment of Gymnasium: one step is one control sample, or several.
 
 Importing it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0`` and
-``ffsm/FreeFloating-v0``. The run is that of ``simulate``: a thread runs it, and its control law
-asks for an action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
+``ffsm/FreeFloating-v0``; the first and the last also as environments of several spacecraft
+(``gym_vector``). The run is that of ``simulate``: a thread runs it, and its control law asks for an
+action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
 
 import dataclasses
+import json
 import queue
 import threading
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -17,19 +19,25 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.tracking import FRAME_COORDINATES, frame_rows
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw
-from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.controllers.law import Sample, State, is_wide
+from ffsm_drake.systems.controllers.policy import (
+    ACTIONS,
+    FURTHEST,
+    ActingLaw,
+    error_names,
+    inner_law,
+    observation,
+    observation_names,
+)
 from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.limits import actuation_limit
-from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
-ACTIONS = ("force", "residual", "setpoint")
 WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
-_FURTHEST = 100.0  # m or rad; observations are bounded, as many learners want it
 _UNLIMITED = 100.0  # N m or N; where the scenario limits no force
 for _id, _scenario in {
     "ffsm/PostCapture-v0": "postcapture",
@@ -39,6 +47,9 @@ for _id, _scenario in {
     gymnasium.register(
         id=_id,
         entry_point="ffsm_drake.interfaces.gym:MissionEnv",
+        vector_entry_point=None
+        if _scenario == "tumbling_capture"
+        else "ffsm_drake.interfaces.gym_vector:MissionVectorEnv",
         kwargs={"scenario": _scenario},
     )
 
@@ -47,19 +58,29 @@ class _StoppedError(Exception):
     """The environment was reset or closed within a run."""
 
 
-class _Exchange:
+class Exchange:
     """Where the run's law and the environment, in two threads, meet at every step."""
 
     def __init__(self, samples_per_step: int) -> None:
+        self._every = samples_per_step
+        self.begin()
+
+    def begin(self) -> None:
+        """Of another run."""
         self.from_run = queue.SimpleQueue[Any]()
         self.to_run = queue.SimpleQueue[np.ndarray | None]()
-        self._every, self._count = samples_per_step, 0
-        self._action = np.zeros(0)
-        self._since = list[tuple[np.ndarray, np.ndarray]]()  # errors and forces since the last step
+        self.sample: Sample | None = None  # what the law sees
+        # of several copies of the spacecraft: those that begin anew, and those whose episode lasts
+        self.fresh: np.ndarray | None = None
+        self.lasts: np.ndarray | None = None
+        self.first: State = {}  # the law's memory at the start
+        self._count, self._action = 0, np.zeros(0)
+        self._since = list[tuple[Any, ...]]()  # what was told since the last step
 
-    def ask(self, seen: np.ndarray) -> np.ndarray:
+    def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
         """The action at a sample, of which a law sees this. Raises _StoppedError."""
         if self._count % self._every == 0:
+            self.sample = sample
             self.from_run.put((seen, self.spent()))
             action = self.to_run.get()
             if action is None:
@@ -70,67 +91,52 @@ class _Exchange:
 
     def told(self, error: np.ndarray, force: np.ndarray) -> None:
         """Keep what the law saw and commanded at a sample."""
-        self._since.append((error, force))
+        lasts = np.ones(error.shape[:-1], bool) if self.lasts is None else self.lasts.copy()
+        self._since.append((error, force, lasts))
 
-    def spent(self) -> tuple[np.ndarray, np.ndarray]:
-        """Errors and forces (n, nv) since the last step."""
+    def spent(self) -> list[np.ndarray]:
+        """Errors, forces and whether the episode lasted since the last step, a row each."""
         since, self._since = self._since, []
-        if not since:
-            return np.zeros((0, 0)), np.zeros((0, 0))
-        errors, forces = zip(*since, strict=True)
-        return np.array(errors), np.array(forces)
+        return [np.array(each) for each in zip(*since, strict=True)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Steered(ControlLaw):
-    """A law whose force is an action's, or another law's changed by it."""
+class _Steered(ActingLaw):
+    """The law of an environment's actions."""
 
-    exchange: _Exchange
-    kind: str  # one of ACTIONS
-    scale: np.ndarray  # of actions (nv); zero for undriven coordinates
-    inner: ControlLaw | None  # None: the action alone
-    task: TaskSpace | None  # of a law that tracks a frame
+    wide: ClassVar[bool] = True
+    exchange: Exchange
 
-    @property
-    def tracks_frame(self) -> bool:  # type: ignore[override]
-        return self.task is not None
+    def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        return self.exchange.ask(seen, sample), {}
 
-    def initial_state(self) -> State:
-        return {} if self.inner is None else self.inner.initial_state()
+    def told(self, error: np.ndarray, force: np.ndarray) -> None:
+        self.exchange.told(error, force)
 
-    def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
-        if self.inner is None or not isinstance(before, _Steered) or before.inner is None:
-            return state
-        return self.inner.resume(state, before.inner, reference)
-
-    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        change = np.zeros_like(self.scale)
-        error, rate = sample.e, sample.e_dot
-        if self.task is not None:
-            point = self.task.at(sample, damping=0.0)
-            error, rate = np.append(error, point.e), np.append(rate, point.e_dot)
-        seen = np.concatenate([error, rate, sample.q, sample.v])
-        change[self.scale > 0.0] = self.exchange.ask(seen)
-        change *= self.scale
-        if self.inner is None:
-            force = change
-        else:
-            if self.kind == "setpoint":
-                force, state = self.inner.step(sample._replace(e=sample.e + change), state)
-            else:
-                force, state = self.inner.step(sample, state)
-                force = force + change
-        self.exchange.told(error.copy(), np.array(force))
-        return force, state
+    def inner_step(
+        self, inner: ControlLaw, sample: Sample, state: State
+    ) -> tuple[np.ndarray, State]:
+        """That of a law that begins anew with a copy of the spacecraft that does."""
+        exchange, fresh = self.exchange, self.exchange.fresh
+        if sample.is_first:
+            exchange.first = {name: np.array(values) for name, values in state.items()}
+        force, after = inner.step(sample, state)
+        if fresh is None or not fresh.any():
+            return force, after
+        first, anew = inner.step(sample._replace(is_first=True), exchange.first)
+        return np.where(fresh[:, None], first, force), {
+            name: np.where(fresh.reshape(-1, *[1] * (rows.ndim - 1)), anew[name], rows)
+            for name, rows in after.items()
+        }
 
 
 class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """A scenario whose control law is the agent, or a law that the agent corrects.
 
-    Observations (float32) are, by ``observation_names``: errors e and their rates (nv each; rad, m;
+    Observations are, by ``observation_names``: errors e and their rates (nv each; rad, m;
     what the law sees; those of a frame too where the law tracks one), measured positions q (nq) and
     velocities v (nv). Actions lie between -1 and 1, one for each driven coordinate
-    (``action_names``).
+    (``action_names``). ``sample`` is all that a law sees at the step, as a law gets it.
 
     ``info`` has ``reward_terms``; at the end ``ending`` (as a run's last line says it) and
     ``is_success`` (settled). An episode is terminated where the run diverges or misses its target,
@@ -149,6 +155,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         samples_per_step: int = 1,
         scale: Mapping[str, float] | float | None = None,
         weights: Mapping[str, float] | None = None,
+        dtype: type = np.float32,
     ) -> None:
         """Args:
           scenario: a shipped name, a file, or a Scenario.
@@ -160,6 +167,8 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
           scale: of actions by coordinate or group; default: forces by the limits (100 N m or N
             where there is none), a tenth of them for residuals, set-points by 0.1 rad or m.
           weights: of the reward's terms, see ``WEIGHTS``.
+          dtype: of observations and actions. In float64, with a ``scale`` of a power of two, a
+            force keeps its bits on its way through an action.
 
         Raises ScenarioError, BlockError, ModelError as ``simulate``; FfsmError for an unknown
         action or weight.
@@ -168,49 +177,34 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
         if unknown := set(weights or {}) - set(WEIGHTS):
             raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
-        self.scenario = (
-            scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
-        )
-        self._kind, self._law = action, law or self.scenario.controller
-        self._every, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
+        if not isinstance(scenario, Scenario):
+            scenario = load_scenario(scenario, overrides)
+        self._kind, self._law = action, law or scenario.controller
+        self.scenario = scenario.replace(controller=self._law)
+        self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
-        self._scale = np.where(coordinates.is_driven, self._scales(scale), 0.0)
-        names = coordinates.names
-        self.action_names = tuple(
-            name for name, driven in zip(names, coordinates.is_driven, strict=True) if driven
-        )
-        self._factory = find_factory("controller", self._law, python_path=self.scenario.python_path)
-        self._tracks_frame = bool(getattr(self._factory, "tracks_frame", False))
-        errors = [*zip(names, coordinates.group_of, strict=True)]
+        self._scale = self._scales(scale)[coordinates.driven]
+        self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
+        factory = find_factory("controller", self._law, python_path=scenario.python_path)
+        self._tracks_frame = bool(getattr(factory, "tracks_frame", False))
+        of_frame = {"tracks_frame": self._tracks_frame}
+        errors = error_names(self.scenario, coordinates, **of_frame)
+        self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
         self._counted = coordinates.is_driven.copy()
-        if self._tracks_frame:
-            errors += self._frame_errors()
-        self.observation_names = (
-            *(f"error.{name}" for name, _ in errors),
-            *(f"error_rate.{name}" for name, _ in errors),
-            *(f"position.{name}" for name in coordinates.position_names),
-            *(f"velocity.{name}" for name in names),
-        )
-        self.action_space = _box(len(self.action_names), 1.0)
-        self.observation_space = _box(len(self.observation_names), _FURTHEST)
+        if self._tracks_frame:  # its pose counts in place of the joints
+            if action == "setpoint":
+                raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
+            self._counted &= np.array([group != "joints" for group in coordinates.group_of])
+        of_errors = len(errors) - self._counted.size
+        self._counted = np.append(self._counted, np.ones(of_errors, dtype=bool))
+        self.action_space = _box(len(self.action_names), 1.0, dtype)
+        self.observation_space = _box(len(self.observation_names), FURTHEST, dtype)
         self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
-        self._exchange: _Exchange | None = None
+        self._exchange: Exchange | None = None
         self._thread: threading.Thread | None = None
-        self._seen = np.zeros(len(self.observation_names), np.float32)
+        self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
         self.log: RunLog | None = None  # of the last complete episode
-
-    def _frame_errors(self) -> list[tuple[str, str]]:
-        """Those of the frame's pose, which count in place of the joints, and whose tolerances
-        hold.
-        """
-        if self._kind == "setpoint":
-            raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
-        rows = np.flatnonzero(frame_rows(self.scenario))
-        self._counted &= np.array([group != "joints" for group in self.coordinates.group_of])
-        self._counted = np.append(self._counted, np.ones(rows.size, dtype=bool))
-        kinds = ("base_rotation",) * 3 + ("base_position",) * 3
-        return [(FRAME_COORDINATES[row], kinds[row]) for row in rows]
 
     def _scales(self, given: Mapping[str, float] | float | None) -> np.ndarray:
         if given is not None:
@@ -220,19 +214,37 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return np.full(len(self.coordinates.names), 0.1)
         return self._limit * (0.1 if self._kind == "residual" else 1.0)
 
-    def _made_law(self, setup: BlockSetup) -> ControlLaw:
-        exchange, inner = self._exchange, None
-        assert exchange is not None
-        if self._kind != "force":
-            settings = self.scenario.controllers.get(self._law, {})
-            own = dataclasses.replace(setup, name=self._law, settings=settings)
-            inner = call_factory(self._factory, own, place=self._law)
-            if not isinstance(inner, ControlLaw):
-                raise BlockError(f"{self._law}: must be a control law")
-        task = TaskSpace.from_setup(setup) if self._tracks_frame else None
+    @property
+    def sample(self) -> Sample | None:
+        """What a law sees at this step; None before the first."""
+        return None if self._exchange is None else self._exchange.sample
+
+    def steered(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
+        """The law of a run, which takes its actions there; of several runs if not ``alone``."""
+        inner = None if self._kind == "force" else inner_law(self._law, setup)
+        if not (inner is None or alone or is_wide(inner)):
+            raise BlockError(f"{self._law}: is no wide law; vectorization_mode must be sync")
         return _Steered(
-            exchange=exchange, kind=self._kind, scale=self._scale, inner=inner, task=task
+            exchange=exchange,
+            kind=self._kind,
+            acts=self.coordinates.driven,
+            scale=self._scale,
+            inner=inner,
+            task=TaskSpace.from_setup(setup) if self._tracks_frame else None,
         )
+
+    def policy_metadata(self) -> dict[str, str]:
+        """What an ONNX file of a policy for this environment says in its metadata, to be a control
+        law (``controller: policy:FILE``).
+        """
+        return {
+            "observation_names": json.dumps(self.observation_names),
+            "action_names": json.dumps(self.action_names),
+            "scale": json.dumps(self._scale.tolist()),
+            "action": self._kind,
+            "law": "" if self._kind == "force" else self._law,
+            "samples_per_step": str(self.samples_per_step),
+        }
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -242,8 +254,10 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.close()
         drawn = int(self.np_random.integers(2**31)) if seed is None else seed
         scenario = self.scenario.replace(random_seed=drawn)
-        self._exchange = exchange = _Exchange(self._every)
-        rollout = make_rollout(scenario, blocks={"controller": self._made_law})
+        self._exchange = exchange = Exchange(self.samples_per_step)
+        rollout = make_rollout(
+            scenario, blocks={"controller": lambda setup: self.steered(setup, exchange)}
+        )
 
         def fly() -> None:
             try:
@@ -262,23 +276,39 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """As Gymnasium's."""
         if self._exchange is None:
             raise FfsmError("the episode is over, or did not begin: call reset")
-        self._exchange.to_run.put(np.clip(np.asarray(action, dtype=float), -1.0, 1.0))
-        log, (errors, forces) = self._take()
-        terms = {"tracking": 0.0, "effort": 0.0}
-        if errors.size:
-            excess = np.minimum(np.abs(errors) / self._tolerance, 1e3)[:, self._counted]
-            terms["tracking"] = -float(excess.mean())
-            terms["effort"] = -float(((forces / self._limit) ** 2).mean())
+        self._exchange.to_run.put(clipped(action))
+        log, spent = self._take()
+        terms = {name: float(value) for name, value in self.reward_terms(spent).items()}
         info: dict[str, Any] = {"reward_terms": terms}
         if log is not None:
             self.log = log
             terms["settled"] = float(log.ending.is_settled)
             terms["failure"] = -float(log.ending.is_failure)
             info |= {"ending": log.ending.sentence, "is_success": log.ending.is_settled}
-        reward = sum(self._weights[name] * value for name, value in terms.items())
+        reward = self.reward_of(terms)
         ended = log is not None
         completed = log is not None and log.outcome.completed
         return self._seen.copy(), reward, ended and not completed, completed, info
+
+    def reward_terms(self, spent: list[np.ndarray]) -> dict[str, Any]:
+        """Of a step, from ``Exchange.spent``: of one run numbers, of several (B)."""
+        if not spent:
+            return {"tracking": 0.0, "effort": 0.0}
+        errors, forces, lasts = spent
+        excess, effort = (
+            np.minimum(np.abs(each) / size, 1e3)
+            for each, size in ((errors, self._tolerance), (forces, self._limit))
+        )
+        sizes = {"tracking": excess[..., self._counted], "effort": effort**2}
+        count = np.maximum(lasts.sum(axis=0), 1)
+        return {
+            name: -np.where(lasts, each.mean(axis=-1), 0.0).sum(axis=0) / count
+            for name, each in sizes.items()
+        }
+
+    def reward_of(self, terms: Mapping[str, Any]) -> Any:
+        """Their weighted sum."""
+        return sum(self._weights[name] * value for name, value in terms.items())
 
     def close(self) -> None:
         """End the run, if there is one."""
@@ -287,7 +317,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._thread.join()
         self._exchange = self._thread = None
 
-    def _take(self) -> tuple[RunLog | None, tuple[np.ndarray, np.ndarray]]:
+    def _take(self) -> tuple[RunLog | None, list[np.ndarray]]:
         """Wait for the run's next step, or its end; keep what it sees."""
         assert self._exchange is not None
         found = self._exchange.from_run.get()
@@ -301,7 +331,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self.close()
             return found, spent
         seen, spent = found
-        self._seen = np.clip(seen, -_FURTHEST, _FURTHEST).astype(np.float32)
+        self._seen = observation(seen, self.observation_space.dtype)
         return None, spent
 
 
@@ -310,7 +340,12 @@ def _finite(limit: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(limit) & (limit > 0.0), limit, _UNLIMITED)
 
 
-def _box(size: int, most: float) -> gymnasium.spaces.Box:
+def clipped(action: np.ndarray) -> np.ndarray:
+    """An action within its bounds, float64."""
+    return np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+
+
+def _box(size: int, most: float, dtype: type) -> gymnasium.spaces.Box:
     """Vectors of entries from -most to most."""
-    bound = np.full(size, most, np.float32)
-    return gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
+    bound: np.ndarray = np.full(size, most, dtype)
+    return gymnasium.spaces.Box(-bound, bound, dtype=dtype)

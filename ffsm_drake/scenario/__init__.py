@@ -57,6 +57,7 @@ from ffsm_drake.scenario.reference import (
 )
 from ffsm_drake.scenario.resolving import as_dict, build_settings, schema_fields, shown
 from ffsm_drake.scenario.schema import (
+    POLICY,
     Scenario,
     controller_key,
     from_grasp,
@@ -129,6 +130,7 @@ __all__ = [
     "load_scenario",
     "override_scenario",
     "portable_scenario",
+    "POLICY",
     "controller_key",
     "scenario_from_dict",
     "scenario_from_yaml",

@@ -8,6 +8,7 @@ specific key wins, and a bare number stands for ``{all: number}``.
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import Any
 
 from pydrake.systems.analysis import SimulatorConfig
@@ -29,6 +30,7 @@ from ffsm_drake.scenario.supervisor import Supervisor
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
+POLICY = "policy:"  # begins the controller of an ONNX file
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
 
@@ -279,6 +281,7 @@ def planned_part(scenario: Scenario) -> Scenario:
 
 def controller_key(controller: str) -> str:
     """The key in ``controllers`` of a controller: its name, or what follows the colon of
-    ``module:attribute``.
+    ``module:attribute``; of ``policy:FILE`` the file's name without its ending.
     """
-    return controller.rpartition(":")[2]
+    name = controller.rpartition(":")[2]
+    return PurePath(name).stem if controller.startswith(POLICY) else name

@@ -104,7 +104,7 @@ class _SideBySideMotion(PlannedMotion):
         )
 
     def rows(self, times: np.ndarray) -> np.ndarray:
-        made = {motion: motion.rows(times) for motion in self._motions}  # some are shared
+        made = {motion: motion.rows(times) for motion in set(self._motions)}  # some are shared
         each = [made[motion] for motion in self._motions]
         parts = [rows[:, : self._first] for rows in each], [rows[:, self._first :] for rows in each]
         return np.hstack([*parts[0], *parts[1]])

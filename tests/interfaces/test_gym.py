@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ffsm_drake import FfsmError, load_scenario, simulate
-from ffsm_drake.systems.controllers import controller_names
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import controller_names, make_controller
 
 gymnasium = pytest.importorskip("gymnasium", reason="needs gymnasium, an extra")
 
@@ -28,15 +29,18 @@ def flown(env, seed, action=None):
 
 @pytest.mark.smoke
 @pytest.mark.parametrize(
-    ("name", "settings"),
+    ("name", "dtype"),
     [
-        ("postcapture", {"overrides": ("duration=0.2",)}),
-        ("tumbling_capture", {"overrides": ("duration=20.5",), "samples_per_step": 200}),
-        ("free_floating", {"overrides": ("duration=0.2",), "samples_per_step": 5}),
+        ("PostCapture", np.float32),
+        ("PostCapture", np.float64),
+        ("TumblingCapture", np.float32),
+        ("FreeFloating", np.float32),
     ],
 )
-def test_gymnasium_finds_nothing_to_complain_of(name, settings):
-    check_env(MissionEnv(name, **settings), skip_render_check=True)
+def test_gymnasium_finds_nothing_to_complain_of(name, dtype, recwarn):
+    env = gymnasium.make(f"ffsm/{name}-v0", action="force", samples_per_step=5, dtype=dtype)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert not [str(each.message) for each in recwarn if "gymnasium" in str(each.filename)]
 
 
 LAWS = sorted(
@@ -53,6 +57,24 @@ def test_a_law_under_actions_of_zero_has_the_bits_of_a_run(law):
     data = simulate(scenario.replace(random_seed=7), check_stability=False).dataset
     state = np.hstack([data.position.values, data.velocity.values])
     np.testing.assert_array_equal(env.log.series["state"], state)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_as_the_policy_of_forces_has_the_bits_of_a_run(law):
+    """Its sample is the law's, and a power of two as the scale takes no bit from the force."""
+    name = "planar_detumble" if law == "torque_against_momentum" else "postcapture"
+    scenario = load_scenario(name, ["duration=0.3", f"controller={law}"])
+    own = make_controller(scenario, make_nominal_plant(scenario)).law
+    env = MissionEnv(scenario, action="force", dtype=np.float64, scale=2.0**20)
+    env.reset(seed=7)
+    state, over = own.initial_state(), False
+    while not over:
+        force, state = own.step(env.sample, state)
+        *_, ended, cut, _ = env.step(force[env.coordinates.is_driven] / 2.0**20)
+        over = ended or cut
+    data = simulate(scenario.replace(random_seed=7), check_stability=False).dataset
+    whole = np.hstack([data.position.values, data.velocity.values])
+    np.testing.assert_array_equal(env.log.series["state"], whole)
 
 
 def test_a_capture_goes_through_its_legs():

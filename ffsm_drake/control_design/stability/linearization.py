@@ -641,15 +641,20 @@ class _LawOfMany:
         return slot if np.array_equal(expected != 0.0, change != 0.0) else None
 
     def step(self, read: np.ndarray) -> np.ndarray:
-        """The memory after the update, from rows of ``read``."""
+        """The memory after the update, from rows of ``read``, the first without a change."""
         found = read[:, : self._memory.size].copy()
+        least, change = getattr(self._controller.law, "least_change", 0.0), read - read[0]
+        larger = np.fmax(1.0, least / np.fmax(np.abs(change).max(axis=1, keepdims=True), 1e-12))
+        if least:
+            read = read[0] + larger * change
         inputs, own = (
             {name: read[:, slot] for name, slot in slots.items()}
             for slots in (self._inputs, self._own)
         )
         force, after = self._controller.step(inputs, own)
         for name, part in self._parts.items():
-            found[:, part] = {"generalized_force": force, **after}[name]
+            values = {"generalized_force": force, **after}[name]
+            found[:, part] = values[0] + (values - values[0]) / larger if least else values
         return found
 
 

@@ -134,6 +134,9 @@ class ControlLaw(abc.ABC):
     # fields are equal, but for the model and those of ``of_each``. Runs in one diagram then share
     # one law (``is_wide``).
     wide: ClassVar[bool] = False
+    # The least change of its inputs (rad, m, per s) that a linearisation looks at: less would be
+    # rounding to a law that computes in single precision.
+    least_change: ClassVar[float] = 0.0
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the law's memory."""
