@@ -1,4 +1,4 @@
-"""A recorded run as a table (CSV, Parquet) or as a MATLAB file."""
+"""A recorded run for other programs: CSV, Parquet, MATLAB, MCAP, by a file's ending."""
 
 from pathlib import Path
 from typing import Any
@@ -63,4 +63,10 @@ def _mat(record: RunRecord, path: Path) -> None:
     savemat(str(path), {"run": fields}, appendmat=False, long_field_names=True, oned_as="column")
 
 
-FORMATS = {".mat": _mat, ".csv": _csv, ".parquet": _parquet}
+def _mcap(record: RunRecord, path: Path) -> None:
+    from ffsm_drake.interfaces.mcap import write  # Drake's geometry
+
+    write(record, path)
+
+
+FORMATS = {".mat": _mat, ".csv": _csv, ".parquet": _parquet, ".mcap": _mcap}
