@@ -135,7 +135,7 @@ def replay(
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Its ending says what it is: .mat, .csv, .parquet or .mcap.",
+    help="Its ending says what it is: .mat, .csv, .parquet, .mcap, .aem or .oem.",
 )
 def export(run: Path, file: Path) -> None:
     """Write a recorded run's series for other programs.

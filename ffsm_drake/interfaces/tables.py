@@ -1,4 +1,4 @@
-"""A recorded run for other programs: CSV, Parquet, MATLAB, MCAP, by a file's ending."""
+"""A recorded run for other programs: CSV, Parquet, MATLAB, MCAP, CCSDS, by a file's ending."""
 
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,15 @@ import pandas as pd  # type: ignore[import-untyped]
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import check_writable, written_whole
+from ffsm_drake.interfaces.ccsds import write_aem, write_oem
 from ffsm_drake.runs.record import RunRecord
 
 
 def export(record: RunRecord, path: Path) -> None:
     """Write a run's series to a file, whose ending is one of ``FORMATS``.
 
-    Raises: FfsmError, if the ending is another, or Parquet's library is missing.
+    Raises: FfsmError, if the ending is another, its library is missing, or the run does not have
+    what it holds.
     """
     if path.suffix not in FORMATS:
         raise FfsmError(f"--to: '{path}' must end in {', '.join(FORMATS)}")
@@ -69,4 +71,11 @@ def _mcap(record: RunRecord, path: Path) -> None:
     write(record, path)
 
 
-FORMATS = {".mat": _mat, ".csv": _csv, ".parquet": _parquet, ".mcap": _mcap}
+FORMATS = {
+    ".mat": _mat,
+    ".csv": _csv,
+    ".parquet": _parquet,
+    ".mcap": _mcap,
+    ".aem": write_aem,
+    ".oem": write_oem,
+}

@@ -49,4 +49,4 @@ def test_mat_holds_the_record_with_units(folder, tmp_path):
 def test_other_endings_are_refused(folder, tmp_path):
     result = CliRunner().invoke(main, ["export", str(folder), "--to", str(tmp_path / "run.xyz")])
     assert result.exit_code == 2
-    assert "must end in .mat, .csv, .parquet, .mcap" in result.output
+    assert "must end in .mat, .csv, .parquet, .mcap, .aem, .oem" in result.output
