@@ -1,5 +1,8 @@
 """A run's files for other programs hold what its record holds."""
 
+import shutil
+import subprocess
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -50,3 +53,22 @@ def test_other_endings_are_refused(folder, tmp_path):
     result = CliRunner().invoke(main, ["export", str(folder), "--to", str(tmp_path / "run.xyz")])
     assert result.exit_code == 2
     assert "must end in .mat, .csv, .parquet, .mcap, .aem, .oem" in result.output
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="needs Octave (apt install octave)")
+def test_octave_reads_the_mat_file(folder, tmp_path):
+    path = exported(folder, tmp_path / "run.mat")
+    asked = f"""
+        load("{path}");
+        printf("%d ", size(run.velocity.values));
+        printf("%s %s ", run.time.units, run.coordinate.values{{7}});
+        printf("%.17g", run.velocity.values(end, 7));
+    """
+    line = ["octave-cli", "--no-init-file", "--quiet", "--eval", asked]
+    said = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
+    data = RunRecord.load(folder).dataset
+    rows, columns, unit, name, value = said.split()
+    assert (int(rows), int(columns)) == data.velocity.shape
+    assert (unit, name) == ("s", str(data.coordinate.values[6]))
+    assert float(value) == data.velocity.values[-1, 6]
