@@ -331,7 +331,9 @@ def _joint_rates(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
 def _jumps(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
     """Periods in which much more or less happens than the rates say: samples lost or repeated."""
     period = np.diff(log.time)[:, None]
-    moved = np.hstack([_turned(log), np.diff(log.position, axis=0), np.diff(log.angles, axis=0)])
+    angles = np.diff(log.angles, axis=0)
+    angles -= 2.0 * np.pi * np.round(angles / (2.0 * np.pi))  # logs may begin anew after a turn
+    moved = np.hstack([_turned(log), np.diff(log.position, axis=0), angles])
     rates = np.hstack([log.angular, log.linear, log.rates])
     expected = 0.5 * (rates[1:] + rates[:-1]) * period
     square = (expected**2).sum(axis=1)

@@ -92,6 +92,46 @@ def test_a_log_of_mujoco_is_physics(true_log, tmp_path):
     assert "follows the work" in statement(found, "energy")
 
 
+def pinocchio_log(pin):
+    """The same motion, integrated by Pinocchio's forward dynamics and its Lie group, RK4."""
+    model = pin.buildModelFromUrdf(str(URDF), pin.JointModelFreeFlyer())
+    model.gravity.setZero()
+    data, step = model.createData(), 0.005
+    q = pin.neutral(model)
+    q[3:7] = np.array([0.1, -0.5, 0.5, 0.7]) / np.linalg.norm([0.1, -0.5, 0.5, 0.7])
+    # its joints without limits have a cosine and a sine each
+    q = pin.integrate(model, q, np.array([0.0] * 6 + [0.2, 0.4, 1.0, 0.6, -0.7]))
+    v = np.array([0.02, -0.01, 0.03, 0.05, -0.08, 0.06, 0.1, -0.2, 0.15, 0.1, -0.1])
+    rows = []
+    for k in range(501):
+        angles = np.arctan2(q[8::2], q[7::2])
+        rate, size = np.array([1.0, 1.5, 2.0, 2.5, 3.0]), np.array([2.0, 4.0, 2.0, 0.3, 0.05])
+        tau = np.concatenate([np.zeros(6), size * np.cos(rate * k * PERIOD)])
+        rows.append([k * PERIOD, *q[:3], q[6], *q[3:6], *angles, *v, *tau[6:]])
+        for _ in range(round(PERIOD / step)):
+            a1 = pin.aba(model, data, q, v, tau)
+            v2 = v + 0.5 * step * a1
+            a2 = pin.aba(model, data, pin.integrate(model, q, 0.5 * step * v), v2, tau)
+            v3 = v + 0.5 * step * a2
+            a3 = pin.aba(model, data, pin.integrate(model, q, 0.5 * step * v2), v3, tau)
+            v4 = v + step * a3
+            a4 = pin.aba(model, data, pin.integrate(model, q, step * v3), v4, tau)
+            q = pin.integrate(model, q, step / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4))
+            v = v + step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return dict(zip(NAMES, np.array(rows).T, strict=True))
+
+
+def test_a_log_of_pinocchio_is_physics(tmp_path):
+    """Both of its velocities are in body axes."""
+    pin = pytest.importorskip("pinocchio", reason="needs Pinocchio (extra 'oracles')")
+    found = audit(write(tmp_path / "log.csv", pinocchio_log(pin)), URDF)
+    assert found.is_physics, str(found)
+    assert statement(found, "angular velocity").startswith("in body axes")
+    assert statement(found, "base velocity").startswith("in body axes")
+    assert "conserved within" in statement(found, "momentum")
+    assert "follows the work" in statement(found, "energy")
+
+
 def test_a_record_of_this_package_is_physics(tmp_path):
     """Also with forces on its base, held over each period."""
     record = simulate(load_scenario("postcapture", ["duration=1.5", "disturbance.harmonics={}"]))
