@@ -4,9 +4,9 @@ The shapes are collision geometry, or visual geometry of a model (servicer, targ
 mesh counts by its convex hull. Left out are parts fixed to each other (the target and the gripper),
 parts connected by a joint, and parts with few joints between them that are always near each other,
 as the links of a wrist. Before a grasp the target is a separate body, which over the last decimetre
-may touch the gripper and what is left out once it is held. A flexible panel counts by its plates,
-with their deflections, but not against the body that carries it; what the model draws of it on that
-body counts where it is at rest.
+and 20 degrees may touch the gripper and what is left out once it is held. A flexible panel counts
+by its plates, with their deflections, but not against the body that carries it; what the model
+draws of it on that body counts where it is at rest.
 """
 
 import dataclasses
@@ -48,7 +48,8 @@ from ffsm_drake.spacecraft.plant import (
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _TRIALS = 40  # joint configurations tested
 
-_REACH = 0.1  # m; distance from the grasp below which the gripper may touch the target
+# Nearer to the grasp, and turned less from it, the gripper may touch the target: m, rad.
+_REACH, _TURN = 0.1, 0.35
 
 _MEASURED = (".obj", ".gltf", ".vtk")  # meshes whose convex hull Drake can measure
 
@@ -299,9 +300,10 @@ class ApproachClearance(Clearance):
 
     def _may_touch(self) -> set[frozenset[BodyIndex]]:
         context = self.plant_context
-        place = (self._target.EvalPoseInWorld(context) @ self._X_PE).translation()
-        gap = np.linalg.norm(place - self._effector.CalcPoseInWorld(context).translation())
-        return self._gripping if gap < _REACH else set()
+        grasp = self._target.EvalPoseInWorld(context) @ self._X_PE
+        offset = grasp.inverse() @ self._effector.CalcPoseInWorld(context)
+        gap, turn = np.linalg.norm(offset.translation()), offset.rotation().ToAngleAxis().angle()
+        return self._gripping if gap < _REACH and turn < _TURN else set()
 
 
 def shapes_of(model: Model, *, apart: str | None = None) -> Clearance:

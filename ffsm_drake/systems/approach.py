@@ -20,7 +20,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 
 _LENGTHS = (0.3, 0.6, 1.0)  # m; from the base at the grasp
-_INSTANTS = 40
+_INSTANTS, _CLOSER = 40, 200
 _GROWTH, _LONGEST = 1.15, 300.0  # of a duration, s
 # Of the limits of force at most; the first that takes little and is wide of the target is taken.
 _MOST, _LITTLE, _WIDE = 0.5, 0.2, 0.05  # the last in m
@@ -60,6 +60,7 @@ def given_approach(scenario: Scenario) -> Approach:
             initial_posture=scenario.initial_posture,
             sample_time=scenario.sample_time,
             actuation=scenario.actuation,
+            environment=scenario.environment,
             clearance=scenario.clearance,
         )
     )
@@ -81,7 +82,9 @@ def _clear_start(scenario: Scenario) -> Posture:
     ):
         posture = dataclasses.replace(kept, base_position=(end + way).tolist(), joints=joints)
         motion = approach_motion(scenario, model, contact, posture)
-        margins = margins_of(scenario, motion, path[:, :7], most=_MOST)
+        margins = margins_of(scenario, motion, path[:, :7], instants=_INSTANTS, most=_MOST)
+        if margins.distance > best:  # worth a closer look
+            margins = margins_of(scenario, motion, path[:, :7], instants=_CLOSER, most=_MOST)
         if margins.distance > best:
             best, found = margins.distance, posture
         if margins.distance >= _WIDE and margins.share <= _LITTLE:
@@ -129,12 +132,17 @@ def approach_motion(
 
 
 def margins_of(
-    scenario: Scenario, backwards: PlannedMotion, target: np.ndarray, *, most: float = np.inf
+    scenario: Scenario,
+    backwards: PlannedMotion,
+    target: np.ndarray,
+    *,
+    instants: int,
+    most: float = np.inf,
 ) -> Margins:
     """What an approach leaves, given backwards from the grasp, with the target at poses (n, 7) at
     the n control samples before it. Beyond ``most`` of the limits no distance is measured.
     """
-    samples = np.unique(np.linspace(0, len(target) - 1, _INSTANTS).round().astype(int))
+    samples = np.unique(np.linspace(0, len(target) - 1, instants).round().astype(int))
     rows = backwards.rows(scenario.sample_time * (len(target) - samples))
     share = force_share(scenario, rows)
     if share > most:
