@@ -33,7 +33,14 @@ from ffsm_drake.systems.reference import make_motion
 
 SEEDS = 3
 _AT_START, _PLANNED = "angular_momentum", "planned_time"
-_SHOWN = ("itae", "isv", "settled_time", "propellant", "predicted_radius_expected")
+_SHOWN = (
+    "itae",
+    "isv",
+    "settled_time",
+    "propellant",
+    "final_drift_rotation",
+    "predicted_radius_expected",
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ _COLUMNS = {
     "isv": "effort (ISV)",
     "settled_time": "settled after [s]",
     "propellant": "propellant [kg]",
+    "final_drift_rotation": "base turned [rad]",
     "predicted_radius_expected": "spectral radius",
 }
 HEADER = ("law", "settled", *_COLUMNS.values(), "run, µs a sample")
