@@ -56,7 +56,7 @@ def folder(mission, tmp_path_factory):
 
 
 def copied(folder, to):
-    for path in folder.glob("*.db"):
+    for path in folder.iterdir():
         (to / path.name).write_bytes(path.read_bytes())
     return to
 
@@ -71,7 +71,10 @@ def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
     assert [standing.settled for standing in board.standings] == [3, 3, 0]
     asmc, tdc, unfit = board.standings
     assert 0.0 < asmc.figures["itae"] < tdc.figures["itae"]
-    assert asmc.sample > 0.0
+    assert 0.0 < asmc.figures["law_time"] < 0.01
+    assert 1.0 < asmc.figures["payload_factor"] < tdc.figures["payload_factor"] < 2.0
+    assert asmc.figures["delay_margin"] == 0.0  # a sample's delay is one too many
+    assert tdc.figures["error_over_lqg"] > asmc.figures["error_over_lqg"] > 1.0
     assert unfit.outcomes == ()
     assert "no_such_law" in unfit.message
     (found,) = check_mission(board)
