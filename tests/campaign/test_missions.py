@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ffsm_drake.campaign.benchmark import load_mission
+from ffsm_drake.campaign.benchmark import bounds_of, load_mission
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.metrics import base_drift
 
@@ -102,3 +102,35 @@ def test_the_repair_of_ets_vii_is_needed_least_and_slight():
     assert excess(LINK_5_XZ - 0.001) > 0.0
     assert excess(LINK_5_XZ) < 0.0
     assert turn_of_base(LINKS) == pytest.approx(turn_of_base(repaired()), rel=1e-6)
+
+
+# D-SPOSE's Envisat, its centre of mass from the servicer's base in the arm's zero posture, m.
+ENVISAT = (7045.0, (15321.0, 112343.0, 116201.0, 0.0, 0.0, 0.0))  # as the controller knows it
+FROM_BASE = np.array([4.365, -0.527, 2.497])
+RATE = 0.0466003  # rad/s
+
+
+def test_the_least_time_of_envisat():
+    """The momentum about the common centre of mass, body by body, over 300 N m."""
+    places, R = [np.zeros(3)], np.eye(3)
+    for _, _, offset, _, (fixed, quarters) in LINKS:
+        places.append(places[-1] + R @ offset)
+        R = R @ turned(fixed, 0.5 * np.pi * quarters)
+    masses = np.array([BASE[0], *(link[0] for link in LINKS), ENVISAT[0]])
+    places = np.array([*places, FROM_BASE])
+    places -= masses @ places / masses.sum()
+    across = (masses * (places[:, 0] ** 2 + places[:, 1] ** 2)).sum()
+    about_z = BASE[1][2] + ENVISAT[1][2] + across
+    mission = load_mission("envisat")
+    # the links' own inertia: less than a thousandth
+    assert bounds_of(mission)["momentum"] == pytest.approx(about_z * RATE / 300.0, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_heavy_servicer_stops_envisat():
+    log = make_rollout(load_mission("envisat").scenario).run()
+    assert log.outcome.completed
+    velocity = log.series["state"][:, len(log.coordinates.position_names) :]
+    # as the grasp leaves it: the target's rate, in its axes, which are the base's
+    assert velocity[0, :3] == pytest.approx([0.0, 0.0, RATE], abs=1e-6)
+    assert np.abs(velocity[-1]).max() < 1e-4
