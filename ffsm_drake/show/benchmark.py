@@ -12,15 +12,15 @@ from ffsm_drake.show.tables import aligned
 _COLUMNS = {
     "itae": "ITAE",
     "isv": "effort (ISV)",
-    "settled_time": "settled after [s]",
+    "settled_time": "after [s]",
     "propellant": "propellant [kg]",
-    "propellant_over_least": "over the least",
-    "final_drift_rotation": "base turned [rad]",
-    "predicted_radius_expected": "spectral radius",
-    "payload_factor": "payload survived, linear",
-    "delay_margin": "delay survived, linear [s]",
-    "error_over_lqg": "error over LQG's, linear",
-    "law_time": "controller, µs a sample",
+    "propellant_over_least": "of the least",
+    "final_drift_rotation": "drift [rad]",
+    "predicted_radius_expected": "radius",
+    "payload_factor": "payload, linear",
+    "delay_margin": "delay, linear [s]",
+    "error_over_lqg": "of LQG's error",
+    "law_time": "law [µs]",
 }
 
 
