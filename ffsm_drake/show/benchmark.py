@@ -11,7 +11,7 @@ from ffsm_drake.show.tables import aligned
 
 _COLUMNS = {
     "itae": "ITAE",
-    "isv": "effort (ISV)",
+    "isv": "ISV",
     "settled_time": "after [s]",
     "propellant": "propellant [kg]",
     "propellant_over_least": "of the least",

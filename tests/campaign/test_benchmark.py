@@ -19,6 +19,7 @@ from ffsm_drake.campaign.benchmark import (
     Reproduced,
     bounds_of,
     check_mission,
+    least_propellant,
     load_mission,
     mission_names,
     run_mission,
@@ -27,6 +28,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.scenario import override_scenario
 from ffsm_drake.show.benchmark import benchmark_data, benchmark_page, board_text
+from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 LAW = """
 import dataclasses
@@ -122,6 +125,21 @@ def test_least_times_of_the_published_stop():
     assert bounds["momentum"] == pytest.approx(3.86 / 2.5, rel=0.01)
     assert bounds["planner"] == pytest.approx(2.889, abs=0.002)
     assert bounds["momentum"] < bounds["planner"]
+
+
+def test_least_propellant_of_a_capture():
+    """Linear momentum over the exhaust's speed; without wheels the angular one by the longest
+    lever; none where nothing is to be taken out.
+    """
+    scenario = load_mission("capture_on_thrusters").scenario
+    contact = planned_contact(scenario, make_nominal_plant(scenario))
+    linear = np.linalg.norm(contact.momentum_after[3:])
+    assert least_propellant(scenario) == pytest.approx(linear / (226.1 * 9.80665))
+    alone = override_scenario(scenario, ["actuation.wheels=null"])
+    # of thrusters at a corner of the bus, about a centre of mass that is no further than the arm
+    angular = np.linalg.norm(contact.spin_after)
+    assert angular / (226.1 * 9.80665 * 3.0) < least_propellant(alone) < angular / (226.1 * 9.80665)
+    assert least_propellant(load_mission("thrusters_only").scenario) is None
 
 
 def test_published_figures_can_fail():
