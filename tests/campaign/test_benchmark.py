@@ -177,7 +177,7 @@ def test_the_page_opens_offline_and_holds_every_number(mission, folder):
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path):
+def test_the_command(tmp_path, monkeypatch):
     scenario = tmp_path / "short.yaml"
     scenario.write_text("extends: postcapture\nduration: 0.2\n")
     words = [
@@ -196,3 +196,13 @@ def test_the_command(tmp_path):
         assert "tdc  " in result.output
     assert (tmp_path / "o" / "benchmark.html").is_file()
     assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
+    missed = Published(figure="isv", value=1.0, source="a test")
+    monkeypatch.setattr(benchmark, "controller_names", lambda: ("tdc",))
+    monkeypatch.setattr(
+        benchmark,
+        "check_mission",
+        lambda board: [Reproduced(mission="short", published=missed, found=2.0)],
+    )
+    words.remove("-c")
+    words.remove("tdc")
+    assert CliRunner().invoke(main, words).exit_code == 3
