@@ -7,6 +7,7 @@ an interruption, and a database holds the laws that were asked for together.
 import contextlib
 import dataclasses
 import functools
+import json
 import math
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,17 +16,34 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.campaign.law_figures import FIGURES, law_figures
 from ffsm_drake.campaign.run import Progress, check_cases, resume_campaign, start_campaign
 from ffsm_drake.campaign.spec import Spec, spec_from_data
 from ffsm_drake.campaign.store import open_store
-from ffsm_drake.common.errors import CampaignError, FfsmError, did_you_mean, one_line
-from ffsm_drake.common.workers import Stop, Workers
-from ffsm_drake.control_design.momentum import momentum_budget
-from ffsm_drake.scenario import Scenario, load_scenario, override_scenario, scenario_to_dict
+from ffsm_drake.common.errors import (
+    CampaignError,
+    FfsmError,
+    InterruptedCampaign,
+    did_you_mean,
+    one_line,
+)
+from ffsm_drake.common.files import write_text
+from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.scenario import (
+    Scenario,
+    load_scenario,
+    override_scenario,
+    scenario_to_dict,
+    scenario_to_yaml,
+    thrusters_of,
+)
 from ffsm_drake.scenario.strict_yaml import read_yaml
+from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.limits import limits_of
 from ffsm_drake.systems.plan import load_plan
@@ -33,7 +51,15 @@ from ffsm_drake.systems.reference import make_motion
 
 SEEDS = 3
 _AT_START, _PLANNED = "angular_momentum", "planned_time"
-_SHOWN = ("itae", "isv", "settled_time", "propellant", "predicted_radius_expected")
+_OF_RUNS = (
+    "itae",
+    "isv",
+    "settled_time",
+    "propellant",
+    "final_drift_rotation",
+    "predicted_radius_expected",
+)
+SHOWN = (*_OF_RUNS, *FIGURES)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -68,12 +94,13 @@ class Mission:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Standing:
-    """A law's row in the leaderboard of a mission: means over the seeds that settled."""
+    """A law's row in the leaderboard of a mission: means over the seeds that settled, and
+    ``law_figures``.
+    """
 
     controller: str
     outcomes: tuple[str, ...]  # of each seed
-    figures: Mapping[str, float | None]  # by column; None: no run has it
-    sample: float | None  # s; least time of a run over its control samples
+    figures: Mapping[str, float | None]  # by column; None: there is none
     message: str = ""  # why it does not apply, or the first failure
 
     @property
@@ -89,6 +116,7 @@ class Board:
     standings: tuple[Standing, ...]
     bounds: Mapping[str, float]  # least times, s, by what they follow from
     motion: float  # s; of the planned motion
+    propellant: float | None = None  # kg, the least that thrusters take the momentum out with
 
     @property
     def ratio(self) -> float | None:
@@ -200,16 +228,49 @@ def run_mission(
             resume_campaign(path, **given)  # type: ignore[arg-type]
         else:
             start_campaign(spec, path, **given)  # type: ignore[arg-type]
+        _find_figures(mission, usable, folder, workers=workers, stop=stop)
     return _board(mission, folder, misfits)
+
+
+def _figures_of(mission: Mission, name: str, folder: Path) -> Path:
+    """Where the ``law_figures`` of a law on a mission are kept."""
+    return folder / f"{mission.name}-{_spec(mission.scenario, [name]).fingerprint[:12]}.json"
+
+
+def _find_figures(
+    mission: Mission, laws: Sequence[str], folder: Path, *, workers: Workers, stop: Stop | None
+) -> None:
+    """Find the ``law_figures`` that are not in the folder yet. Errors as for ``run_mission``."""
+    missing = [name for name in laws if not _figures_of(mission, name, folder).exists()]
+
+    def arguments(name: str) -> tuple[str]:
+        return (scenario_to_yaml(override_scenario(mission.scenario, [f"controller={name}"])),)
+
+    found = run_tasks(
+        law_figures,
+        missing,
+        arguments=arguments,
+        workers=workers,
+        stop=Stop() if stop is None else stop,
+    )
+    done = 0
+    with contextlib.closing(found):
+        for name, figures in found:
+            lost = isinstance(figures, WorkerLost)
+            given = dict.fromkeys(FIGURES) if lost else figures
+            write_text(_figures_of(mission, name, folder), json.dumps(given))
+            done += 1
+    if done < len(missing):
+        raise InterruptedCampaign(done, len(missing))
 
 
 def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
     rows = dict(_rows(mission, folder))
-    standings = [_standing(mission, name, found) for name, found in rows.items()]
+    standings = [
+        _standing(name, found, _figures_of(mission, name, folder)) for name, found in rows.items()
+    ]
     standings += [
-        Standing(
-            controller=name, outcomes=(), figures=dict.fromkeys(_SHOWN), sample=None, message=why
-        )
+        Standing(controller=name, outcomes=(), figures=dict.fromkeys(SHOWN), message=why)
         for name, why in misfits.items()
         if name not in rows
     ]
@@ -221,13 +282,15 @@ def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
 
     try:
         bounds, motion = bounds_of(mission), _planned_time(mission.scenario)
+        propellant = least_propellant(mission.scenario)
     except FfsmError:  # the limits allow no motion
-        bounds, motion = {}, math.nan
+        bounds, motion, propellant = {}, math.nan, None
     return Board(
         mission=mission,
         standings=tuple(sorted(standings, key=place)),
         bounds=bounds,
         motion=motion,
+        propellant=propellant,
     )
 
 
@@ -245,20 +308,20 @@ def _rows(mission: Mission, folder: Path) -> Iterator[tuple[str, list[dict[str, 
                     yield name, [store.result(case, name) for case in range(SEEDS)]
 
 
-def _standing(mission: Mission, name: str, rows: Sequence[Mapping[str, Any]]) -> Standing:
+def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> Standing:
     settled = [row for row in rows if row["outcome"] == "settled"]
 
     def mean(column: str) -> float | None:
         values = [row[column] for row in settled or rows if row.get(column) is not None]
         return statistics.fmean(values) if values else None
 
-    scenario = mission.scenario
-    ran = [row["wall_time"] for row in rows if row["outcome"] not in ("error", "refused")]
+    of_law = dict.fromkeys(FIGURES)
+    if figures.exists():  # not yet, of one that ran before an interruption
+        of_law = json.loads(figures.read_text(encoding="utf-8"))
     return Standing(
         controller=name,
         outcomes=tuple(row["outcome"] for row in rows),
-        figures={column: mean(column) for column in _SHOWN},
-        sample=min(ran) * scenario.sample_time / scenario.duration if ran else None,
+        figures={column: mean(column) for column in _OF_RUNS} | of_law,
         message=next((row["message"] for row in rows if row["message"]), ""),
     )
 
@@ -268,15 +331,12 @@ def bounds_of(mission: Mission) -> dict[str, float]:
     and that of the plan where there is an optimal one.
     """
     scenario, bounds = mission.scenario, dict[str, float]()
-    if (budget := momentum_budget(scenario)) is not None:
-        least = budget.least_time
-    else:
-        momenta, limits = _at_start(scenario)
-        least = {
-            group: float((np.abs(momenta[group]) / limits[group]).max())
-            for group in momenta
-            if group in scenario.driven
-        }
+    start = _at_start(scenario)
+    least = {
+        group: float((np.abs(start.momenta[group]) / start.limits[group]).max())
+        for group in start.momenta
+        if group in scenario.driven
+    }
     if (time := max(least.values(), default=0.0)) > 0.0:
         bounds["momentum"] = time
     if scenario.reference.kind == "optimal":
@@ -293,19 +353,57 @@ def _planned_time(scenario: Scenario) -> float:
     return float(motion.end - motion.begin)
 
 
-def _at_start(scenario: Scenario) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Angular momentum about the centre of mass, N m s, and linear momentum, N s, at the start,
-    and the limits of what takes them out, N m and N, by group of the base.
-    """
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Start:
+    """What must be taken out, at the start or after the grasp as planned."""
+
+    # by group of the base: angular about the centre of mass, N m s, and linear, N s
+    momenta: Mapping[str, np.ndarray]
+    limits: Mapping[str, np.ndarray]  # of what takes them out, N m and N
+    center_of_mass: np.ndarray  # (3) in the base's frame, m
+
+
+def _at_start(scenario: Scenario) -> _Start:
     model = make_nominal_plant(scenario)
     coordinates = model.coordinates
-    motion = make_motion(scenario, coordinates)
-    q, v = np.split(motion.rows(np.zeros(1))[0], [len(coordinates.position_names)])
-    v = v[: len(coordinates.names)]
-    base = free_floating(model, q)
+    if scenario.capture is not None:
+        contact = planned_contact(scenario, model)
+        q, spin, linear = contact.q, contact.spin_after, contact.momentum_after[3:]
+        base = free_floating(model, q)
+    else:
+        motion = make_motion(scenario, coordinates)
+        q, v = np.split(motion.rows(np.zeros(1))[0], [len(coordinates.position_names)])
+        v = v[: len(coordinates.names)]
+        base = free_floating(model, q)
+        spin, linear = base.spin_map @ v, base.momentum(v)[3:]
     limits = tightest(limits_of(scenario, model.plant), FORCE).upper
-    momenta = {"base_rotation": base.spin_map @ v, "base_position": base.momentum(v)[3:]}
-    return momenta, {group: limits[coordinates.groups[group]] for group in momenta}
+    momenta = {"base_rotation": spin, "base_position": linear}
+    return _Start(
+        momenta=momenta,
+        limits={group: limits[coordinates.groups[group]] for group in momenta},
+        center_of_mass=in_body_axes(q[None, :4], base.center_of_mass[None])[0],
+    )
+
+
+def least_propellant(scenario: Scenario) -> float | None:
+    """The least propellant, kg, with which thrusters take a mission's momentum out: each from the
+    best of all directions, about the centre of mass where it stands at the start; wheels take the
+    angular momentum for nothing. None without thrusters or momentum.
+    """
+    settings = scenario.actuation.thrusters
+    if settings is None:
+        return None
+    thrusters, start = ThrusterSet(settings, sample_time=scenario.sample_time), _at_start(scenario)
+    torques, forces = np.split(thrusters.wrenches, 2)
+    torques = torques - np.cross(start.center_of_mass, forces.T).T
+    exhaust = STANDARD_GRAVITY * np.array(
+        [unit.specific_impulse for unit in thrusters_of(settings).values()]
+    )
+    least = np.linalg.norm(start.momenta["base_position"]) / exhaust.max()
+    if scenario.actuation.wheels is None:
+        lever = (np.linalg.norm(torques, axis=0) * exhaust).max()
+        least = max(least, np.linalg.norm(start.momenta["base_rotation"]) / lever)
+    return float(least) or None
 
 
 def check_mission(board: Board) -> Iterator[Reproduced]:
@@ -315,7 +413,7 @@ def check_mission(board: Board) -> Iterator[Reproduced]:
     for published in mission.checks:
         found: float | None
         if published.figure == _AT_START:
-            found = float(np.linalg.norm(_at_start(mission.scenario)[0]["base_rotation"]))
+            found = float(np.linalg.norm(_at_start(mission.scenario).momenta["base_rotation"]))
         elif published.figure == _PLANNED:
             found = _planned_time(mission.scenario)
         else:

@@ -41,7 +41,7 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
-        time = _most_overestimated(linearizer.planned)
+        time = most_overestimated(linearizer.planned)
         loop = linearizer.at(time)
         starting = expected = loop.spectral_radius
         if starting < 1.0 and (held := expected_gains(linearizer, loop)):
@@ -55,7 +55,7 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
         return tuple(found)
 
 
-def _most_overestimated(planned: PlannedDynamics) -> float:
+def most_overestimated(planned: PlannedDynamics) -> float:
     """Time (s) of the posture with the largest inertia ratio, of equal ones the earliest."""
     times = [planned.motion.part(share) for share in POSTURES]
     # beyond nine digits: rounding

@@ -5,49 +5,76 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ffsm_drake.campaign.benchmark import Board, Reproduced, Standing
-from ffsm_drake.common.numbers import NONE, number
+from ffsm_drake.common.numbers import number
 from ffsm_drake.show.page import render
 from ffsm_drake.show.tables import aligned
 
 _COLUMNS = {
     "itae": "ITAE",
-    "isv": "effort (ISV)",
-    "settled_time": "settled after [s]",
+    "isv": "ISV",
+    "settled_time": "after [s]",
     "propellant": "propellant [kg]",
-    "predicted_radius_expected": "spectral radius",
+    "propellant_over_least": "of the least",
+    "final_drift_rotation": "drift [rad]",
+    "predicted_radius_expected": "radius",
+    "payload_factor": "payload, linear",
+    "delay_margin": "delay, linear [s]",
+    "error_over_lqg": "of LQG's error",
+    "law_time": "law [µs]",
 }
-HEADER = ("law", "settled", *_COLUMNS.values(), "run, µs a sample")
 
 
-def _cells(standing: Standing) -> list[str]:
-    runs = len(standing.outcomes)
-    cells = [standing.controller, f"{standing.settled} of {runs}" if runs else "does not apply"]
-    cells += [number(standing.figures[column], 3) for column in _COLUMNS]
-    sample = standing.sample
-    return [*cells, NONE if sample is None else f"{1e6 * sample:.0f}"]
+def _figures(board: Board, standing: Standing) -> dict[str, float | None]:
+    """The figures of a law by column, with its ratios to the mission's bounds."""
+    used, least = standing.figures["propellant"], board.propellant
+    ratio = None if used is None or least is None else used / least
+    return {**standing.figures, "propellant_over_least": ratio}
+
+
+def _leaderboard(board: Board) -> list[list[str]]:
+    """The header and a row for each law that applies; no column without a number."""
+    applied = [(each, _figures(board, each)) for each in board.standings if each.outcomes]
+    columns = [name for name in _COLUMNS if any(found[name] is not None for _, found in applied)]
+    rows = [["law", "settled", *(_COLUMNS[name] for name in columns)]]
+    for standing, found in applied:
+        cells = [_cell(name, found[name]) for name in columns]
+        settled = f"{standing.settled} of {len(standing.outcomes)}"
+        rows.append([standing.controller, settled, *cells])
+    return rows
+
+
+def _cell(name: str, value: float | None) -> str:
+    if name == "law_time":
+        return number(value and 1e6 * value, 2)
+    if name == "delay_margin" and value == 0.0:
+        return "none"
+    return number(value, 3)
 
 
 def _bounds(board: Board) -> str:
     """The lower bounds of a mission in one line."""
     said = {"momentum": "by the momentum over the limits", "planner": "found by the planner"}
     parts = [f"{time:.3g} s {said[name]}" for name, time in board.bounds.items()]
+    propellant = ""
+    if board.propellant is not None:
+        propellant = f" Least propellant: {number(1e3 * board.propellant, 3)} g."
     if math.isnan(board.motion):
         return "No motion within the limits."
     if board.ratio is None:
         return (
             f"Motion of {board.motion:.3g} s; no lower bound: no momentum to take out, or no limit."
+            f"{propellant}"
         )
     return (
         f"Motion of {board.motion:.3g} s, {board.ratio:.3g} times the least that momentum allows. "
-        f"Least time: {', '.join(parts)}."
+        f"Least time: {', '.join(parts)}.{propellant}"
     )
 
 
 def board_text(board: Board) -> str:
     """The leaderboard of a mission as plain text."""
-    applied = [standing for standing in board.standings if standing.outcomes]
-    rows = [HEADER, *map(_cells, applied)]
-    lines = [f"{board.mission.name}: {board.mission.scenario.description}", *aligned(rows)]
+    title = f"{board.mission.name}: {board.mission.scenario.description}"
+    lines = [title, *aligned(_leaderboard(board))]
     lines.append(_bounds(board))
     if board.mission.assumed:
         lines.append(f"assumed: {'; '.join(board.mission.assumed)}")
@@ -81,11 +108,11 @@ def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dic
                 "least_time": dict(board.bounds),
                 "motion": None if math.isnan(board.motion) else board.motion,
                 "motion_over_least_time": board.ratio,
+                "least_propellant": board.propellant,
                 "laws": {
                     each.controller: {
                         "outcomes": list(each.outcomes),
-                        **each.figures,
-                        "seconds_a_sample": each.sample,
+                        **_figures(board, each),
                         "message": each.message,
                     }
                     for each in board.standings
@@ -113,11 +140,10 @@ def benchmark_page(boards: Sequence[Board], checks: Sequence[Reproduced]) -> str
         "benchmark.html.j2",
         {
             "title": "Benchmark of laws for free-flying manipulators",
-            "header": HEADER,
             "boards": [
                 {
                     "mission": board.mission,
-                    "rows": [_cells(each) for each in board.standings if each.outcomes],
+                    "table": _leaderboard(board),
                     "notes": [each for each in board.standings if each.message],
                     "bounds": _bounds(board),
                 }

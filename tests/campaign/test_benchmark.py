@@ -19,6 +19,7 @@ from ffsm_drake.campaign.benchmark import (
     Reproduced,
     bounds_of,
     check_mission,
+    least_propellant,
     load_mission,
     mission_names,
     run_mission,
@@ -27,6 +28,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.scenario import override_scenario
 from ffsm_drake.show.benchmark import benchmark_data, benchmark_page, board_text
+from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 LAW = """
 import dataclasses
@@ -56,7 +59,7 @@ def folder(mission, tmp_path_factory):
 
 
 def copied(folder, to):
-    for path in folder.glob("*.db"):
+    for path in folder.iterdir():
         (to / path.name).write_bytes(path.read_bytes())
     return to
 
@@ -71,7 +74,10 @@ def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
     assert [standing.settled for standing in board.standings] == [3, 3, 0]
     asmc, tdc, unfit = board.standings
     assert 0.0 < asmc.figures["itae"] < tdc.figures["itae"]
-    assert asmc.sample > 0.0
+    assert 0.0 < asmc.figures["law_time"] < 0.01
+    assert 1.0 < asmc.figures["payload_factor"] < tdc.figures["payload_factor"] < 2.0
+    assert asmc.figures["delay_margin"] == 0.0  # a sample's delay is one too many
+    assert tdc.figures["error_over_lqg"] > asmc.figures["error_over_lqg"] > 1.0
     assert unfit.outcomes == ()
     assert "no_such_law" in unfit.message
     (found,) = check_mission(board)
@@ -121,6 +127,21 @@ def test_least_times_of_the_published_stop():
     assert bounds["momentum"] < bounds["planner"]
 
 
+def test_least_propellant_of_a_capture():
+    """Linear momentum over the exhaust's speed; without wheels the angular one by the longest
+    lever; none where nothing is to be taken out.
+    """
+    scenario = load_mission("capture_on_thrusters").scenario
+    contact = planned_contact(scenario, make_nominal_plant(scenario))
+    linear = np.linalg.norm(contact.momentum_after[3:])
+    assert least_propellant(scenario) == pytest.approx(linear / (226.1 * 9.80665))
+    alone = override_scenario(scenario, ["actuation.wheels=null"])
+    # of thrusters at a corner of the bus, about a centre of mass that is no further than the arm
+    angular = np.linalg.norm(contact.spin_after)
+    assert angular / (226.1 * 9.80665 * 3.0) < least_propellant(alone) < angular / (226.1 * 9.80665)
+    assert least_propellant(load_mission("thrusters_only").scenario) is None
+
+
 def test_published_figures_can_fail():
     figure = Published(figure="isv", value=100.0, within=0.02, source="")
     most = dataclasses.replace(figure, at_most=True)
@@ -156,7 +177,7 @@ def test_the_page_opens_offline_and_holds_every_number(mission, folder):
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path):
+def test_the_command(tmp_path, monkeypatch):
     scenario = tmp_path / "short.yaml"
     scenario.write_text("extends: postcapture\nduration: 0.2\n")
     words = [
@@ -175,3 +196,13 @@ def test_the_command(tmp_path):
         assert "tdc  " in result.output
     assert (tmp_path / "o" / "benchmark.html").is_file()
     assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
+    missed = Published(figure="isv", value=1.0, source="a test")
+    monkeypatch.setattr(benchmark, "controller_names", lambda: ("tdc",))
+    monkeypatch.setattr(
+        benchmark,
+        "check_mission",
+        lambda board: [Reproduced(mission="short", published=missed, found=2.0)],
+    )
+    words.remove("-c")
+    words.remove("tdc")
+    assert CliRunner().invoke(main, words).exit_code == 3

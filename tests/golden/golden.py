@@ -54,7 +54,7 @@ _SMALLEST_CAMPAIGN = {
 BALANCES = ("momentum_residual",)
 # Here SciPy integrates the planned motion of an undriven base, with other steps in each of its
 # releases.
-INTEGRATED = ("free_floating", "reaction_null")
+INTEGRATED = ("ets_vii", "free_floating", "reaction_null")
 ALLOWED_THERE = {"relative": 1e-7, "scale": 1e-4}
 
 

@@ -52,8 +52,7 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
 
     def is_stable(changed: Scenario) -> bool:
-        with Linearizer(changed) as linearizer:
-            return linearizer.at(time).spectral_radius < 1.0
+        return _is_stable(changed, time)
 
     def largest_mass(names: Collection[str]) -> float:
         return _largest_factor(
@@ -69,20 +68,37 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
         gains=_largest_factor(lambda factor: is_stable(with_gains(scenario, factor)))
         if any(gain.feedback for gain in declared_gains(scenario).values())
         else float("inf"),
-        nominal_payload=_largest_factor(
-            lambda factor: is_stable(with_nominal_payload(scenario, factor))
-        ),
+        nominal_payload=_largest_payload(scenario, time),
         sample_time=_largest_factor(lambda factor: is_stable(with_sample_time(scenario, factor))),
         flexible_mass={label: largest_mass(names) for label, names in parts.items()},
-        delay=next(
-            (
-                float(further)
-                for further in range(1, LARGEST_DELAY + 1)
-                if not is_stable(with_delay(scenario, scenario.sensing.delay + further))
-            ),
-            float("inf"),
-        ),
+        delay=_first_unstable_delay(scenario, time),
     )
+
+
+def largest_payload(scenario: Scenario, *, time: float) -> float:
+    """``Boundaries.nominal_payload`` alone; arguments and errors as for ``find_boundaries``."""
+    return _largest_payload(scenario, time) if _is_stable(scenario, time) else float("nan")
+
+
+def first_unstable_delay(scenario: Scenario, *, time: float) -> float:
+    """``Boundaries.delay`` alone; arguments and errors as for ``find_boundaries``."""
+    return _first_unstable_delay(scenario, time) if _is_stable(scenario, time) else float("nan")
+
+
+def _is_stable(scenario: Scenario, time: float) -> bool:
+    with Linearizer(scenario) as linearizer:
+        return linearizer.at(time).spectral_radius < 1.0
+
+
+def _largest_payload(scenario: Scenario, time: float) -> float:
+    return _largest_factor(lambda factor: _is_stable(with_nominal_payload(scenario, factor), time))
+
+
+def _first_unstable_delay(scenario: Scenario, time: float) -> float:
+    for further in range(1, LARGEST_DELAY + 1):
+        if not _is_stable(with_delay(scenario, scenario.sensing.delay + further), time):
+            return float(further)
+    return float("inf")
 
 
 def with_gains(scenario: Scenario, factor: float) -> Scenario:

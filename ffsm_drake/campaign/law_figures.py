@@ -1,0 +1,89 @@
+"""What is found of a law on a mission without flying it: margins, distance to the LQG front,
+processor time. This runs in the workers; no seed changes it.
+"""
+
+import contextlib
+import math
+import statistics
+import time
+from collections.abc import Callable
+
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+
+from ffsm_drake.campaign.prediction import most_overestimated
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.control_design.limit import find_limit
+from ffsm_drake.control_design.stability.boundaries import (
+    LARGEST_DELAY,
+    LARGEST_FACTOR,
+    first_unstable_delay,
+    largest_payload,
+)
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_yaml
+from ffsm_drake.systems.reference import timed
+
+PAYLOAD, DELAY, ERROR, TIME = "payload_factor", "delay_margin", "error_over_lqg", "law_time"
+FIGURES = (PAYLOAD, DELAY, ERROR, TIME)
+_SAMPLES = 100  # whose processor time is taken
+_LONGEST = 120.0  # s, for one figure
+
+
+def law_figures(scenario: str) -> dict[str, float | None]:
+    """The figures of a scenario's law, by name; None: there is none. Takes a scenario as YAML.
+
+    ``payload_factor`` (by which the nominal payload may be over-estimated further) and
+    ``delay_margin`` (further delay of the sensors, s, that the estimator does not know) are those
+    of the linear loop as wired in the posture nearest to instability, at the starting gains;
+    at most 30, and 30 samples, are looked at. ``error_over_lqg``: the rms error by noise and by
+    what the law does not know, over the least possible at its effort (``find_limit``).
+    ``law_time``: processor time of the controller at one control sample, s.
+    """
+    try:
+        given = from_grasp(timed(scenario_from_yaml(scenario)))
+        edge = most_overestimated(PlannedDynamics(given))
+    except FfsmError:  # such as no motion within the limits
+        return dict.fromkeys(FIGURES)
+
+    def delay() -> float:
+        further = min(first_unstable_delay(given, time=edge) - 1.0, LARGEST_DELAY)
+        return further * given.sample_time
+
+    def found(figure: Callable[[], float]) -> float | None:
+        with contextlib.suppress(FfsmError, TimeLimit, ArithmeticError, ValueError):
+            with time_limit(_LONGEST):
+                value = figure()
+            return None if math.isnan(value) else value
+        return None
+
+    return {
+        PAYLOAD: found(lambda: min(largest_payload(given, time=edge), LARGEST_FACTOR)),
+        DELAY: found(delay),
+        ERROR: found(lambda: find_limit(given).distance),
+        TIME: found(lambda: _law_time(given)),
+    }
+
+
+def _law_time(scenario: Scenario) -> float:
+    """Processor time of an update of the controller, s: lower quartile of the first control
+    samples, which other work on the machine moves less than the mean.
+    """
+    loop = make_closed_loop(scenario)
+    simulator = Simulator(loop.diagram)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    context = simulator.get_mutable_context()
+    loop.initialize(loop.diagram, context)
+    controller = loop.blocks["controller"]
+    own = controller.GetMyContextFromRoot(context)
+    times = []
+    for sample in range(1, min(_SAMPLES, scenario.num_control_periods) + 1):
+        simulator.AdvanceTo((sample - 0.5) * scenario.sample_time)
+        for port in range(controller.num_input_ports()):
+            if controller.get_input_port(port).HasValue(own):
+                controller.get_input_port(port).Eval(own)
+        start = time.process_time()
+        controller.EvalUniquePeriodicDiscreteUpdate(own)
+        times.append(time.process_time() - start)
+    return statistics.quantiles(times, n=4)[0] if len(times) > 1 else times[0]
