@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 from pydrake.geometry import Box, Cylinder, Ellipsoid, Role, Sphere
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from ffsm_drake import load_scenario
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
@@ -131,6 +131,21 @@ def test_a_target_apart_is_measured_where_it_is():
     # at the grasp the fingers reach 45 mm around the ring
     assert away.distance == pytest.approx(0.2 - 0.045, abs=0.01)
     assert apart.nearest(pose([0.0, 0.0, -0.15])).distance < -0.05
+
+
+def test_a_target_turned_about_the_gripper_meets_it():
+    """The gripper may touch the target where it holds it, but not run through it askew."""
+    scenario = load_scenario("tumbling_capture")
+    held, apart = Clearance(scenario.model), ApproachClearance(scenario.model, "debris::debris")
+    q = configuration(held.plant, scenario.initial_posture, key="")
+    held.plant.SetPositions(held.plant_context, q)
+    X_WP = held.plant.GetBodyByName("debris").EvalPoseInWorld(held.plant_context)
+    X_WE = held.plant.GetFrameByName("end_effector").CalcPoseInWorld(held.plant_context)
+    for angle, meets in ((0.1, False), (1.2, True)):
+        turn = RigidTransform(RollPitchYaw(angle, 0.0, 0.0), [0.0, 0.0, 0.0])
+        X = X_WE @ turn @ X_WE.inverse() @ X_WP
+        pose = np.r_[q, X.rotation().ToQuaternion().wxyz(), X.translation()]
+        assert (apart.nearest(pose).distance < 0.0) == meets
 
 
 def test_what_is_fixed_to_a_target_moves_with_it(tmp_path):
