@@ -32,13 +32,13 @@ from ffsm_drake.systems.setup import BlockSetup
 try:
     from pythonfmu3 import (
         DefaultExperiment,
+        Float64,
         Fmi3Causality,
         Fmi3Initial,
         Fmi3Slave,
         Fmi3Status,
         Fmi3StepResult,
         Fmi3Variability,
-        Float64,
         FmuBuilder,
         Int64,
     )

@@ -43,6 +43,7 @@ class Driven:
         return np.array(self.fmu.getFloat64(self.of(group)))
 
 
+@pytest.mark.slow
 def test_the_loop_closed_through_fmus_is_the_run(tmp_path):
     scenario = load_scenario("postcapture", SHORT)
     for part in ("plant", "controller"):
