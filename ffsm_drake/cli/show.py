@@ -135,18 +135,34 @@ def replay(
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Its ending says what it is: .mat, .csv, .parquet, .mcap, .aem or .oem.",
+    help="Its ending says what it is: .mat, .csv, .parquet, .mcap, .aem, .oem or .fmu.",
 )
-def export(run: Path, file: Path) -> None:
-    """Write a recorded run's series for other programs.
+@click.option(
+    "--part",
+    type=click.Choice(["plant", "controller"]),
+    default="plant",
+    show_default=True,
+    help="Of an .fmu: what it holds.",
+)
+def export(run: Path, file: Path, part: str) -> None:
+    """Write a recorded run's series, or a scenario as an FMU, for other programs.
+
+    An .fmu (FMI 3.0, co-simulation) is of a scenario, by name or file, or of a run's.
 
     \b
     Examples:
       ffsm export out/postcapture --to run.mat
       ffsm export out/postcapture --to run.csv
+      ffsm export postcapture --to law.fmu --part controller
     """
     from ffsm_drake.interfaces.tables import export as write
     from ffsm_drake.runs.record import RunRecord
 
-    write(RunRecord.load(run), file)
+    if file.suffix == ".fmu":
+        from ffsm_drake.interfaces.fmu import export as write_fmu
+        from ffsm_drake.scenario import load_scenario
+
+        write_fmu(load_scenario(str(run)), file, part)
+    else:
+        write(RunRecord.load(run), file)
     click.echo(f"Written to {file}")

@@ -19,7 +19,7 @@ def export(record: RunRecord, path: Path) -> None:
     what it holds.
     """
     if path.suffix not in FORMATS:
-        raise FfsmError(f"--to: '{path}' must end in {', '.join(FORMATS)}")
+        raise FfsmError(f"--to: '{path}' must end in {', '.join(FORMATS)}, .fmu")
     check_writable(path.parent)
     with written_whole(path) as temporary:
         FORMATS[path.suffix](record, temporary)
