@@ -86,7 +86,8 @@ def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
         base = {"plant": "PlantSlave", "controller": "ControllerSlave"}[part]
         script.write_text(_SCRIPT.format(base=base, name=f"Ffsm{part.capitalize()}"))
         text.write_text(scenario_to_yaml(scenario))
-        built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text])
+        options = {"canHandleVariableCommunicationStepSize": "false"}
+        built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text], **options)
         with written_whole(path) as temporary:
             temporary.write_bytes(built.read_bytes())
 

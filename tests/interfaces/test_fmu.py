@@ -87,6 +87,6 @@ def test_a_capture_is_refused(tmp_path):
         export(load_scenario("tumbling_capture"), tmp_path / "plant.fmu")
 
 
-def test_a_part_is_of_an_fmu_only(tmp_path):
+def test_another_part_is_refused(tmp_path):
     with pytest.raises(FfsmError, match="plant, controller"):
         export(load_scenario("postcapture"), tmp_path / "plant.fmu", "arm")
