@@ -5,6 +5,7 @@ import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,6 +54,7 @@ _require = click.option(
 @_report
 @_require
 @click.option("--meshcat", is_flag=True, help="Run live in the browser, at real time.")
+@click.option("--foxglove", is_flag=True, help="Run live in Foxglove, at real time.")
 @click.option(
     "--controls",
     is_flag=True,
@@ -65,6 +67,7 @@ def run(
     report: bool,
     require: str | None,
     meshcat: bool,
+    foxglove: bool,
     controls: bool,
 ) -> None:
     """Run a scenario and write its record and report.
@@ -92,7 +95,7 @@ def run(
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
     check_writable(directory)  # before the slow run
-    if report or meshcat or controls:
+    if report or meshcat or controls or foxglove:
         check_pictures(scenario.model)
     if controls:
         records = _run_with_controls(scenario, directory)
@@ -104,6 +107,10 @@ def run(
         from ffsm_drake.show.meshcat.interactive import watch
 
         record = watch(scenario, open_browser=True)
+    elif foxglove:
+        from ffsm_drake.interfaces.foxglove import watch as watch_in_foxglove
+
+        record = watch_in_foxglove(scenario, tell=partial(click.echo, err=True))
     else:
         with _kept(directory):
             record = _simulate(scenario)

@@ -144,7 +144,8 @@ def replay(
     show_default=True,
     help="Of an .fmu: what it holds.",
 )
-def export(run: Path, file: Path, part: str) -> None:
+@click.option("--ros2", is_flag=True, help="In an .mcap: messages of ROS 2.")
+def export(run: Path, file: Path, part: str, ros2: bool) -> None:
     """Write a recorded run's series, or a scenario as an FMU, for other programs.
 
     An .fmu (FMI 3.0, co-simulation) is of a scenario, by name or file, or of a run's.
@@ -155,14 +156,17 @@ def export(run: Path, file: Path, part: str) -> None:
       ffsm export out/postcapture --to run.csv
       ffsm export postcapture --to law.fmu --part controller
     """
+    from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.interfaces.tables import export as write
     from ffsm_drake.runs.record import RunRecord
 
+    if ros2 and file.suffix != ".mcap":
+        raise FfsmError(f"--ros2: is of an .mcap, not of '{file}'")
     if file.suffix == ".fmu":
         from ffsm_drake.interfaces.fmu import export as write_fmu
         from ffsm_drake.scenario import load_scenario
 
         write_fmu(load_scenario(str(run)), file, part)
     else:
-        write(RunRecord.load(run), file)
+        write(RunRecord.load(run), file, ros2=ros2)
     click.echo(f"Written to {file}")

@@ -12,8 +12,9 @@ from ffsm_drake.interfaces.ccsds import write_aem, write_oem
 from ffsm_drake.runs.record import RunRecord
 
 
-def export(record: RunRecord, path: Path) -> None:
-    """Write a run's series to a file, whose ending is one of ``FORMATS``.
+def export(record: RunRecord, path: Path, *, ros2: bool = False) -> None:
+    """Write a run's series to a file, whose ending is one of ``FORMATS``; an .mcap with messages of
+    ROS 2, if asked for.
 
     Raises: FfsmError, if the ending is another, its library is missing, or the run does not have
     what it holds.
@@ -22,7 +23,7 @@ def export(record: RunRecord, path: Path) -> None:
         raise FfsmError(f"--to: '{path}' must end in {', '.join(FORMATS)}, .fmu")
     check_writable(path.parent)
     with written_whole(path) as temporary:
-        FORMATS[path.suffix](record, temporary)
+        _ros2(record, temporary) if ros2 else FORMATS[path.suffix](record, temporary)
 
 
 def wide_table(record: RunRecord) -> pd.DataFrame:
@@ -66,7 +67,13 @@ def _mat(record: RunRecord, path: Path) -> None:
 
 
 def _mcap(record: RunRecord, path: Path) -> None:
-    from ffsm_drake.interfaces.mcap import write  # Drake's geometry
+    from ffsm_drake.interfaces.foxglove import write  # Drake's geometry
+
+    write(record, path)
+
+
+def _ros2(record: RunRecord, path: Path) -> None:
+    from ffsm_drake.interfaces.ros2 import write  # Drake's geometry
 
     write(record, path)
 

@@ -1,6 +1,7 @@
-"""A run as MCAP, read back by another library."""
+"""A run as MCAP, read back by other libraries; a run live."""
 
 import collections
+import socket
 import sys
 
 import numpy as np
@@ -16,6 +17,8 @@ pytest.importorskip("foxglove", reason="needs foxglove-sdk")
 reader = pytest.importorskip("mcap_protobuf.reader", reason="needs mcap-protobuf-support")
 
 from mcap.reader import make_reader  # noqa: E402
+
+from ffsm_drake.interfaces.foxglove import watch  # noqa: E402
 
 GRASP = 20.0
 
@@ -102,3 +105,61 @@ def test_without_the_library_one_line_says_what_to_install(run, tmp_path, monkey
     assert result.exit_code == 2
     assert "pip install 'ffsm-drake[mcap]'" in result.output
     assert not list(tmp_path.iterdir())
+
+
+def test_ros_2_reads_it(run, tmp_path):
+    ros2 = pytest.importorskip("mcap_ros2.reader", reason="needs mcap-ros2-support")
+    record, path, topics = run
+    line = ["export", str(path.parent), "--to", str(tmp_path / "ros.mcap"), "--ros2"]
+    result = CliRunner().invoke(main, line)
+    assert result.exit_code == 0, result.output
+    found = collections.defaultdict(list)
+    for message in ros2.read_ros2_messages(str(tmp_path / "ros.mcap")):
+        found[message.channel.topic].append(message.ros_msg)
+    assert {len(messages) for messages in found.values()} == {record.dataset.time.size}
+    for ours, theirs in zip(found["/tf"][::500], topics["/tf"][::500], strict=True):
+        for one, other in zip(ours.transforms, theirs[1].transforms, strict=True):
+            assert one.child_frame_id == other.child_frame_id
+            for name in "xyzw":
+                part = getattr(one.transform.rotation, name)
+                assert part == pytest.approx(getattr(other.rotation, name), abs=1e-15)
+    last = found["/joint_states"][-1]
+    speeds = record.dataset.velocity.sel(coordinate=last.name).values[-1]
+    np.testing.assert_array_equal(last.velocity, speeds)
+    force = record.dataset.applied_force.values[-1, 3:6]
+    pull = found["/wrench"][-1].wrench.force
+    np.testing.assert_array_equal([pull.x, pull.y, pull.z], force)
+
+
+def heard(address):
+    """The first bytes that a server of Foxglove's protocol tells who connects."""
+    host, port = address.rsplit("//")[1].split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as line:
+        line.sendall(
+            f"GET / HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
+        )
+        said = b""
+        while b"/scene" not in said or b"/tf" not in said:
+            more = line.recv(65536)
+            assert more, said[:500]
+            said += more
+    return said
+
+
+def test_a_run_is_served_while_it_goes():
+    scenario = load_scenario("postcapture", ["duration=0.3"])
+    lines, waits, answers = [], [], []
+
+    def wait(time):
+        waits.append(time)
+        if len(waits) == 10:
+            answers.append(heard(lines[0].split()[-1]))
+
+    record = watch(scenario, port=0, tell=lines.append, wait=wait)
+    assert "ws://127.0.0.1:" in lines[0]
+    assert b"ffsm_drake" in answers[0]
+    expected = simulate(scenario, check_stability=False)
+    np.testing.assert_array_equal(record.dataset.position, expected.dataset.position)
+    assert sum(waits) < 0.35

@@ -1,0 +1,369 @@
+"""A recorded run as MCAP, for Foxglove and other readers, and a run live in Foxglove: messages of
+Foxglove's schemas, in their binary form (protocol buffers), at the run's own time in ns.
+
+Topics: ``/tf`` (every body in the world), ``/scene`` (the visual shapes of the bodies, once),
+``/joint_states``, ``/events`` (phases, modes, how it ended), and each series of the record under
+its name, as JSON. The scenario and the URDFs are attached.
+"""
+
+import copy
+import dataclasses
+import importlib
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Mesh, Rgba, Role, Shape, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.loop.operator import make_operated_disturbance
+from ffsm_drake.preflight.simulate import simulate
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import Scenario, scenario_to_yaml
+from ffsm_drake.spacecraft.plant import add_combined_plant, find_body, model_files, split_of
+from ffsm_drake.systems.controllers import complete_gains
+from ffsm_drake.systems.setup import BlockSetup
+
+WORLD = "world"
+_PLAIN = Rgba(0.7, 0.7, 0.72, 1.0)  # of shapes without a colour
+_MEDIA = {".obj": "model/obj", ".gltf": "model/gltf+json", ".glb": "model/gltf-binary"}
+_MEDIA |= {".stl": "model/stl"}
+_ANY: dict[str, str] = {"type": "object"}  # schema of the JSON topics
+# Live: between two pictures, between two copies of the shapes, and the lag that is caught up, s.
+_PICTURE, _SHAPES, _LARGEST_DEBT = 0.04, 1.0, 0.1
+_AS_IT_IS = np.array([1.0, 0.0, 0.0, 0.0])  # scale of the disturbance, and no push
+
+
+def write(record: RunRecord, path: Path) -> None:
+    """Write a run to a file.
+
+    Raises: FfsmError, if the library is missing.
+    """
+    foxglove = _library()
+    context = foxglove.Context()
+    with foxglove.open_mcap(str(path), context=context, allow_overwrite=True) as writer:
+        for name, text in _attached(record):
+            media = "application/xml" if name.endswith("urdf") else "application/yaml"
+            writer.attach(log_time=0, create_time=0, name=name, media_type=media, data=text)
+        _Messages(foxglove, context, record).write()
+
+
+def watch(
+    scenario: Scenario,
+    *,
+    port: int = 8765,
+    tell: Callable[[str], None] = print,
+    wait: Callable[[float], None] = time.sleep,
+) -> RunRecord:
+    """Run a scenario at real time, or its ``target_realtime_rate``, and serve ``/tf`` and
+    ``/scene`` to Foxglove on 127.0.0.1 meanwhile.
+
+    Args: the scenario; the port, 0: any; called with a line that says where; called to let wall
+    time pass, with seconds.
+
+    Returns: the record of ``simulate``.
+
+    Raises: FfsmError, if the library is missing, or the port is taken.
+    """
+    foxglove = _library()
+    context = foxglove.Context()
+    try:
+        server = foxglove.start_server(
+            name="ffsm_drake", host="127.0.0.1", port=port, context=context
+        )
+    except (OSError, RuntimeError) as error:
+        raise FfsmError(f"Foxglove: port {port} cannot be served: {one_line(error)}") from error
+    try:
+        tell(f"In Foxglove open the connection ws://127.0.0.1:{server.port}")
+        live = _Live(_Scene(foxglove, context, scenario), scenario, wait)
+        config = copy.deepcopy(scenario.simulator_config)
+        config.target_realtime_rate = 0.0  # ``live`` sets the pace
+        alone = dataclasses.replace(scenario, simulator_config=config)
+        record = simulate(alone, blocks={"forces.disturbance": live.make})
+        return dataclasses.replace(record, scenario=complete_gains(scenario))
+    finally:
+        server.stop()
+
+
+def _library() -> Any:
+    try:
+        importlib.import_module("foxglove.channels")
+        return importlib.import_module("foxglove")
+    except ImportError as error:
+        raise FfsmError("this needs foxglove-sdk: pip install 'ffsm-drake[mcap]'") from error
+
+
+def _attached(record: RunRecord) -> Iterator[tuple[str, bytes]]:
+    """Names and contents of the scenario and of its model's files."""
+    yield "scenario.yaml", scenario_to_yaml(record.scenario).encode()
+    for file in model_files(record.scenario.model):
+        if file.suffix in (".urdf", ".yaml"):
+            yield file.name, file.read_bytes()
+
+
+def free_target(record: RunRecord) -> Mapping[int, RigidTransform]:
+    """Poses of the target before the grasp, by sample; none without a capture."""
+    data = record.dataset
+    if "phase" not in data.coords:
+        return {}
+    before = np.flatnonzero(data["phase"].values.astype(str) != "stop")
+    turns, places = (data[f"target_{each}"].values for each in ("quaternion", "position"))
+    return {
+        int(k): RigidTransform(Quaternion(turns[k] / np.linalg.norm(turns[k])), places[k])
+        for k in before
+    }
+
+
+class Bodies:
+    """The bodies of a scenario's model, by scoped name."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        builder = self._builder = DiagramBuilder()  # owns what the inspector looks at
+        plant = self._plant = add_combined_plant(builder, scenario.model, flexible=True)
+        self._inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
+        self._context, self._split = plant.CreateDefaultContext(), split_of(plant)
+        bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
+        self._bodies = {body.scoped_name().get_full(): body for body in bodies}
+        target = find_body(plant, scenario.payload.body, key="payload.body")
+        self._target = target.scoped_name().get_full()
+
+    def pictures(self) -> Iterator[tuple[str, list[tuple[Shape, RigidTransform, Rgba]]]]:
+        """Of each body the shapes that are drawn, their poses in it and their colours."""
+        look = self._inspector
+        for name, body in self._bodies.items():
+            frame = self._plant.GetBodyFrameIdOrThrow(body.index())
+            yield (
+                name,
+                [
+                    (
+                        look.GetShape(each),
+                        look.GetPoseInFrame(each),
+                        look.GetIllustrationProperties(each).GetPropertyOrDefault(
+                            "phong", "diffuse", _PLAIN
+                        ),
+                    )
+                    for each in look.GetGeometries(frame, Role.kIllustration)
+                ],
+            )
+
+    def poses(
+        self,
+        q: np.ndarray,
+        *,
+        hidden: np.ndarray | None = None,
+        free: RigidTransform | None = None,
+    ) -> Iterator[tuple[str, RigidTransform]]:
+        """X_WB of each body in configuration q (nq), with the coordinates of flexible parts; the
+        target, if it is ``free``, at that pose.
+        """
+        self._plant.SetPositions(self._context, self._split.whole_positions(q, hidden))
+        for name, body in self._bodies.items():
+            is_free = name == self._target and free is not None
+            yield name, free if is_free else self._plant.EvalBodyPoseInWorld(self._context, body)
+
+
+class _Scene:
+    """The bodies of a scenario's model: their shapes, and where they are."""
+
+    def __init__(self, foxglove: Any, context: Any, scenario: Scenario) -> None:
+        self.m, channels = foxglove.messages, foxglove.channels
+        self._tf = channels.FrameTransformsChannel("/tf", context=context)
+        self._shapes = channels.SceneUpdateChannel("/scene", context=context)
+        self._bodies = Bodies(scenario)
+
+    def stamp(self, nanoseconds: int) -> Any:
+        return self.m.Timestamp(*divmod(nanoseconds, 10**9))
+
+    def write_shapes(self, time: int) -> None:
+        """Log the shapes of all bodies at a time, ns."""
+        entities = []
+        for name, pictures in self._bodies.pictures():
+            shapes: dict[str, list[Any]] = {}
+            for found in filter(None, (self._primitive(*picture) for picture in pictures)):
+                shapes.setdefault(found[0], []).append(found[1])
+            if shapes:
+                entity = self.m.SceneEntity(
+                    timestamp=self.stamp(time), frame_id=name, id=name, frame_locked=True, **shapes
+                )
+                entities.append(entity)
+        self._shapes.log(self.m.SceneUpdate(entities=entities), log_time=time)
+
+    def write_poses(
+        self,
+        time: int,
+        q: np.ndarray,
+        *,
+        hidden: np.ndarray | None = None,
+        free: RigidTransform | None = None,
+    ) -> None:
+        """Log where all bodies are at a time, ns. Arguments as of ``Bodies.poses``."""
+        transforms = [
+            self.m.FrameTransform(
+                timestamp=self.stamp(time),
+                parent_frame_id=WORLD,
+                child_frame_id=name,
+                translation=self._vector(X),
+                rotation=self._quaternion(X),
+            )
+            for name, X in self._bodies.poses(q, hidden=hidden, free=free)
+        ]
+        self._tf.log(self.m.FrameTransforms(transforms=transforms), log_time=time)
+
+    def _primitive(self, shape: Any, X: RigidTransform, rgba: Rgba) -> tuple[str, Any] | None:
+        """The kind and the primitive of a shape; None for what has no such form."""
+        m = self.m
+        color = m.Color(r=rgba.r(), g=rgba.g(), b=rgba.b(), a=rgba.a())
+        common = {"pose": self._pose(X), "color": color}
+
+        def vector(x: float, y: float, z: float) -> Any:
+            return m.Vector3(x=x, y=y, z=z)
+
+        if isinstance(shape, Box):
+            return "cubes", m.CubePrimitive(size=vector(*shape.size()), **common)
+        if isinstance(shape, Cylinder | Capsule):  # a capsule without its caps
+            wide = 2.0 * shape.radius()
+            size = vector(wide, wide, shape.length())
+            return "cylinders", m.CylinderPrimitive(
+                size=size, bottom_scale=1.0, top_scale=1.0, **common
+            )
+        if isinstance(shape, Sphere):
+            return "spheres", m.SpherePrimitive(size=vector(*3 * (2.0 * shape.radius(),)), **common)
+        if isinstance(shape, Ellipsoid):
+            size = vector(2.0 * shape.a(), 2.0 * shape.b(), 2.0 * shape.c())
+            return "spheres", m.SpherePrimitive(size=size, **common)
+        if isinstance(shape, Mesh) and (file := Path(shape.source().path())).suffix in _MEDIA:
+            scale = np.broadcast_to(shape.scale3(), 3)
+            return "models", m.ModelPrimitive(
+                scale=vector(*scale),
+                media_type=_MEDIA[file.suffix],
+                data=file.read_bytes(),
+                override_color=file.suffix in (".obj", ".stl"),
+                **common,
+            )
+        return None
+
+    def _pose(self, X: RigidTransform) -> Any:
+        return self.m.Pose(position=self._vector(X), orientation=self._quaternion(X))
+
+    def _vector(self, X: RigidTransform) -> Any:
+        x, y, z = X.translation()
+        return self.m.Vector3(x=x, y=y, z=z)
+
+    def _quaternion(self, X: RigidTransform) -> Any:
+        w, x, y, z = X.rotation().ToQuaternion().wxyz()
+        return self.m.Quaternion(w=w, x=x, y=y, z=z)
+
+
+class _Live:
+    """A run as it goes: it is paced, and its bodies are shown."""
+
+    def __init__(self, scene: _Scene, scenario: Scenario, wait: Callable[[float], None]) -> None:
+        self._scene, self._wait = scene, wait
+        self._period = scenario.sample_time / (
+            scenario.simulator_config.target_realtime_rate or 1.0
+        )
+        self._due, self._shown, self._seen = 0.0, -np.inf, -np.inf
+
+    def make(self, setup: BlockSetup) -> Diagram:
+        """The scenario's disturbance, which is asked for at each sample."""
+        return make_operated_disturbance(setup, initial=_AS_IT_IS, poll=self._poll)
+
+    def _poll(self, now: float, q: np.ndarray) -> np.ndarray:
+        wall = time.perf_counter()
+        self._due = max(min(self._due, wall) + self._period, wall - _LARGEST_DEBT)
+        if (left := self._due - wall) > 0.0:
+            self._wait(left)
+        if wall - self._shown >= _PICTURE:
+            self._shown, stamp = wall, round(now * 1e9)
+            if wall - self._seen >= _SHAPES:  # for those who have come meanwhile
+                self._seen = wall
+                self._scene.write_shapes(stamp)
+            self._scene.write_poses(stamp, q)
+        return _AS_IT_IS
+
+
+class _Messages:
+    """The messages of a run."""
+
+    def __init__(self, foxglove: Any, context: Any, record: RunRecord) -> None:
+        self._scene = _Scene(foxglove, context, record.scenario)
+        self._m, self._channels, self._context = foxglove.messages, foxglove.channels, context
+        self._json: Callable[..., Any] = foxglove.Channel
+        self._record, self._data = record, record.dataset
+        self._stamps = [round(float(time) * 1e9) for time in self._data.time.values]
+
+    def write(self) -> None:
+        """Write them, topic after topic."""
+        self._scene.write_shapes(self._stamps[0])
+        self._write_poses()
+        self._write_joints()
+        self._write_events()
+        for name, series in self._data.data_vars.items():
+            self._write_series(str(name), series)
+
+    def _topic(self, kind: str, topic: str) -> Any:
+        return getattr(self._channels, f"{kind}Channel")(topic, context=self._context)
+
+    def _write_poses(self) -> None:
+        hidden = self._data["hidden_position"].values if "hidden_position" in self._data else None
+        free = free_target(self._record)
+        for k, (stamp, q) in enumerate(
+            zip(self._stamps, self._data["position"].values, strict=True)
+        ):
+            if not np.isfinite(q).all():
+                break
+            deflection = None if hidden is None else hidden[k]
+            self._scene.write_poses(stamp, q, hidden=deflection, free=free.get(k))
+
+    def _write_joints(self) -> None:
+        topic, record = self._topic("JointStates", "/joint_states"), self._record
+        angles = record.positions().joint_position
+        names = [str(name) for name in angles.coordinate.values]
+        of = {"coordinate": names}
+        speeds, forces = self._data.velocity.sel(of), self._data.applied_force.sel(of)
+        series = (angles.values, speeds.values, forces.values)
+        for stamp, *rows in zip(self._stamps, *series, strict=True):
+            joints = [
+                self._m.JointState(name=name, position=q, velocity=v, effort=f)
+                for name, q, v, f in zip(names, *rows, strict=True)
+            ]
+            topic.log(
+                self._m.JointStates(timestamp=self._scene.stamp(stamp), joints=joints),
+                log_time=stamp,
+            )
+
+    def _write_events(self) -> None:
+        topic = self._topic("Log", "/events")
+        events = [(self._stamps[0], f"{self._record.scenario.controller} begins")]
+        if "phase" in self._data.coords:
+            phases = self._data["phase"].values.astype(str)
+            changes = np.flatnonzero(phases[1:] != phases[:-1]) + 1
+            events += [(self._stamps[k], f"phase {phases[k]}") for k in changes]
+        events.append((self._stamps[-1], self._record.ending.sentence))
+        for stamp, text in sorted(events, key=lambda event: event[0]):
+            message = self._m.Log(
+                timestamp=self._scene.stamp(stamp),
+                level=self._m.LogLevel.Info,
+                message=text,
+                name="ffsm_drake",
+            )
+            topic.log(message, log_time=stamp)
+
+    def _write_series(self, name: str, series: Any) -> None:
+        values = np.asarray(series.values)
+        if series.dims[0] != "time" or values.ndim > 2 or values.dtype.kind not in "biuf":
+            return
+        metadata = {key: str(series.attrs.get(key, "")) for key in ("units", "long_name")}
+        topic = self._json(f"/{name}", schema=_ANY, context=self._context, metadata=metadata)
+        parts = [str(part) for part in series[series.dims[1]].values] if values.ndim == 2 else []
+        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        for stamp, row, is_number in zip(self._stamps, values.tolist(), finite, strict=True):
+            if is_number:  # JSON has no others
+                message = dict(zip(parts, row, strict=True)) if parts else {"value": row}
+                topic.log(message, log_time=stamp)
