@@ -90,7 +90,8 @@ def forgiving_stderr() -> None:
     sys.stderr = cast("TextIO", _ForgivingStream(sys.stderr))
 
 
-_LIVE = {"--live", "--controls", "--meshcat", "--foxglove"}  # options of commands that wait for their user
+# options of commands that wait for their user
+_LIVE = {"--live", "--controls", "--meshcat", "--foxglove"}
 
 
 def show_life(over: threading.Event, *, first: float | None = None, then: float = 10.0) -> None:

@@ -140,12 +140,10 @@ def replay(
 @click.option(
     "--part",
     type=click.Choice(["plant", "controller"]),
-    default="plant",
-    show_default=True,
-    help="Of an .fmu: what it holds.",
+    help="Of an .fmu: what it holds (default: plant).",
 )
 @click.option("--ros2", is_flag=True, help="In an .mcap: messages of ROS 2.")
-def export(run: Path, file: Path, part: str, ros2: bool) -> None:
+def export(run: Path, file: Path, part: str | None, ros2: bool) -> None:
     """Write a recorded run's series, or a scenario as an FMU, for other programs.
 
     An .fmu (FMI 3.0, co-simulation) is of a scenario, by name or file, or of a run's.
@@ -162,11 +160,13 @@ def export(run: Path, file: Path, part: str, ros2: bool) -> None:
 
     if ros2 and file.suffix != ".mcap":
         raise FfsmError(f"--ros2: is of an .mcap, not of '{file}'")
+    if part and file.suffix != ".fmu":
+        raise FfsmError(f"--part: is of an .fmu, not of '{file}'")
     if file.suffix == ".fmu":
         from ffsm_drake.interfaces.fmu import export as write_fmu
         from ffsm_drake.scenario import load_scenario
 
-        write_fmu(load_scenario(str(run)), file, part)
+        write_fmu(load_scenario(str(run)), file, part or "plant")
     else:
         write(RunRecord.load(run), file, ros2=ros2)
     click.echo(f"Written to {file}")

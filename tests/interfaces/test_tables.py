@@ -52,6 +52,9 @@ def test_mat_holds_the_record_with_units(folder, tmp_path):
 def test_other_endings_are_refused(folder, tmp_path):
     result = CliRunner().invoke(main, ["export", str(folder), "--to", str(tmp_path / "run.xyz")])
     assert result.exit_code == 2
+    for option in (["--ros2"], ["--part", "controller"]):
+        line = ["export", str(folder), "--to", str(tmp_path / "run.csv"), *option]
+        assert f"{option[0]}: is of an" in CliRunner().invoke(main, line).output
     assert "must end in .mat, .csv, .parquet, .mcap, .aem, .oem" in result.output
 
 
