@@ -26,6 +26,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, position_error
+from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.base import LOST, STUCK_ON
 from ffsm_drake.systems.controllers.estimators import assumed_noise
@@ -141,7 +142,7 @@ class _Detector(LeafSystem):
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         # the nominal payload changes at a grasp
         self._leg = float(scenario.payload.nominal.mass)
-        actuation = scenario.actuation
+        actuation = allocated(scenario)
         self._base = None
         if actuation.thrusters is not None or actuation.wheels is not None:
             self._base = make_base_actuators(
