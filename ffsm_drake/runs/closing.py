@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.numbers import number
@@ -26,6 +26,7 @@ from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Closing, Compliance, Retreat
 from ffsm_drake.spacecraft.capture import coast, target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.free_body import matrix_of
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
 from ffsm_drake.systems.approach import (
@@ -42,6 +43,7 @@ from ffsm_drake.systems.reference import make_motion, without_target
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.retreat import Move, RetreatReference
 from ffsm_drake.systems.supervisor import Mode, SupervisorPart
+from ffsm_drake.systems.target_filter import Path
 from ffsm_drake.systems.tracked_target import Approached, TrackedTarget, drawn_path
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
@@ -93,11 +95,14 @@ class ClosingRun:
         last = handover.sample - 1
         self._path = np.vstack([handover.path[:last], self._onward(handover.path[last], last)])
         self._measured = self._capture.measured is not None
+        nominal = np.array(scenario.payload.nominal.center_of_mass)
+        arm = nominal if self._measured else self._true_arm
+        self._known = Path(motion=self._path, arm=arm)
+        place = np.array(scenario.initial_posture.base_position)  # at the grasp
+        self._reach = float(np.linalg.norm(place - self._known.center(handover.sample)))
         if self._measured:
             motion, self._expected = drawn_path(scenario, self._path[0])
             self._path = self._onward(motion, 0)
-        place = np.array(scenario.initial_posture.base_position)  # at the grasp
-        self._reach = float(np.linalg.norm(place - self._center(self._path[handover.sample])))
         self._legs: list[tuple[str, int]] = []
         self.logs: list[RunLog] = []
         self.outcome: Outcome | None = None  # unless the target is captured
@@ -316,7 +321,8 @@ class ClosingRun:
             flown = self._go(moves, [(name, end)], touched=touched)
         if failed is not None and flown and not again:
             last = self.loop.whole_states(self.context)[0][4:7]
-            apart = float(np.linalg.norm(last - self._center(self._path[self.sample - 1])))
+            path = Path(motion=self._path, arm=self._true_arm)
+            apart = float(np.linalg.norm(last - path.center(self.sample - 1)))
             message = f"{failed.message}; the servicer retreats to {number(apart)} m from it"
             time = (self.sample - 1) * period
             self.outcome = dataclasses.replace(failed, time=time, message=message)
@@ -354,7 +360,7 @@ class ClosingRun:
         scenario, coordinates = self._chosen, self.loop.coordinates
         state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
         q, v = np.split(state, [len(coordinates.position_names)])
-        from_target = q[4:7] - self._center(self._known[self.sample])
+        from_target = q[4:7] - self._known.center(self.sample)
         straight, moves = from_target / np.linalg.norm(from_target), []
         for direction in (
             straight,
@@ -374,7 +380,7 @@ class ClosingRun:
             )
             moves.append(self._paced(move))
             last = self.sample + round(moves[-1].duration / scenario.sample_time)
-            samples = np.linspace(self.sample, min(last, len(self._known) - 1), 2 * _INSTANTS)
+            samples = np.linspace(self.sample, min(last, len(self._path) - 1), 2 * _INSTANTS)
             motion = moves[-1].motion(scenario, coordinates)
             if self._is_clear(motion, samples, self.sample):
                 return moves[-1]
@@ -423,16 +429,15 @@ class ClosingRun:
         return {**blocks, "reference": part}
 
     @property
-    def _seen(self) -> np.ndarray:
-        """The target's motion (n, 13) as the servicer knows it: from now on by the estimate."""
+    def _seen(self) -> Path:
+        """The target's path as the servicer knows it: from now on by the estimate."""
         if not self._measured:
-            return self._path
+            return dataclasses.replace(self._known, motion=self._path)
         block: Any = self.loop.blocks["reference"]
         context = block.GetMyContextFromRoot(self.context)
-        motion = block.known_motion(context, self.sample * self._chosen.sample_time)
-        if motion is None:
-            return self._path
-        return np.vstack([self._path[: self.sample], self._onward(motion, self.sample)])
+        path: Path = block.known_path(context, self.sample, len(self._path) - self.sample)
+        motion = np.vstack([self._path[: self.sample], path.motion])
+        return dataclasses.replace(path, motion=motion)
 
     def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
         """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
@@ -440,11 +445,10 @@ class ClosingRun:
             return blocks
         return {**blocks, "supervisor": SupervisorPart(**how)}
 
-    def _center(self, motion: np.ndarray) -> np.ndarray:
-        """The target's centre of mass (3) in a motion (13)."""
-        turn = RotationMatrix(Quaternion(motion[:4] / np.linalg.norm(motion[:4])))
-        arm: np.ndarray = turn @ np.array(self._chosen.payload.truth.center_of_mass)
-        return motion[4:7] + arm
+    @property
+    def _true_arm(self) -> np.ndarray:
+        """p_PC (3) of the target, in P's axes."""
+        return np.array(self._chosen.payload.truth.center_of_mass)
 
     def _meet_again(self, start: Posture, first: int) -> bool:
         """Find the next try, from rest in a posture at a sample or later: the first one moved with
@@ -461,13 +465,13 @@ class ClosingRun:
         X_W0 = _base_pose(start)
         candidates = []
         for sample in range(earliest, latest + 1, max(1, round(_EVERY / period))):
-            motion = self._known[sample]
+            motion = self._known.motion[sample]
             X_WB = RigidTransform(Quaternion(motion[:4]), motion[4:7]) @ X_BP.inverse()
             X_0S = X_W0.inverse() @ X_WB @ X_BS
             way = np.linalg.norm(X_0S.translation())
             candidates.append((way + _LENGTH * X_0S.rotation().ToAngleAxis().angle(), sample, X_WB))
         for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
-            scenario = self._try(X_WB, X_WB @ X_BS, self._known[sample])
+            scenario = self._try(X_WB, X_WB @ X_BS, self._known.motion[sample])
             begin = sample - lasts
             if self._leads_to(start, scenario, first, begin) and self._is_clear(
                 make_motion(without_target(scenario), self.loop.coordinates),
@@ -492,12 +496,15 @@ class ClosingRun:
         """
         chosen = self._chosen
         w, v_P = np.split(motion[7:], 2)
+        # the capture's velocity is that of the true centre of mass, which is nowhere used but to
+        # find v_P again
+        arm = matrix_of(motion[:4]) @ self._true_arm
         posture = _placed(approach_posture(chosen), X_WS)
         capture = dataclasses.replace(
             self._capture,
             axes="world",
             rate=w.tolist(),
-            velocity=(v_P + np.cross(w, self._center(motion) - motion[4:7])).tolist(),
+            velocity=(v_P + np.cross(w, arm)).tolist(),
             approach=dataclasses.replace(self._approach, posture=posture, start="given"),
         )
         posture = _placed(chosen.initial_posture, X_WB)
@@ -518,7 +525,7 @@ class ClosingRun:
         samples, scenario = samples.round().astype(int), self._chosen
         times = (samples - first) * scenario.sample_time
         q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
-        target = self._known[samples, :7]
+        target = self._known.motion[samples, :7]
         nearest = closest_of(scenario, times, q, target=target)
         return all(each.distance >= scenario.clearance for each in nearest)
 

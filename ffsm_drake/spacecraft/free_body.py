@@ -167,14 +167,16 @@ class Target:
             shape=_possible(self.shape + error[..., SHAPE]),
         )
 
-    def after(self, step: float, time: float = 0.0, orbit: Orbit | None = None) -> "Target":
-        """After a step (s) from a time (s) on, by ``runge_kutta4``."""
+    def after(
+        self, step: float, time: float | np.ndarray = 0.0, orbit: Orbit | None = None
+    ) -> "Target":
+        """After a step (s) from a time (..., s) on, by ``runge_kutta4``."""
         G = inverse_inertia(self.shape)
         J = np.linalg.inv(G)
         row = np.concatenate([self.quaternion, self.rate, self.center, self.velocity], axis=-1)
         still = np.zeros_like(self.rate[..., :1])
 
-        def slope(row: np.ndarray, time: float) -> np.ndarray:
+        def slope(row: np.ndarray, time: float | np.ndarray) -> np.ndarray:
             quaternion, w, center, velocity = np.split(row, _SIZES[:3], axis=-1)
             turning = 0.5 * composed(quaternion, np.concatenate([still, w], axis=-1))
             torque, tide = np.cross(times(J, w), w), np.zeros_like(w)
@@ -271,8 +273,32 @@ def _possible(shape: np.ndarray) -> np.ndarray:
 
 def steps_between(target: Target, first: float, last: float) -> list[tuple[float, float]]:
     """Begin and length of the steps of an integration, s."""
-    fastest = float(np.linalg.norm(target.rate, axis=-1).max())
-    most = min(_STEP, _TURN / max(fastest, 1e-9))
+    most = _longest_step(target)
     count = max(1, math.ceil(abs(last - first) / most - 1e-9)) if last != first else 0
     step = (last - first) / max(count, 1)
     return [(first + i * step, step) for i in range(count)]
+
+
+def path_of(
+    target: Target, time: float, *, period: float, samples: int, orbit: Orbit | None = None
+) -> np.ndarray:
+    """The motion (samples, 13) of one target at a time (s) and every ``period`` (s) after it."""
+    each = max(1, math.floor(_longest_step(target) / period + 1e-9))  # samples a step
+    rows, times_of = [target.as_row()], [time]
+    while len(rows) * each < samples:
+        last = time + len(times_of) * each * period
+        for begin, step in steps_between(target, times_of[-1], last):
+            target = target.after(step, begin, orbit)
+        rows.append(target.as_row())
+        times_of.append(last)
+    begun = Target.from_row(np.stack(rows))
+    between = [begun.motion]
+    between += [begun.after(i * period, np.array(times_of), orbit).motion for i in range(1, each)]
+    found: np.ndarray = np.stack(between, axis=1).reshape(-1, 13)
+    return found[:samples]
+
+
+def _longest_step(target: Target) -> float:
+    """Of an integration, s."""
+    fastest = float(np.linalg.norm(target.rate, axis=-1).max())
+    return min(_STEP, _TURN / max(fastest, 1e-9))

@@ -42,21 +42,27 @@ class Orbit:
         turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._first
         return turned
 
-    def tide(self, position: np.ndarray, time: float) -> np.ndarray:
+    def _up(self, time: float | np.ndarray) -> np.ndarray:
+        """Hill's first axis (..., 3), from the Earth's centre outwards, at times (...)."""
+        angle = np.multiply(self.rate, time)[..., None]
+        up: np.ndarray = np.cos(angle) * self._first[0] + np.sin(angle) * self._first[1]
+        return up
+
+    def tide(self, position: np.ndarray, time: float | np.ndarray) -> np.ndarray:
         """Acceleration (..., 3) at positions (..., 3) from W's origin, m/s^2."""
         if not self.settings.tidal:
             return np.zeros_like(position)
-        up = self.axes(time)[0]
+        up = self._up(time)
         along = (position * up).sum(axis=-1, keepdims=True) * up
         tide: np.ndarray = self.rate**2 * (3.0 * along - position)
         return tide
 
-    def gradient(self, R: np.ndarray, inertia: np.ndarray, time: float) -> np.ndarray:
+    def gradient(self, R: np.ndarray, inertia: np.ndarray, time: float | np.ndarray) -> np.ndarray:
         """Torque (..., 3) in the axes of bodies with attitudes R (..., 3, 3) by their inertia in
         these axes (..., 3, 3), N m for kg m^2.
         """
         if not self.settings.gravity_gradient:
             return np.zeros(R.shape[:-1])
-        up = self.axes(time)[0] @ R
+        up = (self._up(time)[..., None, :] @ R)[..., 0, :]
         torque: np.ndarray = 3.0 * self.rate**2 * np.cross(up, (inertia @ up[..., None])[..., 0])
         return torque

@@ -25,6 +25,7 @@ from ffsm_drake.spacecraft.free_body import (
     Target,
     composed,
     matrix_of,
+    path_of,
     shape_spread,
     steps_between,
     turn_between,
@@ -98,6 +99,20 @@ class Estimate:
         return tuple(np.sqrt(variances[..., part].sum(axis=-1)) for part in (ROTATION, POSITION))
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Path:
+    """Where a target goes, as far as is known."""
+
+    motion: np.ndarray  # (n, 13) quaternion, p_WP, w_WP, v_WP; at control samples
+    arm: np.ndarray  # (3) p_PC in P's axes, m
+
+    def center(self, sample: int) -> np.ndarray:
+        """p_WC (3) at a sample, m."""
+        motion = self.motion[sample]
+        center: np.ndarray = motion[4:7] + matrix_of(motion[:4]) @ self.arm
+        return center
+
+
 def observed(
     sensor: TargetSensor, target: Target, place: np.ndarray, random: np.random.Generator
 ) -> tuple[Pose, np.ndarray]:
@@ -152,6 +167,17 @@ class TargetFilter:
         for begin, step in steps_between(target, first, last):
             target = target.after(step, begin, self._orbit)
         return target
+
+    def path(self, estimate: Estimate | None, time: float, period: float, samples: int) -> "Path":
+        """Where the target goes from a time (s) on, at every ``period`` (s); without an estimate
+        that which is expected.
+        """
+        if estimate is None:
+            target = self.moved(self._prior, 0.0, time)
+        else:
+            target = self.moved(estimate.target, estimate.time, time)
+        motion = path_of(target, time, period=period, samples=samples, orbit=self._orbit)
+        return Path(motion=motion, arm=target.arm)
 
     def predicted(self, estimate: Estimate, time: float) -> Estimate:
         """An estimate at a later time, s."""

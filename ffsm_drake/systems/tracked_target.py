@@ -25,7 +25,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.retreat import RetreatReference
 from ffsm_drake.systems.setup import BlockSetup
-from ffsm_drake.systems.target_filter import Estimate, TargetFilter, observed
+from ffsm_drake.systems.target_filter import Estimate, Path, TargetFilter, observed
 
 _SHOWN = 12  # of the estimate's errors: rotation, rate, position, velocity
 _NAMES = tuple(
@@ -226,10 +226,10 @@ class TrackedReference(LeafSystem):
             fitted=np.array(int(row[2])),
         )
 
-    def known_motion(self, context: Context, time: float) -> np.ndarray | None:
-        """[quaternion, p_WP; w_WP, v_WP] (13) of the target at a time, s, as estimated."""
-        found = self.estimate(context)
-        return None if found is None else self._filter.moved(found.target, found.time, time).motion
+    def known_path(self, context: Context, first: int, samples: int) -> Path:
+        """Where the target goes from a control sample on, as estimated."""
+        time = first * self._period
+        return self._filter.path(self.estimate(context), time, self._period, samples)
 
     def renew(self, context: Context, *, touched: bool) -> None:
         """Forget the displacement; and, where the gripper touched the target, how it moved."""

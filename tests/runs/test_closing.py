@@ -5,10 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.runs.batches import batches_of
+from ffsm_drake.runs.closing import ClosingRun
 from ffsm_drake.runs.metrics import phases_of
+from ffsm_drake.spacecraft.capture import coast
+from ffsm_drake.spacecraft.free_body import Target
 from ffsm_drake.systems.supervisor import Mode
 
 # From a posture near that at the grasp, so that two seconds are enough.
@@ -161,3 +166,36 @@ def test_a_target_that_is_not_seen_is_not_met():
     record = measured("supervisor={}", "capture.measured.sensor.dropouts=0.999")
     assert record.ending.status == "missed"
     assert "given up" in record.outcome.message
+
+
+@pytest.mark.slow
+def test_the_next_try_goes_by_the_estimate_alone(monkeypatch):
+    """Nothing that is planned after a miss knows the target's true inertia and centre of mass."""
+    found = []
+
+    def planned(run, start, first):
+        found.append((run._known, run._path, run.sample, run._chosen))
+        return False
+
+    monkeypatch.setattr(ClosingRun, "_meet_again", planned)
+    # unlike the nominal one, and turning fast enough to tell
+    record = measured(
+        "duration=24",
+        "capture.envelope.position=1e-4",
+        "capture.retreat={tries: 2, duration: 2}",
+        "capture.rate=[0.12, -0.1, 0.14]",
+        "payload.truth.inertia=[4.0, 9.0, 12.0, 0, 0, 0]",
+        "payload.truth.center_of_mass=[0.2, -0.1, 0.3]",
+    )
+    assert record.outcome.status == "missed"
+    [(known, path, sample, scenario)] = found
+    now, last = known.motion[sample], known.motion[-1]
+    assert np.abs(now - path[sample]).max() > 1e-4
+    pose = RigidTransform(Quaternion(now[:4] / np.linalg.norm(now[:4])), now[4:7])
+    time, samples = sample * scenario.sample_time, len(path) - sample
+    by_truth = coast(scenario, pose, now[7:], time=time, samples=samples, onward=True)[-1]
+    unlike = np.abs(by_truth - last).max()
+    estimate = Target.from_motion(now, scenario.payload.nominal)
+    assert unlike > 0.02
+    assert not np.allclose(known.arm, scenario.payload.truth.center_of_mass, atol=1e-4)
+    assert not np.allclose(known.arm, estimate.arm, atol=1e-4)  # it learned

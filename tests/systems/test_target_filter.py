@@ -169,6 +169,21 @@ def test_moves_as_drake_does(environment):
     np.testing.assert_allclose(found, expected, atol=2e-6)
 
 
+@pytest.mark.parametrize("period", [0.01, 0.07, 1.5])
+@pytest.mark.parametrize("environment", [None, Environment(hill_rpy=[0.3, -0.2, 1.0])])
+def test_goes_on_at_each_sample(environment, period):
+    target = Target.from_motion(motion(0.3), BODY)
+    orbit = environment and Orbit(environment)
+    tracker = TargetFilter(SETTINGS, target, orbit)
+    path = tracker.path(None, 5.0, period, 101)
+    assert path.motion.shape == (101, 13)
+    begun = tracker.moved(target, 0.0, 5.0)
+    for sample in (0, 1, 37, 100):
+        there = tracker.moved(begun, 5.0, 5.0 + sample * period)
+        np.testing.assert_allclose(path.motion[sample], there.motion, atol=3e-6)
+        np.testing.assert_allclose(path.center(sample), there.center, atol=3e-6)
+
+
 ORBIT = Environment(mean_motion=2e-3, altitude=None, hill_rpy=[0.3, -0.2, 1.0])
 
 
