@@ -7,9 +7,7 @@ Python of its host, which must have this package.
 """
 
 import dataclasses
-import queue
 import tempfile
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import check_writable, written_whole
+from ffsm_drake.interfaces.aside import Aside
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
@@ -150,10 +149,6 @@ class _Outside(ControlLaw):
         return self._ask(sample), state
 
 
-class _StoppedError(Exception):
-    """The FMU was terminated within a run."""
-
-
 class PlantSlave(_Slave):
     """All but the law: spacecraft, actuators, sensors, forces, reference."""
 
@@ -174,9 +169,7 @@ class PlantSlave(_Slave):
         self.add("velocity", velocities, Fmi3Causality.output)
         for group, names in self.groups.items():
             self.add(group, names, Fmi3Causality.output)
-        self._from_run = queue.SimpleQueue[Any]()
-        self._to_run = queue.SimpleQueue[np.ndarray | None]()
-        self._thread: threading.Thread | None = None
+        self._run = Aside()
         self._loop: tuple[ClosedLoop, Context] | None = None
         self.log: RunLog | None = None
 
@@ -189,36 +182,21 @@ class PlantSlave(_Slave):
         def begin(loop: ClosedLoop, context: Context) -> None:
             self._loop = loop, context
 
-        def fly() -> None:
-            try:
-                self._from_run.put(rollout.run(leg=Leg(begin=begin)))
-            except Exception as error:  # whatever it is, it is the other thread's
-                self._from_run.put(error)
-            finally:
-                rollout.release()
-
-        self._thread = threading.Thread(target=fly, daemon=True)
-        self._thread.start()
+        self._run.start(lambda: rollout.run(leg=Leg(begin=begin)), rollout.release)
         self._take()
 
     def _ask(self, sample: Sample) -> np.ndarray:
         """The force at a sample; within the run's thread."""
         assert self._loop is not None
         loop, context = self._loop
-        self._from_run.put((sample, loop.whole_states(context)[0].copy()))
-        force = self._to_run.get()
-        if force is None:
-            raise _StoppedError
+        force: np.ndarray = self._run.ask((sample, loop.whole_states(context)[0].copy()))
         return force
 
     def _take(self) -> bool:
         """Wait for the run's next sample, or its end; false there."""
-        found = self._from_run.get()
-        if isinstance(found, Exception):
-            self._thread = None
-            raise found
+        found = self._run.take()
         if isinstance(found, RunLog):
-            self.log, self._thread = found, None
+            self.log = found
             self._show(found.whole_states[-1])
             return False
         sample, state = found
@@ -239,16 +217,13 @@ class PlantSlave(_Slave):
 
     def do_step(self, current_time: float, step_size: float) -> Any:
         self.check_step(step_size)
-        if self._thread is None:
+        if not self._run.goes_on:
             raise FfsmError(f"the run ended before t = {current_time:g} s")
-        self._to_run.put(self.values["force"].copy())
+        self._run.answer(self.values["force"].copy())
         return Fmi3StepResult(status=Fmi3Status.ok, terminateSimulation=not self._take())
 
     def terminate(self) -> None:
-        if self._thread is not None:
-            self._to_run.put(None)
-            self._thread.join()
-            self._thread = None
+        self._run.stop()
 
 
 class ControllerSlave(_Slave):

@@ -8,8 +8,6 @@ action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 
 import dataclasses
 import json
-import queue
-import threading
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -17,6 +15,7 @@ import gymnasium
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.interfaces.aside import Aside
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.scenario import Scenario, load_scenario
@@ -54,10 +53,6 @@ for _id, _scenario in {
     )
 
 
-class _StoppedError(Exception):
-    """The environment was reset or closed within a run."""
-
-
 class Exchange:
     """Where the run's law and the environment, in two threads, meet at every step."""
 
@@ -67,8 +62,7 @@ class Exchange:
 
     def begin(self) -> None:
         """Of another run."""
-        self.from_run = queue.SimpleQueue[Any]()
-        self.to_run = queue.SimpleQueue[np.ndarray | None]()
+        self.run = Aside()
         self.sample: Sample | None = None  # what the law sees
         # of several copies of the spacecraft: those that begin anew, and those whose episode lasts
         self.fresh: np.ndarray | None = None
@@ -78,14 +72,10 @@ class Exchange:
         self._since = list[tuple[Any, ...]]()  # what was told since the last step
 
     def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
-        """The action at a sample, of which a law sees this. Raises _StoppedError."""
+        """The action at a sample, of which a law sees this. Raises StoppedError."""
         if self._count % self._every == 0:
             self.sample = sample
-            self.from_run.put((seen, self.spent()))
-            action = self.to_run.get()
-            if action is None:
-                raise _StoppedError
-            self._action = action
+            self._action = self.run.ask((seen, self.spent()))
         self._count += 1
         return self._action
 
@@ -202,7 +192,6 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.observation_space = _box(len(self.observation_names), FURTHEST, dtype)
         self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
         self._exchange: Exchange | None = None
-        self._thread: threading.Thread | None = None
         self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
         self.log: RunLog | None = None  # of the last complete episode
 
@@ -259,16 +248,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             scenario, blocks={"controller": lambda setup: self.steered(setup, exchange)}
         )
 
-        def fly() -> None:
-            try:
-                exchange.from_run.put(rollout.run())
-            except Exception as error:  # whatever it is, it is the other thread's
-                exchange.from_run.put(error)
-            finally:
-                rollout.release()
-
-        self._thread = threading.Thread(target=fly, daemon=True)
-        self._thread.start()
+        exchange.run.start(rollout.run, rollout.release)
         self._take()
         return self._seen.copy(), {}
 
@@ -276,7 +256,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """As Gymnasium's."""
         if self._exchange is None:
             raise FfsmError("the episode is over, or did not begin: call reset")
-        self._exchange.to_run.put(clipped(action))
+        self._exchange.run.answer(clipped(action))
         log, spent = self._take()
         terms = {name: float(value) for name, value in self.reward_terms(spent).items()}
         info: dict[str, Any] = {"reward_terms": terms}
@@ -312,24 +292,21 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def close(self) -> None:
         """End the run, if there is one."""
-        if self._exchange is not None and self._thread is not None:
-            self._exchange.to_run.put(None)
-            self._thread.join()
-        self._exchange = self._thread = None
+        if self._exchange is not None:
+            self._exchange.run.stop()
+        self._exchange = None
 
     def _take(self) -> tuple[RunLog | None, list[np.ndarray]]:
         """Wait for the run's next step, or its end; keep what it sees."""
         assert self._exchange is not None
-        found = self._exchange.from_run.get()
-        if isinstance(found, Exception):
-            self._thread = None
-            self.close()
-            raise found
+        exchange = self._exchange
+        try:
+            found = exchange.run.take()
+        finally:
+            if not exchange.run.goes_on:
+                self._exchange = None
         if isinstance(found, RunLog):
-            spent = self._exchange.spent()
-            self._thread = None
-            self.close()
-            return found, spent
+            return found, exchange.spent()
         seen, spent = found
         self._seen = observation(seen, self.observation_space.dtype)
         return None, spent

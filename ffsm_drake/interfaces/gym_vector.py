@@ -6,7 +6,6 @@ that then is. When the mission's time is over all are truncated, and begin again
 """
 
 import dataclasses
-import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -45,13 +44,11 @@ class _Flight:
             if name in loop.sources and (name != "desired_frame" or loop.tracks_frame)
         ]  # fmt: skip
         self._series = {name: list[np.ndarray]() for name in self._names}
-        self._thread = threading.Thread(target=self._fly, daemon=True)
-        self._thread.start()
+        exchange.run.start(self._fly)
 
     def stop(self) -> None:
         """End the run, wherever it is."""
-        self.exchange.to_run.put(None)
-        self._thread.join()
+        self.exchange.run.stop()
 
     def log(self, copy: int) -> RunLog:
         """The episode of a copy up to now; it has diverged unless it lasts."""
@@ -86,24 +83,22 @@ class _Flight:
             wall_time={},
         )
 
-    def _fly(self) -> None:
+    def _fly(self) -> list[np.ndarray]:
+        """What was spent since the last step, at the end of the mission's time."""
         loop, exchange, scenario = self.loop, self.exchange, self.loop.scenario
         assert exchange.lasts is not None
-        try:
-            simulator = Simulator(loop.diagram)
-            ApplySimulatorConfig(scenario.simulator_config, simulator)
-            context = simulator.get_mutable_context()
-            loop.initialize(loop.diagram, context)
-            simulator.Initialize()
-            for sample in range(scenario.num_control_periods):
-                self._look(context, sample)
-                simulator.AdvanceTo((sample + 1) * scenario.sample_time)
-            self._look(context, scenario.num_control_periods)
-            simulator.AdvancePendingEvents()
-            exchange.lasts = exchange.lasts & ~self._leaving
-            exchange.from_run.put(exchange.spent())
-        except Exception as error:  # whatever it is, it is the other thread's
-            exchange.from_run.put(error)
+        simulator = Simulator(loop.diagram)
+        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        context = simulator.get_mutable_context()
+        loop.initialize(loop.diagram, context)
+        simulator.Initialize()
+        for sample in range(scenario.num_control_periods):
+            self._look(context, sample)
+            simulator.AdvanceTo((sample + 1) * scenario.sample_time)
+        self._look(context, scenario.num_control_periods)
+        simulator.AdvancePendingEvents()
+        exchange.lasts = exchange.lasts & ~self._leaving
+        return exchange.spent()
 
     def _look(self, context: Context, sample: int) -> None:
         """Keep what the endings follow from, and put copies that diverge, or begin anew, on the
@@ -214,7 +209,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if flight is None:
             raise FfsmError("no episode began: call reset")
         flight.anew = anew
-        exchange.to_run.put(np.where(anew[:, None], 0.0, clipped(actions)))
+        exchange.run.answer(np.where(anew[:, None], 0.0, clipped(actions)))
         before, (spent, over) = self._seen, self._take()
         assert exchange.lasts is not None
         terminated = ~exchange.lasts & ~anew
@@ -271,11 +266,13 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _take(self) -> tuple[list[np.ndarray], bool]:
         """What was spent in a step, and whether the run is over; keep what it sees."""
-        found = self._exchange.from_run.get()
-        if isinstance(found, Exception):
+        run = self._exchange.run
+        try:
+            found = run.take()
+        except BaseException:
             self._flight = None
-            raise found
-        if isinstance(found, list):
+            raise
+        if not run.goes_on:
             return found, True
         seen, spent = found
         self._seen = observation(seen, self._seen.dtype)

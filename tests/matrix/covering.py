@@ -1,6 +1,9 @@
 """A covering array: few rows in which every allowed pair of values of two factors occurs."""
 
 import itertools
+from random import Random
+
+_TRIED = 8  # rows, of which one is taken
 
 
 def pairs_of(row):
@@ -26,20 +29,28 @@ def allowed_pairs(factors, refused):
 def covering_array(factors, refused):
     """Rows, factor -> value, without any refused combination, that hold all allowed pairs.
 
-    Greedy: a row begins with a pair that is still missing, and takes for every other factor the
-    value that brings most missing pairs.
+    Greedy: of a few rows that begin with a pair that is still missing and take for every other
+    factor, in some order, the value that brings most missing pairs, the one that brings most.
     """
-    missing = dict.fromkeys(allowed_pairs(factors, refused))
+    random, missing = Random(0), dict.fromkeys(allowed_pairs(factors, refused))
     rows = []
     while missing:
-        row = dict(next(iter(missing)))
-        for factor in factors:
-            if factor in row:
-                continue
-            trials = [{**row, factor: value} for value in factors[factor]]
-            fitting = [trial for trial in trials if not is_refused(trial, refused)]
-            row = max(fitting, key=lambda trial: len(pairs_of(trial) & missing.keys()))
+        begun = random.sample(list(missing), min(_TRIED, len(missing)))
+        tried = [_completed(dict(pair), factors, refused, missing, random) for pair in begun]
+        row = max(tried, key=lambda row: len(pairs_of(row) & missing.keys()))
         for pair in pairs_of(row):
             missing.pop(pair, None)
         rows.append({factor: row[factor] for factor in factors})
     return rows
+
+
+def _completed(row, factors, refused, missing, random):
+    """A row of a first pair."""
+    for factor in random.sample(list(factors), len(factors)):
+        if factor in row:
+            continue
+        values = random.sample(factors[factor], len(factors[factor]))
+        trials = [{**row, factor: value} for value in values]
+        fitting = [trial for trial in trials if not is_refused(trial, refused)]
+        row = max(fitting, key=lambda trial: len(pairs_of(trial) & missing.keys()))
+    return row

@@ -17,11 +17,24 @@ FACTORS = {
     "law": ("proposed", "tdc", "own law", "task-space law"),
     "estimator": ("kalman", "one_sample", "coupled"),
     "sensors": ("noisy", "flight", "late", "own sensor"),
-    "base actuators": ("ideal", "thrusters", "wheels", "thrusters and wheels", "own actuator"),
+    "base actuators": (
+        "ideal",
+        "thrusters",
+        "wheels",
+        "thrusters and wheels",
+        "thrusters with plumes",
+        "own actuator",
+    ),
     "joint actuators": ("ideal", "drives"),
     "flexible": ("none", "panels", "slosh"),
     "orbit": ("none", "orbit"),
-    "start": ("held", "capture from the grasp", "capture with approach", "measured target"),
+    "start": (
+        "held",
+        "capture from the grasp",
+        "capture with approach",
+        "clear approach",
+        "measured target",
+    ),
     "motion": ("polynomial", "shaped", "frame", "plan"),
     "driven": ("all", "base rotation and joints", "joints"),
     "command filter": ("none", "command filter"),
@@ -31,8 +44,9 @@ FACTORS = {
 }
 PLAIN = {factor: values[0] for factor, values in FACTORS.items()}
 
+_THRUSTERS = ("thrusters", "thrusters and wheels", "thrusters with plumes")
 _UNDRIVEN = ("base rotation and joints", "joints")
-_APPROACHES = ("capture with approach", "measured target")
+_APPROACHES = ("capture with approach", "clear approach", "measured target")
 # Combinations that are refused: what the one line names, beside the rows of docs/combinations.md.
 REFUSED = {
     frozenset(combination.items()): names
@@ -40,7 +54,7 @@ REFUSED = {
         ({"estimator": "coupled", "sensors": "late"}, ("coupled", "late")),
         *(
             ({"base actuators": actuators, "driven": driven}, ("driven", actuators.split()[0]))
-            for actuators in ("thrusters", "wheels", "thrusters and wheels")
+            for actuators in (*_THRUSTERS, "wheels")
             for driven in _UNDRIVEN
             if (actuators, driven) != ("wheels", "base rotation and joints")
         ),
@@ -151,6 +165,7 @@ _BASE_ACTUATORS = {
     "thrusters and wheels": {
         "actuation": {"thrusters": {"layout": "12x5N"}, "wheels": {"units": _WHEELS}}
     },
+    "thrusters with plumes": {"actuation": {"thrusters": {"layout": "16x22N", "plume": {}}}},
     "own actuator": {
         "blocks": {
             "actuation": {
@@ -227,6 +242,8 @@ def _start(row, scenario):
         return {"capture": capture}
     joints = _on_the_way(scenario, 0.25)
     capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
+    if row["start"] == "clear approach":
+        capture["approach"]["start"] = "clear"
     capture["envelope"] = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     if row["start"] == "measured target":
         capture |= {"closing": {"joints": "controlled"}, "measured": {"last": 2.0}}
