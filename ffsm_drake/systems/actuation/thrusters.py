@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.products import times
 from ffsm_drake.scenario import Fault, Scenario, Thruster, Thrusters, thrusters_of
@@ -370,12 +371,7 @@ class FiredThrusters(Part):
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """Torque and force."""
-        thrusters = ThrusterSet(self.settings, sample_time=scenario.sample_time)
-        none = np.zeros_like(directions)
-        return {
-            kind: np.array([thrusters.most(each) for each in np.hstack(parts)])
-            for kind, parts in (("torque", (directions, none)), ("force", (none, directions)))
-        }
+        return _most_along(self.settings, scenario.sample_time, directions)
 
     def reach(self, scenario: Scenario) -> Mapping[str, np.ndarray]:
         """Torque without force, and force without torque."""
@@ -443,6 +439,18 @@ class FiredThrusters(Part):
         force = run["generalized_force"][:-1, members] * run["thruster_given"][:-1].reshape(-1, 1)
         wanted = float(np.linalg.norm(force, axis=1).sum() * _period(run))
         return wanted / float(self._exhaust.max())
+
+
+@memoized(maxsize=16)
+def _most_along(
+    settings: Thrusters, sample_time: float, directions: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The largest torque and force (n) along directions (n, 3; base's axes)."""
+    thrusters, none = ThrusterSet(settings, sample_time=sample_time), np.zeros_like(directions)
+    return {
+        kind: np.array([thrusters.most(each) for each in np.hstack(parts)])
+        for kind, parts in (("torque", (directions, none)), ("force", (none, directions)))
+    }
 
 
 def _of_all(name: str, unit: str, of: Callable[[View], np.ndarray], *, heading: str = "") -> Metric:
