@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.campaign.cases import make_cases
 from ffsm_drake.campaign.law_figures import FIGURES, law_figures
-from ffsm_drake.campaign.run import Progress, check_cases, resume_campaign, start_campaign
+from ffsm_drake.campaign.run import Progress, check_cases, resume_campaign
 from ffsm_drake.campaign.spec import Spec, spec_from_data
-from ffsm_drake.campaign.store import open_store
+from ffsm_drake.campaign.store import create_store, open_store
 from ffsm_drake.common.errors import (
     CampaignError,
     FfsmError,
@@ -57,7 +58,6 @@ _OF_RUNS = (
     "settled_time",
     "propellant",
     "final_drift_rotation",
-    "predicted_radius_expected",
 )
 SHOWN = (*_OF_RUNS, *FIGURES)
 
@@ -187,6 +187,7 @@ def _spec(scenario: Scenario, controllers: Sequence[str]) -> Spec:
             "controllers": list(controllers),
             "cases": SEEDS,
             "sampling": "random",
+            "predictions": False,  # ``law_figures`` has them, once
             # as it is: only the seeds differ
             "parameters": {"duration": {"distribution": "list", "values": [scenario.duration]}},
         }
@@ -209,7 +210,7 @@ def run_mission(
       folder: of the databases.
 
     Raises:
-      CampaignError, InterruptedCampaign, WorkersError: as ``start_campaign``.
+      CampaignError, InterruptedCampaign, WorkersError: as for ``start_campaign``.
     """
     misfits, usable = dict[str, str](), list[str]()
     for name in controllers or controller_names():
@@ -223,11 +224,10 @@ def run_mission(
     if usable:
         spec = _spec(mission.scenario, usable)
         path = folder / f"{mission.name}-{spec.fingerprint[:12]}.db"
-        given = {"workers": workers, "stop": stop, "progress": progress}
-        if path.exists():
-            resume_campaign(path, **given)  # type: ignore[arg-type]
-        else:
-            start_campaign(spec, path, **given)  # type: ignore[arg-type]
+        if not path.exists():
+            with create_store(path, spec, make_cases(spec)):
+                pass
+        resume_campaign(path, workers=workers, stop=stop, progress=progress)
         _find_figures(mission, usable, folder, workers=workers, stop=stop)
     return _board(mission, folder, misfits)
 

@@ -193,11 +193,8 @@ class Evaluator:
                 if log is None:
                     log = self._run(timed(scenario_of(self._spec, case, controller)))
                 row |= evaluate_run(self._spec, log)
-                try:
-                    row |= dict(zip(self._predictions, predict(log.scenario), strict=False))
-                except BlockError as error:
-                    why = f"{NO_PREDICTION}{one_line(error)}"
-                    row["message"] = "; ".join(filter(None, (row["message"], why)))
+                if self._spec.predictions:
+                    row |= self._predicted(log.scenario, row["message"])
         except LimitError as error:  # no motion keeps the limits
             refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
             row = dict.fromkeys(row) | error_row(str(error)) | refused
@@ -211,6 +208,14 @@ class Evaluator:
             "rss_mib": resident_memory(),
             "software": self._software,
         }
+
+    def _predicted(self, scenario: Scenario, message: str) -> Row:
+        """The predictions; where there are none, the message says why."""
+        try:
+            return dict(zip(self._predictions, predict(scenario), strict=False))
+        except BlockError as error:
+            why = f"{NO_PREDICTION}{one_line(error)}"
+            return {"message": "; ".join(filter(None, (message, why)))}
 
     def _run(self, scenario: Scenario) -> RunLog:
         rollout = self._rollouts.get(scenario.controller)

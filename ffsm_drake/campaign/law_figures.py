@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from ffsm_drake.campaign.prediction import most_overestimated
+from ffsm_drake.campaign.prediction import expected_radius, most_overestimated
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.control_design.limit import find_limit
@@ -25,8 +25,9 @@ from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_yaml
 from ffsm_drake.systems.reference import timed
 
-PAYLOAD, DELAY, ERROR, TIME = "payload_factor", "delay_margin", "error_over_lqg", "law_time"
-FIGURES = (PAYLOAD, DELAY, ERROR, TIME)
+RADIUS, PAYLOAD, DELAY = "spectral_radius", "payload_factor", "delay_margin"
+ERROR, TIME = "error_over_lqg", "law_time"
+FIGURES = (RADIUS, PAYLOAD, DELAY, ERROR, TIME)
 _SAMPLES = 100  # whose processor time is taken
 _LONGEST = 120.0  # s, for one figure
 
@@ -34,11 +35,12 @@ _LONGEST = 120.0  # s, for one figure
 def law_figures(scenario: str) -> dict[str, float | None]:
     """The figures of a scenario's law, by name; None: there is none. Takes a scenario as YAML.
 
-    ``payload_factor`` (by which the nominal payload may be over-estimated further) and
-    ``delay_margin`` (further delay of the sensors, s, that the estimator does not know) are those
-    of the linear loop as wired in the posture nearest to instability, at the starting gains;
-    at most 30, and 30 samples, are looked at. ``error_over_lqg``: the rms error by noise and by
-    what the law does not know, over the least possible at its effort (``find_limit``).
+    Of the linear loop as wired in the posture nearest to instability: ``spectral_radius`` at the
+    gains that adaptation is expected to reach; at the starting gains ``payload_factor`` (by which
+    the nominal payload may be over-estimated further) and ``delay_margin`` (further delay of the
+    sensors, s, that the estimator does not know), of which at most 30, and 30 samples, are looked
+    at. ``error_over_lqg``: the rms error by noise and by what the law does not know, over the least
+    possible at its effort (``find_limit``).
     ``law_time``: processor time of the controller at one control sample, s.
     """
     try:
@@ -59,6 +61,7 @@ def law_figures(scenario: str) -> dict[str, float | None]:
         return None
 
     return {
+        RADIUS: found(lambda: expected_radius(given)),
         PAYLOAD: found(lambda: min(largest_payload(given, time=edge), LARGEST_FACTOR)),
         DELAY: found(delay),
         ERROR: found(lambda: find_limit(given).distance),

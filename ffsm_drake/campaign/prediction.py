@@ -41,18 +41,29 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
-        time = most_overestimated(linearizer.planned)
-        loop = linearizer.at(time)
-        starting = expected = loop.spectral_radius
-        if starting < 1.0 and (held := expected_gains(linearizer, loop)):
-            expected = linearizer.at(time, held=held).spectral_radius
-        found = [starting, expected]
+        starting, expected = found = _radii(linearizer)
         if scenario.capture is not None:
             found.append(predicted_load(linearizer))
         if is_rehearsed(scenario):
             stable = max(starting, expected) < 1.0
             found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)
         return tuple(found)
+
+
+def expected_radius(scenario: Scenario) -> float:
+    """The second of ``predict`` alone; errors as for that."""
+    with Linearizer(from_grasp(scenario)) as linearizer:
+        return _radii(linearizer)[1]
+
+
+def _radii(linearizer: Linearizer) -> list[float]:
+    """The first two of ``predict``."""
+    time = most_overestimated(linearizer.planned)
+    loop = linearizer.at(time)
+    starting = expected = loop.spectral_radius
+    if starting < 1.0 and (held := expected_gains(linearizer, loop)):
+        expected = linearizer.at(time, held=held).spectral_radius
+    return [starting, expected]
 
 
 def most_overestimated(planned: PlannedDynamics) -> float:

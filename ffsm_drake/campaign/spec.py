@@ -57,6 +57,7 @@ _KEYS = (
     "derive",
     "settled",
     "time_limit",
+    "predictions",
 )
 # cases, values of a case, points drawn in all
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
@@ -112,6 +113,7 @@ class Spec:
     derive: Mapping[str, Rule]  # by dotted scenario key, in the order of evaluation
     settled: Settled
     time_limit: float  # s of wall time; a run that takes longer becomes an error row
+    predictions: bool = True  # whether stability is predicted beside each run
 
     @property
     def base(self) -> dict[str, Any]:
@@ -243,6 +245,9 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     time_limit = number(data.get("time_limit", _TIME_LIMIT), place="time_limit")
     if not 0.0 < time_limit <= 1e6:
         raise CampaignError(f"time_limit: must be > 0 s and at most 1e6 s, not {time_limit:g}")
+    predictions = data.get("predictions", True)
+    if not isinstance(predictions, bool):
+        raise CampaignError(f"predictions: must be true or false, not {predictions!r}")
     sampling = data.get("sampling", SAMPLINGS[0])
     if sampling not in SAMPLINGS:
         raise CampaignError(
@@ -279,6 +284,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
             data.get("settled", {}), Scenario(tolerance=data["base"]["tolerance"])
         ),
         time_limit=time_limit,
+        predictions=predictions,
     )
     _check_names(spec)
     return spec

@@ -65,29 +65,42 @@ class WorkerLost:
 class Workers:
     """Source of executors for tasks.
 
-    ``open`` gives a fresh executor; the previous one, if any, has shut down or is finishing its
-    last tasks.
+    ``open`` gives an executor; one that was given before has shut down, is finishing its last
+    tasks, or was left idle by ``close``.
     """
 
     open: Callable[[], Executor]
     in_flight: Callable[[], int]  # number of tasks to keep submitted
     renewable: bool  # a fresh executor has fresh processes
+    close: Callable[[Executor], None] = Executor.shutdown  # at the end of some tasks
 
 
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[Workers]:
-    """Spawned processes on this machine, one library thread each; they end with this process."""
+    """Spawned processes on this machine, one library thread each; they end with this process, and
+    serve one list of tasks after the other.
+    """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)  # inherited by the workers, read when NumPy loads
+    idle = list[Executor]()
+
+    def open_pool() -> Executor:
+        if idle:
+            return idle.pop()
+        return ProcessPoolExecutor(
+            count, mp_context=get_context("spawn"), initializer=_follow_parent
+        )
+
     try:
         yield Workers(
-            open=lambda: ProcessPoolExecutor(
-                count, mp_context=get_context("spawn"), initializer=_follow_parent
-            ),
+            open=open_pool,
             in_flight=lambda: 2 * count,
             renewable=True,
+            close=idle.append,
         )
     finally:
+        for pool in idle:
+            pool.shutdown()
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -371,7 +384,10 @@ class _Runner(Generic[Task, Result]):
         finally:
             for future in self.flying:
                 future.cancel()
-            self.executor.shutdown(wait=True)
+            if self.flying:  # an error, or nobody takes the rest
+                self.executor.shutdown(wait=True)
+            else:
+                self.workers.close(self.executor)
 
     def _fill(self) -> None:
         """Submit as many tasks as may be in flight; a suspect runs alone."""

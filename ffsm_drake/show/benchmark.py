@@ -16,7 +16,7 @@ _COLUMNS = {
     "propellant": "propellant [kg]",
     "propellant_over_least": "of the least",
     "final_drift_rotation": "drift [rad]",
-    "predicted_radius_expected": "radius",
+    "spectral_radius": "radius",
     "payload_factor": "payload, linear",
     "delay_margin": "delay, linear [s]",
     "error_over_lqg": "of LQG's error",

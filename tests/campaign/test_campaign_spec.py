@@ -205,6 +205,7 @@ BAD = {
     ),
     "a long text": ({"cases": 5000 * "x"}, "cases: must be a number, not 'xxx"),
     "a long name": ({"sampling": 5000 * "x"}, "is unknown; choose one of"),
+    "no prediction": ({"predictions": "no"}, "predictions: must be true or false, not 'no'"),
     "no time": ({"time_limit": 0}, "time_limit: must be > 0 s"),
 }
 

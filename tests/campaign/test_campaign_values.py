@@ -4,8 +4,15 @@ import pytest
 from campaign_tools import write_spec
 
 from ffsm_drake.campaign.cases import Case, scenario_of
-from ffsm_drake.campaign.evaluate import METRICS, Batch, Evaluator, differing_columns, evaluate
-from ffsm_drake.campaign.spec import load_spec
+from ffsm_drake.campaign.evaluate import (
+    METRICS,
+    PREDICTIONS,
+    Batch,
+    Evaluator,
+    differing_columns,
+    evaluate,
+)
+from ffsm_drake.campaign.spec import load_spec, spec_from_data
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.rollout import Rollout
@@ -141,6 +148,14 @@ def test_a_diverging_run_says_when(spec):
     assert 0.0 < row["outcome_time"] < 0.3
     assert "diverged at t =" in row["message"]
     assert row["predicted_radius_starting"] > 1.0
+
+
+def test_predictions_can_be_left_out(spec):
+    without = spec_from_data({**spec.data, "predictions": False})
+    case = Case(index=0, seed=1, values={"controllers.tdc.k_d": 400.0})
+    row = evaluate_alone(without, case)
+    assert row["outcome"] == "diverged"
+    assert all(row[name] is None for name in PREDICTIONS)
 
 
 @pytest.mark.parametrize("name", ["postcapture", "paper", "flight_sensors"])

@@ -105,6 +105,12 @@ def die_once(mark):
     return mark.name
 
 
+def test_processes_serve_one_list_of_tasks_after_the_other():
+    with local_workers(1) as workers:
+        first, second = (run(process_of, range(1), workers) for _ in range(2))
+    assert first == second
+
+
 def test_a_killed_worker_is_replaced_and_its_task_repeated(tmp_path):
     marks = [tmp_path / str(k) for k in range(4)]
     for mark in marks[2:]:
