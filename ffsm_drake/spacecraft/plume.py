@@ -16,7 +16,7 @@ from ffsm_drake.scenario import Actuation, Model, Plume, Scenario, Thruster, thr
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 from ffsm_drake.spacecraft.plant import base_body, configuration, find_body
-from ffsm_drake.spacecraft.rays import first_meeting
+from ffsm_drake.spacecraft.rays import first_meeting, reach_of
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))  # rad
 
@@ -63,8 +63,9 @@ class PlumeField:
         axes = -np.array([unit.direction for unit in units], dtype=float)
         axes /= np.linalg.norm(axes, axis=1)[:, None]
         made = [rays_of(axis, settings) for axis in axes]
-        self._rays = [rays for rays, _ in made]  # in the base's axes
-        self._parts = [part for _, part in made]
+        self._rays = np.array([rays for rays, _ in made])  # (n, rays, 3) in the base's axes
+        self._parts = np.array([part for _, part in made])
+        self._reach = np.array([reach_of(shape) for _, shape, _ in self._shapes])
 
     def calc(self, q: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Generalized force (nv) of plumes of thrusters with forces (n), N, in a configuration q
@@ -74,28 +75,41 @@ class PlumeField:
         plant.SetPositions(context, q)
         X_WB = self._base.EvalPoseInWorld(context)
         total, each = np.zeros(plant.num_velocities()), np.zeros((len(force), 3))
-        poses = [body.EvalPoseInWorld(context) @ X_BG for body, _, X_BG in self._shapes]
-        for k in np.flatnonzero(force > 0.0):
-            u = self._rays[k] @ X_WB.rotation().matrix().T
-            p = np.broadcast_to(X_WB @ self._at[k], u.shape)
-            met = np.array([
-                first_meeting(
-                    shape,
-                    (p - X_WG.translation()) @ X_WG.rotation().matrix(),
-                    u @ X_WG.rotation().matrix(),
-                )
-                for (_, shape, _), X_WG in zip(self._shapes, poses, strict=True)
-            ])  # fmt: skip
-            first, hit = met.argmin(axis=0), np.isfinite(met.min(axis=0))
-            push = force[k] * self._parts[k] * u
-            each[k] = push[hit].sum(axis=0)
-            for index in np.unique(first[hit]):
-                chosen = hit & (first == index)
-                body, at = self._shapes[index][0], p[chosen] + met[index][chosen, None] * u[chosen]
-                arm = at - body.EvalPoseInWorld(context).translation()
-                wrench = np.hstack([np.cross(arm, push[chosen]), push[chosen]]).sum(axis=0)
-                total += self._model.calc_jacobian(q, body.body_frame()).T @ wrench
+        fired = np.flatnonzero(force > 0.0)
+        if not (fired.size and self._shapes):
+            return total, each
+        u = self._rays[fired] @ X_WB.rotation().matrix().T
+        p = self._at[fired] @ X_WB.rotation().matrix().T + X_WB.translation()
+        push = (force[fired] * self._parts[fired])[:, None, None] * u
+        met = self._met(p, u)
+        first, length = met.argmin(axis=0), met.min(axis=0)
+        hit = np.isfinite(length)
+        each[fired] = np.where(hit[..., None], push, 0.0).sum(axis=1)
+        for index in np.unique(first[hit]):
+            chosen = hit & (first == index)
+            body = self._shapes[index][0]
+            at = (p[:, None] + np.where(chosen, length, 0.0)[..., None] * u)[chosen]
+            arm = at - body.EvalPoseInWorld(context).translation()
+            wrench = np.hstack([np.cross(arm, push[chosen]), push[chosen]]).sum(axis=0)
+            total += self._model.calc_jacobian(q, body.body_frame()).T @ wrench
         return total, each
+
+    def _met(self, p: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """How far rays (n, rays, 3) from points (n, 3) go to each shape (shapes, n, rays)."""
+        context = self._model.context
+        poses = [body.EvalPoseInWorld(context) @ X_BG for body, _, X_BG in self._shapes]
+        away = np.array([X_WG.translation() for X_WG in poses])[:, None] - p  # (shapes, n, 3)
+        along = np.einsum("snj,nrj->snr", away, u)
+        reach = self._reach[:, None, None]
+        # those whose line comes within the shape's reach of its origin
+        beside = (away * away).sum(axis=-1)[..., None] - along**2
+        near = (beside <= reach**2) & (along >= -reach)
+        met = np.full(near.shape, np.inf)
+        for index in np.flatnonzero(near.any(axis=(1, 2))):
+            chosen, R = near[index], poses[index].rotation().matrix()
+            origins = np.broadcast_to(-away[index][:, None], u.shape)[chosen]
+            met[index, chosen] = first_meeting(self._shapes[index][1], origins @ R, u[chosen] @ R)
+        return met
 
 
 @memoized(maxsize=16)

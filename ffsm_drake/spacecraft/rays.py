@@ -1,5 +1,6 @@
 """Where rays meet shapes of Drake's."""
 
+import math
 from functools import singledispatch
 
 import numpy as np
@@ -21,6 +22,30 @@ def first_meeting(shape: Shape, origins: np.ndarray, directions: np.ndarray) -> 
     return found
 
 
+def reach_of(shape: Shape) -> float:
+    """Radius about the origin of its frame within which rays meet a shape, m."""
+    if isinstance(shape, (Convex, Mesh)):
+        return float(np.linalg.norm(_corners(shape), axis=1).max())
+    if isinstance(shape, Box):
+        return 0.5 * float(np.linalg.norm(shape.size()))
+    if isinstance(shape, Sphere):
+        return shape.radius()
+    if isinstance(shape, Ellipsoid):
+        return max(shape.a(), shape.b(), shape.c())
+    if isinstance(shape, Cylinder):
+        return math.hypot(shape.radius(), 0.5 * shape.length())
+    if isinstance(shape, Capsule):
+        return shape.radius() + 0.5 * shape.length()
+    return 0.0
+
+
+def _corners(shape: Convex | Mesh) -> np.ndarray:
+    """Of the box of its vertices: the least and the largest (2, 3)."""
+    surface = shape.GetConvexHull()
+    vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+
+
 @singledispatch
 def _span(shape: Shape, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where rays p + s u enter and leave a convex shape."""
@@ -35,9 +60,7 @@ def _(shape: Box, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 @_span.register(Convex)
 @_span.register(Mesh)
 def _(shape: Convex | Mesh, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    surface = shape.GetConvexHull()
-    vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low, high = _corners(shape)
     return _within(0.5 * (high - low), p - 0.5 * (high + low), u)
 
 

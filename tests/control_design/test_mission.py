@@ -146,6 +146,32 @@ def test_blocks_whose_samples_are_not_seen_are_not_called_unstable(name, words):
     assert "tracker" in found.sentence
 
 
+ROUNDING = """
+import dataclasses
+import numpy as np
+import ffsm_drake
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Kept(ffsm_drake.ControlLaw):
+    model: ffsm_drake.PlantModel
+
+    def initial_state(self):
+        return {"kept": np.ones(2)}
+
+    def step(self, sample, state):
+        wanted = sample.a_d + 6.0 * sample.e_dot + 9.0 * sample.e
+        force = self.model.calc_mass_matrix(sample.q) @ wanted
+        rounding = 1e-16 * np.sin(1e9 * sample.q.sum())
+        return force, {"kept": np.array([1.0, rounding])}
+"""
+
+
+def test_rounding_in_memory_is_no_difference_between_samples(tmp_path):
+    (tmp_path / "rounding.py").write_text(ROUNDING)
+    law = ["controller=rounding:Kept", f"python_path=[{tmp_path}]"]
+    assert leg(load_scenario("postcapture", law)).status == "stable"
+
+
 def test_the_worst_leg_counts():
     stable = leg(load_scenario("postcapture", ["controller=tdc"]))
     others = [

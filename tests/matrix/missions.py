@@ -82,14 +82,24 @@ REFUSED = {
     )
 }
 
-# What runs, and is predicted as unstable: `one_sample` divides a step of a held measurement by one
-# sample's time.
+# What runs, and is predicted as unstable.
 WARNED = [
-    frozenset({("law", law), ("estimator", "one_sample"), ("sensors", "late")})
-    for law in ("proposed", "tdc")
+    frozenset(combination.items())
+    for combination in (
+        *(
+            {"law": law, "estimator": "one_sample", **cause}
+            for law in ("proposed", "tdc")
+            for cause in ({"sensors": "late"}, *({"base actuators": each} for each in _THRUSTERS))
+        ),
+        *(
+            {"spacecraft": "own servicer and target", "law": "own law", "base actuators": each}
+            for each in _THRUSTERS
+            if each != "thrusters and wheels"
+        ),
+    )
 ]
 
-APPROACH = 6.0  # s
+APPROACH, CLEAR_APPROACH = 6.0, 15.0  # s
 MOTION = 10.0
 HOLD = 2.0
 OMEGA = 3.0  # rad/s, of every law
@@ -165,7 +175,9 @@ _BASE_ACTUATORS = {
     "thrusters and wheels": {
         "actuation": {"thrusters": {"layout": "12x5N"}, "wheels": {"units": _WHEELS}}
     },
-    "thrusters with plumes": {"actuation": {"thrusters": {"layout": "16x22N", "plume": {}}}},
+    "thrusters with plumes": {
+        "actuation": {"thrusters": {"layout": "16x22N", "plume": {"rays": 16}}}
+    },
     "own actuator": {
         "blocks": {
             "actuation": {
@@ -241,14 +253,15 @@ def _start(row, scenario):
     if row["start"] == "capture from the grasp":
         return {"capture": capture}
     joints = _on_the_way(scenario, 0.25)
-    capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
+    duration = CLEAR_APPROACH if row["start"] == "clear approach" else APPROACH
+    capture["approach"] = {"duration": duration, "posture": {"joints": joints}}
     if row["start"] == "clear approach":
         capture["approach"]["start"] = "clear"
     capture["envelope"] = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     if row["start"] == "measured target":
         capture |= {"closing": {"joints": "controlled"}, "measured": {"last": 2.0}}
         capture["envelope"] |= {"position": 0.1, "angle": 0.2}
-    return {"capture": capture, "duration": APPROACH + MOTION + HOLD}
+    return {"capture": capture, "duration": duration + MOTION + HOLD}
 
 
 def _motion(row, scenario, plan):

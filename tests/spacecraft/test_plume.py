@@ -13,7 +13,7 @@ from ffsm_drake.scenario import Plume, thrusters_of
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.spacecraft.plume import PlumeField, allocated, rays_of, returned_shares
-from ffsm_drake.spacecraft.rays import first_meeting
+from ffsm_drake.spacecraft.rays import first_meeting, reach_of
 
 LAYOUT = "actuation.thrusters.layout=16x22N"
 PLUME = "actuation.thrusters.plume={}"
@@ -63,6 +63,8 @@ def test_a_ray_enters_where_it_first_reaches_the_surface(make, sizes, seed):
     assert np.isinf(found[~outside]).all() or make is capsule
     met = np.isfinite(found) & outside
     assert np.allclose(level(p[met] + found[met, None] * u[met]), 1.0, atol=1e-9)
+    entry = np.linalg.norm(p[met] + found[met, None] * u[met], axis=1)
+    assert (entry <= reach_of(shape) + 1e-9).all()
     ways = np.linspace(0.0, 1.0, 400)[1:-1] * np.where(met, np.minimum(found, 99.0), 12.0)[:, None]
     levels = np.array([level(p + way[:, None] * u) for way in ways.T])
     assert (levels[:, outside] > 1.0 - 1e-9).all()

@@ -56,6 +56,7 @@ _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, that is found of user-supplied systems which do not declare
 # it, and the change of their map, relative to its rows, that tells one sample from another.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
+_ROUNDING = 1e-14  # of numbers in memory, relative to the largest of a group
 # Stretches of samples that are looked at: a transient may hide the period in the first.
 _TRIES = 3
 
@@ -431,17 +432,19 @@ class Linearizer:
         once a second makes one map of a hundred differ. Where no two do the same, all are.
         """
         indices = range(index, index + 2 * _LONGEST_PERIOD)
-        maps, kinds = [], [self._memory.kind(each) for each in indices]
+        maps, kept, kinds = [], [], [self._memory.kind(each) for each in indices]
         for each in indices:
             maps.append(self._map_of_errors(each))
+            kept.append(self._memory.after(each))
             self._go_on(each, held)
-        rows = np.abs(maps).max(axis=(0, 2))[:, None]
+        least = _DIFFERENT * np.abs(maps).max(axis=(0, 2))
+        for part in self._memory.parts:  # what hardly depends on the plant differs by rounding
+            rounding = _ROUNDING / _STEP * np.abs(kept)[:, part].max(initial=0.0)
+            least[part] = np.maximum(least[part], rounding)
         for period in range(1, _LONGEST_PERIOD + 1):
             pairs = [(k, k + period) for k in range(len(maps) - period)]
             alike = [(a, b) for a, b in pairs if kinds[a] == kinds[b]]
-            if all(
-                (np.abs(maps[b] - maps[a]) <= _DIFFERENT * rows).all() for a, b in alike or pairs
-            ):
+            if all((np.abs(maps[b] - maps[a]) <= least[:, None]).all() for a, b in alike or pairs):
                 return period
         return None
 
