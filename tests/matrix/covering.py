@@ -3,7 +3,7 @@
 import itertools
 from random import Random
 
-_TRIED = 8  # rows, of which one is taken
+_TRIED, _MOST = 16, 1000  # rows, of which one is taken; times
 
 
 def pairs_of(row):
@@ -34,23 +34,30 @@ def covering_array(factors, refused):
     """
     random, missing = Random(0), dict.fromkeys(allowed_pairs(factors, refused))
     rows = []
-    while missing:
-        begun = random.sample(list(missing), min(_TRIED, len(missing)))
+    for _ in range(_MOST):
+        if not missing:
+            return rows
+        begun = random.choices(list(missing), k=_TRIED)
         tried = [_completed(dict(pair), factors, refused, missing, random) for pair in begun]
+        tried = [row for row in tried if row is not None]  # the others can be tried again
+        if not tried:
+            continue
         row = max(tried, key=lambda row: len(pairs_of(row) & missing.keys()))
         for pair in pairs_of(row):
             missing.pop(pair, None)
         rows.append({factor: row[factor] for factor in factors})
-    return rows
+    raise ValueError(f"no row holds {missing}")
 
 
 def _completed(row, factors, refused, missing, random):
-    """A row of a first pair."""
+    """A row of a first pair; None if at last no value fits."""
     for factor in random.sample(list(factors), len(factors)):
         if factor in row:
             continue
         values = random.sample(factors[factor], len(factors[factor]))
         trials = [{**row, factor: value} for value in values]
         fitting = [trial for trial in trials if not is_refused(trial, refused)]
+        if not fitting:
+            return None
         row = max(fitting, key=lambda trial: len(pairs_of(trial) & missing.keys()))
     return row

@@ -64,6 +64,10 @@ REFUSED = {
             for start in _APPROACHES
             for driven in _UNDRIVEN
         ),
+        (
+            {"spacecraft": "generated servicer", "start": "clear approach"},
+            ("capture.approach.start", "no start"),
+        ),
         ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
         *(
             ({part: value, "driven": driven}, (part, "actuation.driven"))
@@ -99,7 +103,7 @@ WARNED = [
     )
 ]
 
-APPROACH, CLEAR_APPROACH = 6.0, 15.0  # s
+APPROACH, CLEAR_APPROACH = 6.0, 12.0  # s
 MOTION = 10.0
 HOLD = 2.0
 OMEGA = 3.0  # rad/s, of every law
