@@ -3,7 +3,7 @@
 import itertools
 from random import Random
 
-_TRIED, _MOST = 16, 1000  # rows, of which one is taken; times
+_TRIED, _MOST = 8, 1000  # rows, of which one is taken; times
 
 
 def pairs_of(row):

@@ -40,7 +40,8 @@ FACTORS = {
     "command filter": ("none", "command filter"),
     "supervisor": ("none", "supervisor"),
     "faults": ("none", "detection"),
-    "command": ("run", "stability", "design", "plan", "compare", "campaign", "replay"),
+    # a run is replayed, and before a plan comes a look at the stability
+    "command": ("replay", "design", "plan", "compare", "campaign"),
 }
 PLAIN = {factor: values[0] for factor, values in FACTORS.items()}
 
