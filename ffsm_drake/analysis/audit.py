@@ -149,7 +149,8 @@ def _time_unit(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
 def _only(log: ForeignLog, kept: np.ndarray) -> ForeignLog:
     """Some samples of a log."""
     values = {f.name: getattr(log, f.name) for f in dataclasses.fields(log)}
-    return log.replace(**{name: v[kept] for name, v in values.items() if v is not None})
+    arrays = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
+    return log.replace(**{name: v[kept] for name, v in arrays.items()})
 
 
 def _quaternion(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
@@ -213,7 +214,9 @@ _ATTITUDES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 _SAID = {
     "quaternion_order": "the quaternion's scalar stands last (x, y, z, w)",
-    "quaternion_inverse": "the quaternion turns from world to base axes (R_BW, not R_WB)",
+    "quaternion_inverse": (
+        "the attitude turns from world to base axes (R_BW, not R_WB; MRPs sigma_NB, not sigma_BN)"
+    ),
 }
 
 
@@ -235,15 +238,30 @@ def _attitude(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
     if fit.still:
         return [Check(name="attitude", statement="the base does not turn")], log
     if fit.missed > _FITS:
+        for said, omega in _turned_twice(log):
+            once = _fit(log, _turned(log), omega)
+            if once.missed < _FITS and abs(once.factor - 1.0) < _FITS:
+                return [_fault("angular velocity", "axes", said)], log.replace(angular=omega)
         said = "the angular velocity is not the quaternion's rate"
         check = _in_no_axes("attitude", "angular_velocity", said, fit)
         return [check], log.replace(angular=_rate(log, _since_start(_turned(log))))
     name = "angular velocity"
     checks = [_fault("attitude", each, _SAID[each]) for each in causes.split(", ") if each]
     same = len(usual) == 2 and max(right[key][0].missed for key in usual) < 3.0 * fit.missed
+    if not same and axes not in (stated := log.stated.get("angular", axes)):
+        said = f"in {axes} axes, while its columns' name says {stated}"
+        checks.append(_fault(name, "axes", said))
     axes = "world or body axes, which it does not tell apart" if same else f"{axes} axes"
     checks.append(_scaled(name, fit, f"in {axes}"))
     return checks, whole.replace(angular=whole.angular * fit.factor)
+
+
+def _turned_twice(log: ForeignLog) -> Iterator[tuple[str, np.ndarray]]:
+    """Angular velocities in world axes, if a needless change of axes is undone."""
+    said = "{} axes were taken for {} axes and turned to {} axes once more"
+    twice = in_world_axes(log.quaternion, in_world_axes(log.quaternion, log.angular))
+    yield said.format("body", "world", "body"), twice
+    yield said.format("world", "body", "world"), in_body_axes(log.quaternion, log.angular)
 
 
 def _in_no_axes(name: str, cause: str, said: str, fit: _Fit) -> Check:
@@ -274,15 +292,12 @@ def _scaled(name: str, fit: _Fit, said: str) -> Check:
 def _base_velocity(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
     """Axes of the base's velocity, and the point that it is of."""
     moved = np.diff(log.position, axis=0)
-    context = plant.CreateDefaultContext()
-    center = np.asarray(base_body(plant).CalcCenterOfMassInBodyFrame(context))
-    arm = in_world_axes(log.quaternion, np.tile(center, (len(log.time), 1)))
-    swing = np.cross(log.angular, arm)
     turned = in_world_axes(log.quaternion, log.linear)
     candidates = {"in world axes": log.linear, "in body axes": turned}
-    if np.linalg.norm(center) > 1e-6:
-        candidates |= {f"{axes}, of the base's centre of mass": v - swing
-                       for axes, v in list(candidates.items())}  # fmt: skip
+    for point, (arm, swing) in Dynamics(plant).points(log).items():
+        if np.abs(arm).max() > 1e-6:
+            candidates |= {f"{axes}, of {point}": v - swing
+                           for axes, v in list(candidates.items())[:2]}  # fmt: skip
     fits = {axes: _fit(log, moved, velocity) for axes, velocity in candidates.items()}
     axes = min(fits, key=lambda each: fits[each].missed)
     fit = fits[axes]
@@ -294,7 +309,11 @@ def _base_velocity(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
         return [check], log.replace(linear=_rate(log, log.position))
     alike = [each for each in fits if fits[each].missed < max(3.0 * fit.missed, 1e-6)]
     said = " or ".join(alike) + (", which it does not tell apart" if len(alike) > 1 else "")
-    return [_scaled("base velocity", fit, said)], log.replace(linear=candidates[axes] * fit.factor)
+    checks = [_scaled("base velocity", fit, said)]
+    if "linear" in log.stated and (stated := f"in {log.stated['linear']}") not in alike:
+        said = f"{said}, while its columns' name says {stated}, of the base's origin"
+        checks = [_fault("base velocity", "axes", said)]
+    return checks, log.replace(linear=candidates[axes] * fit.factor)
 
 
 def _joint_rates(log: ForeignLog, plant: MultibodyPlant) -> _Checked:
@@ -367,14 +386,22 @@ class Dynamics:
         self.mass = float(masses.sum())
         self.shares = masses / self.mass
 
-    def centers(self, log: ForeignLog) -> np.ndarray:
-        """Centres of mass (n, 3) from the first base position, m."""
-        position = log.position - log.position[0]
-        found = []
-        for q in np.hstack([log.quaternion, position, log.angles]):
-            self.plant.SetPositions(self.context, q)
-            found.append(self.plant.CalcCenterOfMassPositionInWorld(self.context))
-        return np.array(found)
+    def points(self, log: ForeignLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Points that are mistaken for the base's origin: their places from it (n, 3), m, and their
+        velocities relative to it (n, 3), m/s, world axes.
+        """
+        center = np.asarray(base_body(self.plant).CalcCenterOfMassInBodyFrame(self.context))
+        arm = in_world_axes(log.quaternion, np.tile(center, (len(log.time), 1)))
+        whole, swing = np.zeros_like(log.linear), np.zeros_like(log.linear)
+        q, v = [log.quaternion, whole, log.angles], [log.angular, swing, log.rates]
+        for k, state in enumerate(np.hstack([*q, *v])):
+            self.plant.SetPositionsAndVelocities(self.context, state)
+            whole[k] = self.plant.CalcCenterOfMassPositionInWorld(self.context)
+            swing[k] = self.plant.CalcCenterOfMassTranslationalVelocityInWorld(self.context)
+        return {
+            "the base's centre of mass": (arm, np.cross(log.angular, arm)),
+            "the spacecraft's centre of mass": (whole, swing),
+        }
 
     def momenta(self, log: ForeignLog) -> tuple[np.ndarray, np.ndarray]:
         """Of every body (n, bodies, 6): the momentum of its mass and that of its rotation about
@@ -500,7 +527,8 @@ def _dynamics(log: ForeignLog, dynamics: Dynamics, tolerance: float) -> list[Che
     if missed <= tolerance:
         return [Check(name="momentum", statement=said), *_energy(log, dynamics, tolerance)]
     explained = [*_of_masses(balance, dynamics), *_of_forces(log, balance, dynamics, kept)]
-    for cause, words, changed in _of_joints(some, dynamics.names):
+    changes = itertools.chain(_of_points(some, dynamics), _of_joints(some, dynamics.names))
+    for cause, words, changed in changes:
         other = _balance(changed, dynamics, impulse)
         explained.append((other.missed(other.total), cause, words))
     left, cause, words = min(explained)
@@ -531,7 +559,8 @@ def _of_forces(
     log: ForeignLog, balance: _Balance, dynamics: Dynamics, kept: np.ndarray
 ) -> Iterator[_Explanation]:
     """Gravity; drag of the base; momentum that decays."""
-    center = dynamics.centers(log)
+    at = log.position - log.position[0]
+    center = at + dynamics.points(log)["the spacecraft's centre of mass"][0]
 
     def impulse(force: np.ndarray, at: np.ndarray, torque: float | np.ndarray = 0.0) -> np.ndarray:
         return _integral(log.time, np.hstack([np.cross(at, force) + torque, force]))[kept]
@@ -541,7 +570,7 @@ def _of_forces(
     pull = -pull / dynamics.mass
     words = f"gravity of {np.linalg.norm(pull):.3g} m/s^2 acts along {_direction(pull)}"
     yield left, "gravity", words
-    at, still = log.position - log.position[0], np.zeros_like(log.linear)
+    still = np.zeros_like(log.linear)
     drag = [impulse(log.linear, at), impulse(still, at, log.angular)]
     left, sizes = balance.without(drag)
     if sizes.min() > -1e-9 * abs(sizes).max():
@@ -558,6 +587,13 @@ def _direction(vector: np.ndarray) -> str:
     return (
         "[" + ", ".join(f"{round(x, 2) + 0.0:.2f}" for x in vector / np.linalg.norm(vector)) + "]"
     )
+
+
+def _of_points(log: ForeignLog, dynamics: Dynamics) -> Iterator[tuple[str, str, ForeignLog]]:
+    """Another point of the base logged: cause, words, the log without it."""
+    for point, (arm, swing) in dynamics.points(log).items():
+        words = f"the position and velocity are those of {point}, not of the base's origin"
+        yield "point", words, log.replace(position=log.position - arm, linear=log.linear - swing)
 
 
 def _of_joints(log: ForeignLog, names: Sequence[str]) -> Iterator[tuple[str, str, ForeignLog]]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import RecordError, did_you_mean, one_line
 from ffsm_drake.common.files import check_regular
@@ -20,6 +21,7 @@ _NAMES = {
     "quaternion": (
         "base_quaternion_{}", "quaternion_{}", "quat_{}", "q{}", "position.base_quaternion_{}",
     ),
+    "mrp": ("base_mrp_{}", "mrp_{}", "sigma_{}"),
     "position": ("base_position_{}", "position_{}", "pos_{}", "{}", "position.base_position_{}"),
     "angular": (
         "base_angular_velocity_{}", "angular_velocity_{}", "omega_{}", "w{}",
@@ -35,7 +37,15 @@ _NAMES = {
     "torque": ("base_torque_{}", "applied_force.base_rotation_{}"),
     "force": ("base_force_{}", "applied_force.base_position_{}"),
 }  # fmt: skip
-_OPTIONAL = ("efforts", "torque", "force")
+# Basilisk's names, and how users number what they are of: the label; from 0; from 1. Joints count
+# from base to end.
+_BASILISK = {
+    "mrp": "sigma_BN", "position": "r_BN_N", "angular": "omega_BN_B", "linear": "v_BN_N",
+    "angles": "theta", "rates": "thetaDot", "efforts": "motorTorque",
+}  # fmt: skip
+_NUMBERED = ("{name}_{label}", "{name}_{i}", "{name}[{i}]", "{name}.{i}", "{name}_{n}", "{name}{n}")
+_AXES = {"omega_BN_B": "body axes", "v_BN_N": "world axes"}  # that a name states
+_OPTIONAL = ("mrp", "efforts", "torque", "force")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,10 +62,12 @@ class ForeignLog:
     efforts: np.ndarray | None  # (n, joints) at the joints, N m or N; None: not logged
     torque: np.ndarray | None  # (n, 3) on the base, world axes, N m
     force: np.ndarray | None  # (n, 3) on the base at its origin, world axes, N
+    stated: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """Axes that the columns' names state, of ``angular`` and ``linear``."""
 
     def replace(self, **changes: np.ndarray) -> "ForeignLog":
         """A copy with other columns."""
-        return dataclasses.replace(self, **changes)
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
 
 def read_log(
@@ -65,7 +77,7 @@ def read_log(
 
     Args:
       path: CSV with a first line of names, or netCDF; further columns are ignored.
-      joints: the joints' names.
+      joints: the joints' names, from base to end.
       columns: other names: of what this package calls ``base_quaternion_w``, ``joint_1``,
         ``joint_1_rate`` and so on -> the log's name.
 
@@ -82,6 +94,9 @@ def read_log(
             hint = did_you_mean(given, found)
             raise RecordError(f"{path}: has no column '{given}', given for '{name}'{hint}")
         found[name] = found[given]
+    if (mrp := _columns(found, "mrp", "xyz", path)) is not None:
+        attitude = Rotation.from_mrp(mrp).as_quat(scalar_first=True)
+        found |= {f"base_quaternion_{x}": row for x, row in zip("wxyz", attitude.T, strict=True)}
     read = {
         what: _columns(found, what, labels, path)
         for what, labels in {
@@ -94,7 +109,26 @@ def read_log(
     assert time is not None
     if len(time) < _LEAST:
         raise RecordError(f"{path}: has {len(time)} samples; at least {_LEAST} are needed")
-    return ForeignLog(time=time[:, 0], **read)  # type: ignore[arg-type]
+    stated = {
+        what: _AXES[_BASILISK[what]]
+        for what in ("angular", "linear")
+        if str(_taken(found, what, "xyz")[0]).startswith(_BASILISK[what])
+    }
+    return ForeignLog(time=time[:, 0], stated=stated, **read)  # type: ignore[arg-type]
+
+
+def _taken(found: Mapping[str, np.ndarray], what: str, labels: Sequence[str]) -> list[str | None]:
+    """The names under which a log has some columns; None for each that is missing."""
+    names = [[pattern.format(label) for pattern in _NAMES[what]] for label in labels]
+    taken = [next((name for name in each if name in found), None) for each in names]
+    for form in _NUMBERED if None in taken and what in _BASILISK else ():
+        whole = [
+            form.format(name=_BASILISK[what], label=label, i=i, n=i + 1)
+            for i, label in enumerate(labels)
+        ]
+        if all(name in found for name in whole):
+            return [*whole]
+    return taken
 
 
 def _columns(
@@ -102,7 +136,7 @@ def _columns(
 ) -> np.ndarray | None:
     """Some columns of a log (n, labels); None where optional ones are missing altogether."""
     names = [[pattern.format(label) for pattern in _NAMES[what]] for label in labels]
-    taken = [next((name for name in each if name in found), None) for each in names]
+    taken = _taken(found, what, labels)
     missing = [each for each, name in zip(names, taken, strict=True) if name is None]
     if what in _OPTIONAL and len(missing) == len(names):
         return None
