@@ -200,7 +200,7 @@ def heavier(text):
 BASILISK = {
     "rates in world axes": (
         lambda log: turned(log, "omega_BN_B", dcm(log)), str,
-        "axes", "in world axes, while its columns' name says body axes",
+        "axes", "in world axes, while the log says body axes",
     ),
     "rates taken as in world axes": (
         lambda log: turned(log, "omega_BN_B", dcm(log).transpose(0, 2, 1)), str,
@@ -212,7 +212,7 @@ BASILISK = {
     ),
     "velocity in body axes": (
         lambda log: turned(log, "v_BN_N", dcm(log).transpose(0, 2, 1)), str,
-        "axes", "in body axes, while its columns' name says in world axes",
+        "axes", "in body axes, while the log says in world axes",
     ),
     "sigma_NB": (
         lambda log: with_triple(log, "sigma_BN", -triple(log, "sigma_BN")), str,
@@ -418,6 +418,8 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
             audit(path, URDF)
     with pytest.raises(RecordError, match="has 3 samples; at least 10"):
         audit(write(path, taken(true_log, [0, 1, 2])), URDF)
+    with pytest.raises(RecordError, match="has 1 samples; at least 10 are needed, each later"):
+        audit(write(path, scaled(true_log, 0.0, "time")), URDF)
     with pytest.raises(RecordError, match="joint_1 is not a finite number in sample 0"):
         audit(write(path, scaled(true_log, np.nan, "joint_1")), URDF)
     (tmp_path / "log.nc").write_bytes(b"no netCDF")
