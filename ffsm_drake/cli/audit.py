@@ -32,14 +32,15 @@ def audit(log: Path, urdf: Path, columns: tuple[str, ...], tolerance: float, as_
     """Check another simulator's log: is it physics?
 
     LOG is CSV or netCDF with named columns: time, the base's quaternion, position and velocities,
-    each joint's position and rate; efforts where they are known. Tells frames, units and the order
-    of joints apart, then checks momentum and energy with the model. Exits with 3 when a check does
-    not hold.
+    each joint's position and rate; efforts where they are known. Or MCAP with standard messages of
+    ROS 2 or Foxglove. Tells frames, units and the order of joints apart, then checks momentum and
+    energy with the model. Exits with 3 when a check does not hold.
 
     \b
     Examples:
       ffsm audit mujoco.csv --urdf servicer.urdf
       ffsm audit log.nc --urdf servicer.urdf --column time=t_sim --column joint_1=shoulder
+      ffsm audit run.mcap --urdf servicer.urdf --column base=base_link
     """
     from ffsm_drake.analysis.audit import audit as check
 

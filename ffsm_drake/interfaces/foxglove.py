@@ -26,7 +26,13 @@ from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, scenario_to_yaml
-from ffsm_drake.spacecraft.plant import add_combined_plant, find_body, model_files, split_of
+from ffsm_drake.spacecraft.plant import (
+    add_combined_plant,
+    base_body,
+    find_body,
+    model_files,
+    split_of,
+)
 from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -132,6 +138,7 @@ class Bodies:
         self._bodies = {body.scoped_name().get_full(): body for body in bodies}
         target = find_body(plant, scenario.payload.body, key="payload.body")
         self._target = target.scoped_name().get_full()
+        self.base = str(base_body(plant).scoped_name().get_full())
 
     def pictures(self) -> Iterator[tuple[str, list[tuple[Shape, RigidTransform, Rgba]]]]:
         """Of each body the shapes that are drawn, their poses in it and their colours."""

@@ -1,4 +1,6 @@
-"""A recorded run as MCAP with messages of ROS 2: /tf, /joint_states and /wrench (of the base)."""
+"""A recorded run as MCAP with messages of ROS 2: /tf, /joint_states, /odom and /wrench (of the
+base).
+"""
 
 import importlib
 from pathlib import Path
@@ -7,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.interfaces.foxglove import WORLD, Bodies, free_target
 from ffsm_drake.runs.record import RunRecord
 
@@ -22,6 +25,11 @@ _PARTS = {
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
     ),
     "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
 }
 _MESSAGES = {
     "/tf": ("tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms"),
@@ -30,11 +38,17 @@ _MESSAGES = {
         "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
         "float64[] effort",
     ),
+    "/odom": (  # the twist in the base's axes
+        "nav_msgs/msg/Odometry",
+        "std_msgs/Header header\nstring child_frame_id\n"
+        "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
+    ),
     "/wrench": (
         "geometry_msgs/msg/WrenchStamped",
         "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
     ),
 }
+_UNKNOWN = [0.0] * 36  # covariance
 _RULE = "\n" + 80 * "=" + "\nMSG: "
 
 
@@ -79,8 +93,18 @@ def write(record: RunRecord, path: Path) -> None:
             }
             if np.isfinite(q).all():
                 deflection = None if hidden is None else hidden[k]
-                poses = bodies.poses(q, hidden=deflection, free=free.get(k))
-                found["/tf"] = {"transforms": [_transform(header, *pose) for pose in poses]}
+                poses = dict(bodies.poses(q, hidden=deflection, free=free.get(k)))
+                found["/tf"] = {"transforms": [_transform(header, *each) for each in poses.items()]}
+                rates = in_body_axes(q[None, :4], data["velocity"].values[k, :6].reshape(2, 3))
+                found["/odom"] = {
+                    "header": header,
+                    "child_frame_id": bodies.base,
+                    "pose": {"pose": _pose(poses[bodies.base]), "covariance": _UNKNOWN},
+                    "twist": {
+                        "twist": {"linear": _vector(rates[1]), "angular": _vector(rates[0])},
+                        "covariance": _UNKNOWN,
+                    },
+                }
             for topic, message in found.items():
                 writer.write_message(topic, schemas[topic], message, log_time=stamp)
         writer.finish()
@@ -94,7 +118,14 @@ def _vector(values: np.ndarray) -> dict[str, float]:
     return dict(zip("xyz", values.tolist(), strict=True))
 
 
+def _quaternion(X: Any) -> dict[str, float]:
+    return dict(zip("wxyz", X.rotation().ToQuaternion().wxyz().tolist(), strict=True))
+
+
+def _pose(X: Any) -> dict[str, Any]:
+    return {"position": _vector(X.translation()), "orientation": _quaternion(X)}
+
+
 def _transform(header: dict[str, Any], name: str, X: Any) -> dict[str, Any]:
-    rotation = dict(zip("wxyz", X.rotation().ToQuaternion().wxyz().tolist(), strict=True))
-    transform = {"translation": _vector(X.translation()), "rotation": rotation}
+    transform = {"translation": _vector(X.translation()), "rotation": _quaternion(X)}
     return {"header": header, "child_frame_id": name, "transform": transform}

@@ -3,7 +3,9 @@ named.
 """
 
 import csv
+import dataclasses
 import json
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,10 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.analysis.audit import audit
+from ffsm_drake.analysis.audit import Dynamics, audit
+from ffsm_drake.analysis.foreign_log import read_log
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import RecordError
-from ffsm_drake.spacecraft.plant import models_dir
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.plant import make_plant, models_dir
 
 URDF = models_dir() / "urdf" / "servicer.urdf"
 JOINTS = [f"joint_{i}" for i in range(1, 6)]
@@ -130,6 +134,125 @@ def test_a_log_of_pinocchio_is_physics(tmp_path):
     assert statement(found, "base velocity").startswith("in body axes")
     assert "conserved within" in statement(found, "momentum")
     assert "follows the work" in statement(found, "energy")
+
+
+ARM = Path(__file__).parent / "basilisk_arm.urdf"  # and .csv, which tests/basilisk_arm.py wrote
+
+
+@pytest.fixture(scope="module")
+def basilisk_log():
+    """A spacecraft with an arm of three joints, past half a turn, where MRPs are switched."""
+    with ARM.with_suffix(".csv").open(newline="") as file:
+        names, *rows = csv.reader(file)
+    return dict(zip(names, np.array(rows, dtype=float).T, strict=True))
+
+
+def triple(log, name):
+    return np.array([log[f"{name}_{i}"] for i in range(3)])
+
+
+def with_triple(log, name, values):
+    return log | {f"{name}_{i}": row for i, row in enumerate(values)}
+
+
+def dcm(log):
+    """R_NB (n, 3, 3), from MRPs by the Cayley transform, taken twice."""
+    skew = np.cross(np.eye(3), triple(log, "sigma_BN").T[:, None])
+    half = np.linalg.solve(np.eye(3) - skew, np.eye(3) + skew)
+    return half @ half
+
+
+def turned(log, name, rotations):
+    return with_triple(log, name, np.einsum("kij,jk->ik", rotations, triple(log, name)))
+
+
+def test_a_log_of_basilisk_is_physics(basilisk_log):
+    """By its own names: MRPs, which switch once, rates in body axes; joints counted from 0."""
+    assert np.abs(np.diff(triple(basilisk_log, "sigma_BN"))).max() > 1.0
+    found = audit(ARM.with_suffix(".csv"), ARM)
+    assert found.is_physics, str(found)
+    assert statement(found, "angular velocity").startswith("in body axes; agrees")
+    assert statement(found, "base velocity").startswith("in world axes; agrees")
+    assert "conserved within" in statement(found, "momentum")
+    assert "follows the work" in statement(found, "energy")
+
+
+@pytest.mark.parametrize("form", ["{}_{}", "{}[{}]", "{}.{}"])
+def test_columns_are_numbered_in_many_ways(form, basilisk_log, tmp_path):
+    """Vectors by x, y, z, or from 0; joints by name, or from 0 or 1."""
+    log = {"time": basilisk_log["time"]}
+    for name in ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B"):
+        log |= zip([form.format(name, x) for x in "xyz"], triple(basilisk_log, name), strict=True)
+    for name in ("theta", "thetaDot"):
+        log |= zip([f"{name}{i}" for i in (1, 2, 3)], triple(basilisk_log, name), strict=True)
+    if form != "{}_{}":
+        log = {name.translate({120: "0", 121: "1", 122: "2"}): v for name, v in log.items()}
+    found = audit(write(tmp_path / "log.csv", log), ARM)
+    assert found.is_physics, str(found)
+    assert statement(found, "energy").endswith("to have it checked")
+
+
+def heavier(text):
+    return text.replace('<mass value="20"/>', '<mass value="30"/>')
+
+
+# mistake -> how it is made in Basilisk's log, what it makes of the URDF, cause, words
+BASILISK = {
+    "rates in world axes": (
+        lambda log: turned(log, "omega_BN_B", dcm(log)), str,
+        "axes", "in world axes, while the log says body axes",
+    ),
+    "rates taken as in world axes": (
+        lambda log: turned(log, "omega_BN_B", dcm(log).transpose(0, 2, 1)), str,
+        "axes", "body axes were taken for world axes and turned to body axes once more",
+    ),
+    "world rates taken as in body axes": (
+        lambda log: turned(log, "omega_BN_B", dcm(log) @ dcm(log)), str,
+        "axes", "world axes were taken for body axes and turned to world axes once more",
+    ),
+    "velocity in body axes": (
+        lambda log: turned(log, "v_BN_N", dcm(log).transpose(0, 2, 1)), str,
+        "axes", "in body axes, while the log says in world axes",
+    ),
+    "sigma_NB": (
+        lambda log: with_triple(log, "sigma_BN", -triple(log, "sigma_BN")), str,
+        "quaternion_inverse", "sigma_NB, not sigma_BN",
+    ),
+    "another mass in the URDF": (
+        dict, heavier, "mass", "lower has 0.667 times the mass of the URDF",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", BASILISK)
+def test_a_mistake_with_basilisk_is_named(mistake, basilisk_log, tmp_path):
+    make, change, cause, words = BASILISK[mistake]
+    model = tmp_path / "arm.urdf"
+    model.write_text(change(ARM.read_text()))
+    found = audit(write(tmp_path / "log.csv", make(basilisk_log)), model)
+    assert set(found.causes) == {cause}, str(found)
+    assert words in str(found)
+
+
+@pytest.mark.parametrize("point", ["base's", "spacecraft's"])
+def test_another_point_of_the_spacecraft_is_named(point, basilisk_log, tmp_path):
+    """Basilisk's point B is the base's origin; Bc and C are centres of mass."""
+    dynamics = Dynamics(make_plant(Model(directives=str(ARM), end_effector="basilisk_arm::hand")))
+    log = basilisk_log
+    arm, swing = dynamics.points(
+        dataclasses.replace(
+            read_log(ARM.with_suffix(".csv"), dynamics.names),
+            angular=np.einsum("kij,jk->ki", dcm(log), triple(log, "omega_BN_B")),
+        )
+    )[f"the {point} centre of mass"]
+    log = with_triple(log, "v_BN_N", triple(log, "v_BN_N") + swing.T)
+    found = audit(write(tmp_path / "log.csv", log), ARM)
+    assert found.causes == ("axes",), str(found)
+    assert f"of the {point} centre of mass, while" in statement(found, "base velocity")
+    log = with_triple(log, "r_BN_N", triple(log, "r_BN_N") + arm.T)
+    found = audit(write(tmp_path / "log.csv", log), ARM)
+    assert found.causes == ("point",), str(found)
+    assert f"those of the {point} centre of mass" in statement(found, "momentum")
 
 
 def test_a_record_of_this_package_is_physics(tmp_path):
@@ -295,6 +418,8 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
             audit(path, URDF)
     with pytest.raises(RecordError, match="has 3 samples; at least 10"):
         audit(write(path, taken(true_log, [0, 1, 2])), URDF)
+    with pytest.raises(RecordError, match="has 1 samples; at least 10 are needed, each later"):
+        audit(write(path, scaled(true_log, 0.0, "time")), URDF)
     with pytest.raises(RecordError, match="joint_1 is not a finite number in sample 0"):
         audit(write(path, scaled(true_log, np.nan, "joint_1")), URDF)
     (tmp_path / "log.nc").write_bytes(b"no netCDF")
