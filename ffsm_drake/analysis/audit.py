@@ -95,9 +95,9 @@ def audit(
     checks: list[Check] = []
     for step in (
         _time,
+        _quaternion,
         _differentiated,
         _time_unit,
-        _quaternion,
         _attitude,
         _base_velocity,
         _joint_rates,

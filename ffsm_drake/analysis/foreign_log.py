@@ -16,6 +16,7 @@ from ffsm_drake.common.files import check_regular
 
 _MAX_LOG = 2_000_000_000  # bytes
 _LEAST = 10  # samples
+_LARGEST = 1e50  # a number whose square is one
 # What a column is -> names that it may have; {} stands for w, x, y, z or the joint's name. A name
 # with a point is a variable of a netCDF file and a label along its second dimension.
 _NAMES = {
@@ -143,11 +144,14 @@ def read_log(
         for what, labels in sets.items()
         if what not in missing
     }
-    time = read.pop("time")
+    time, quaternion = read.pop("time"), read["quaternion"]
     assert time is not None
+    assert quaternion is not None
     if (later := np.unique(np.maximum.accumulate(time)).size) < _LEAST:
         said = f"at least {_LEAST} are needed, each later than those before"
         raise RecordError(f"{path}: has {later} samples; {said}")
+    if (none := np.flatnonzero(~quaternion.any(axis=1))).size:
+        raise RecordError(f"{path}: the quaternion is zero in sample {none[0]}")
     read |= {what: np.full((len(time), len(sets[what])), math.nan) for what in missing}
     stated = {}
     for what in ("angular", "linear"):
@@ -187,9 +191,10 @@ def _columns(
             f"--column {missing[0][0]}=COLUMN; there are {', '.join(list(found)[:40])}"
         )
     values = np.stack([found[name] for name in taken if name is not None], axis=1)
-    if not (finite := np.isfinite(values)).all():
-        row, column = np.argwhere(~finite)[0]
-        raise RecordError(f"{path}: {taken[column]} is not a finite number in sample {row}")
+    if not (usable := np.abs(values) < _LARGEST).all():
+        row, column = np.argwhere(~usable)[0]
+        said = f"{values[row, column]:g} in sample {row}, not a finite number"
+        raise RecordError(f"{path}: {taken[column]} is {said} below {_LARGEST:g}")
     return values
 
 

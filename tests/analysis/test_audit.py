@@ -420,8 +420,12 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
         audit(write(path, taken(true_log, [0, 1, 2])), URDF)
     with pytest.raises(RecordError, match="has 1 samples; at least 10 are needed, each later"):
         audit(write(path, scaled(true_log, 0.0, "time")), URDF)
-    with pytest.raises(RecordError, match="joint_1 is not a finite number in sample 0"):
+    with pytest.raises(RecordError, match="joint_1 is nan in sample 0, not a finite number"):
         audit(write(path, scaled(true_log, np.nan, "joint_1")), URDF)
+    with pytest.raises(RecordError, match=r"joint_1 is 2e\+299 in sample 0, not a finite number"):
+        audit(write(path, scaled(true_log, 1e300, "joint_1")), URDF)
+    with pytest.raises(RecordError, match="the quaternion is zero in sample 0"):
+        audit(write(path, scaled(true_log, 0.0, *QUATERNION)), URDF)
     (tmp_path / "log.nc").write_bytes(b"no netCDF")
     with pytest.raises(RecordError, match="cannot be read"):
         audit(tmp_path / "log.nc", URDF)
