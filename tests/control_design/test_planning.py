@@ -339,7 +339,7 @@ def test_a_slow_tumble_stops_where_it_is(rate):
     found = plan_motion(
         load_scenario("tumbling_capture", [*overrides, f"capture.rate=[{rate}, 0, 0]"])
     )
-    assert 0.06 <= found.plan.duration < 0.5
+    assert 0.06 - 1e-9 <= found.plan.duration < 0.5
     assert all(margin.kept for margin in found.margins)
     assert np.abs(found.rows[-1, 12:23]).max() < 1e-12
 

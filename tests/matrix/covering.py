@@ -1,9 +1,6 @@
 """A covering array: few rows in which every allowed pair of values of two factors occurs."""
 
 import itertools
-from random import Random
-
-_TRIED, _MOST = 8, 1000  # rows, of which one is taken; times
 
 
 def pairs_of(row):
@@ -29,35 +26,20 @@ def allowed_pairs(factors, refused):
 def covering_array(factors, refused):
     """Rows, factor -> value, without any refused combination, that hold all allowed pairs.
 
-    Greedy: of a few rows that begin with a pair that is still missing and take for every other
-    factor, in some order, the value that brings most missing pairs, the one that brings most.
+    Greedy: a row begins with a pair that is still missing, and takes for every other factor the
+    value that brings most missing pairs.
     """
-    random, missing = Random(0), dict.fromkeys(allowed_pairs(factors, refused))
+    missing = dict.fromkeys(allowed_pairs(factors, refused))
     rows = []
-    for _ in range(_MOST):
-        if not missing:
-            return rows
-        begun = random.choices(list(missing), k=_TRIED)
-        tried = [_completed(dict(pair), factors, refused, missing, random) for pair in begun]
-        tried = [row for row in tried if row is not None]  # the others can be tried again
-        if not tried:
-            continue
-        row = max(tried, key=lambda row: len(pairs_of(row) & missing.keys()))
+    while missing:
+        row = dict(next(iter(missing)))
+        for factor in factors:
+            if factor in row:
+                continue
+            trials = [{**row, factor: value} for value in factors[factor]]
+            fitting = [trial for trial in trials if not is_refused(trial, refused)]
+            row = max(fitting, key=lambda trial: len(pairs_of(trial) & missing.keys()))
         for pair in pairs_of(row):
             missing.pop(pair, None)
         rows.append({factor: row[factor] for factor in factors})
-    raise ValueError(f"no row holds {missing}")
-
-
-def _completed(row, factors, refused, missing, random):
-    """A row of a first pair; None if at last no value fits."""
-    for factor in random.sample(list(factors), len(factors)):
-        if factor in row:
-            continue
-        values = random.sample(factors[factor], len(factors[factor]))
-        trials = [{**row, factor: value} for value in values]
-        fitting = [trial for trial in trials if not is_refused(trial, refused)]
-        if not fitting:
-            return None
-        row = max(fitting, key=lambda trial: len(pairs_of(trial) & missing.keys()))
-    return row
+    return rows

@@ -17,37 +17,22 @@ FACTORS = {
     "law": ("proposed", "tdc", "own law", "task-space law"),
     "estimator": ("kalman", "one_sample", "coupled"),
     "sensors": ("noisy", "flight", "late", "own sensor"),
-    "base actuators": (
-        "ideal",
-        "thrusters",
-        "wheels",
-        "thrusters and wheels",
-        "thrusters with plumes",
-        "own actuator",
-    ),
+    "base actuators": ("ideal", "thrusters", "wheels", "thrusters and wheels", "own actuator"),
     "joint actuators": ("ideal", "drives"),
     "flexible": ("none", "panels", "slosh"),
     "orbit": ("none", "orbit"),
-    "start": (
-        "held",
-        "capture from the grasp",
-        "capture with approach",
-        "clear approach",
-        "measured target",
-    ),
+    "start": ("held", "capture from the grasp", "capture with approach", "measured target"),
     "motion": ("polynomial", "shaped", "frame", "plan"),
     "driven": ("all", "base rotation and joints", "joints"),
     "command filter": ("none", "command filter"),
     "supervisor": ("none", "supervisor"),
     "faults": ("none", "detection"),
-    # a run is replayed, and before a plan comes a look at the stability
-    "command": ("replay", "design", "plan", "compare", "campaign"),
+    "command": ("run", "stability", "design", "plan", "compare", "campaign", "replay"),
 }
 PLAIN = {factor: values[0] for factor, values in FACTORS.items()}
 
-_THRUSTERS = ("thrusters", "thrusters and wheels", "thrusters with plumes")
 _UNDRIVEN = ("base rotation and joints", "joints")
-_APPROACHES = ("capture with approach", "clear approach", "measured target")
+_APPROACHES = ("capture with approach", "measured target")
 # Combinations that are refused: what the one line names, beside the rows of docs/combinations.md.
 REFUSED = {
     frozenset(combination.items()): names
@@ -55,7 +40,7 @@ REFUSED = {
         ({"estimator": "coupled", "sensors": "late"}, ("coupled", "late")),
         *(
             ({"base actuators": actuators, "driven": driven}, ("driven", actuators.split()[0]))
-            for actuators in (*_THRUSTERS, "wheels")
+            for actuators in ("thrusters", "wheels", "thrusters and wheels")
             for driven in _UNDRIVEN
             if (actuators, driven) != ("wheels", "base rotation and joints")
         ),
@@ -64,10 +49,6 @@ REFUSED = {
             ({"start": start, "driven": driven}, ("approach", "driven"))
             for start in _APPROACHES
             for driven in _UNDRIVEN
-        ),
-        (
-            {"spacecraft": "generated servicer", "start": "clear approach"},
-            ("capture.approach.start", "no start"),
         ),
         ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
         *(
@@ -87,24 +68,14 @@ REFUSED = {
     )
 }
 
-# What runs, and is predicted as unstable.
+# What runs, and is predicted as unstable: `one_sample` divides a step of a held measurement by one
+# sample's time.
 WARNED = [
-    frozenset(combination.items())
-    for combination in (
-        *(
-            {"law": law, "estimator": "one_sample", **cause}
-            for law in ("proposed", "tdc")
-            for cause in ({"sensors": "late"}, *({"base actuators": each} for each in _THRUSTERS))
-        ),
-        *(
-            {"spacecraft": "own servicer and target", "law": "own law", "base actuators": each}
-            for each in _THRUSTERS
-            if each != "thrusters and wheels"
-        ),
-    )
+    frozenset({("law", law), ("estimator", "one_sample"), ("sensors", "late")})
+    for law in ("proposed", "tdc")
 ]
 
-APPROACH, CLEAR_APPROACH = 6.0, 12.0  # s
+APPROACH = 6.0  # s
 MOTION = 10.0
 HOLD = 2.0
 OMEGA = 3.0  # rad/s, of every law
@@ -179,9 +150,6 @@ _BASE_ACTUATORS = {
     "wheels": {"actuation": {"wheels": {"units": _WHEELS}}},
     "thrusters and wheels": {
         "actuation": {"thrusters": {"layout": "12x5N"}, "wheels": {"units": _WHEELS}}
-    },
-    "thrusters with plumes": {
-        "actuation": {"thrusters": {"layout": "16x22N", "plume": {"rays": 16}}}
     },
     "own actuator": {
         "blocks": {
@@ -258,15 +226,12 @@ def _start(row, scenario):
     if row["start"] == "capture from the grasp":
         return {"capture": capture}
     joints = _on_the_way(scenario, 0.25)
-    duration = CLEAR_APPROACH if row["start"] == "clear approach" else APPROACH
-    capture["approach"] = {"duration": duration, "posture": {"joints": joints}}
-    if row["start"] == "clear approach":
-        capture["approach"]["start"] = "clear"
+    capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
     capture["envelope"] = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     if row["start"] == "measured target":
         capture |= {"closing": {"joints": "controlled"}, "measured": {"last": 2.0}}
         capture["envelope"] |= {"position": 0.1, "angle": 0.2}
-    return {"capture": capture, "duration": duration + MOTION + HOLD}
+    return {"capture": capture, "duration": APPROACH + MOTION + HOLD}
 
 
 def _motion(row, scenario, plan):

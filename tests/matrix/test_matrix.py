@@ -74,8 +74,10 @@ def commands(row, file, folder):
     }  # fmt: skip
     (folder / "spec.yaml").write_text(yaml.safe_dump(spec))
     return {
+        "run": [run],
+        "stability": [("stability", file, "--no-rehearsal")],
         "design": [("design", file, "--time", 1, *out)],
-        "plan": [("stability", file, "--no-rehearsal"), ("plan", file, *out)],
+        "plan": [("plan", file, *out)],
         "compare": [("compare", file, "-c", "tdc", "-c", "tde_aismc", "--no-report", *out)],
         "campaign": [
             ("campaign", "run", folder / "spec.yaml", "--workers", 1, "--database", folder / "x.db")
@@ -104,7 +106,7 @@ def test_what_is_refused_says_so_in_one_line(combination, workshop, tmp_path):
     else:
         file = tmp_path / "mission.yaml"
         file.write_text(scenario_to_yaml(scenario))
-        command = "validate" if row["command"] == "replay" else row["command"]
+        command = "validate" if row["command"] == "run" else row["command"]
         result = ffsm(command, file)
         assert result.exit_code == 2, result.output
         said = result.stderr.strip()
