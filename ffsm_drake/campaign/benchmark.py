@@ -55,6 +55,7 @@ _AT_START, _PLANNED = "angular_momentum", "planned_time"
 _OF_RUNS = (
     "itae",
     "isv",
+    "peak_error_base_rotation",
     "settled_time",
     "propellant",
     "final_drift_rotation",

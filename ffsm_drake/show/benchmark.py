@@ -53,7 +53,7 @@ def _cell(name: str, value: float | None) -> str:
 
 def _bounds(board: Board) -> str:
     """The lower bounds of a mission in one line."""
-    said = {"momentum": "by the momentum over the limits", "planner": "found by the planner"}
+    said = {"momentum": "by the momentum over the limits", "planner": "by the plan"}
     parts = [f"{time:.3g} s {said[name]}" for name, time in board.bounds.items()]
     propellant = ""
     if board.propellant is not None:

@@ -6,6 +6,8 @@ import pytest
 from ffsm_drake.campaign.benchmark import bounds_of, load_mission
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.metrics import base_drift
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers.laws.torque_against_momentum import angular_momentum
 
 # ETS-VII in OnOrbitROS: base, then links: mass, inertia (xx, yy, zz, xy, xz, yz), joint's place,
 # axis, and fixed rotation (axis, quarter turns). Centres of mass stand at the joints.
@@ -134,3 +136,24 @@ def test_a_heavy_servicer_stops_envisat():
     # as the grasp leaves it: the target's rate, in its axes, which are the base's
     assert velocity[0, :3] == pytest.approx([0.0, 0.0, RATE], abs=1e-6)
     assert np.abs(velocity[-1]).max() < 1e-4
+
+
+# The stored simulation of TVLQR (vyas-shubham/asr-trajopt-trajstab): its last posture, at 4.095 s
+# (turn about y; x, z; joints), the momentum left, and integrals of its torques (base, joints).
+POSTURE = (4.99916e-3, -0.0272136, -7.46813e-3, -0.609982, 1.024368, 0.918417)
+MOMENTUM = 0.2496  # N m s, about the centre of mass
+TORQUES = (3.444, 1.993, 0.954, 0.447)  # N m s
+
+
+def test_the_published_regulator_ends_as_in_its_stored_simulation():
+    """The joints have moved by 0.11 to 0.2 rad. With other weights joint 3 is 4 mrad off and the
+    plan's 0.268 N m s are left.
+    """
+    mission = load_mission("planar_published")
+    log, model = make_rollout(mission.scenario).run(), make_nominal_plant(mission.scenario)
+    last = log.series["state"][-2:].mean(axis=0)  # 4.09 s, 4.1 s
+    assert [2.0 * last[2], last[4], *last[6:10]] == pytest.approx(POSTURE, abs=1e-3)
+    left = angular_momentum(model.calc_mass_matrix(last[:10]), last[10:])
+    assert np.linalg.norm(left) == pytest.approx(MOMENTUM, rel=0.04)
+    impulse = mission.scenario.sample_time * np.abs(log.generalized_force[:-1]).sum(axis=0)
+    assert impulse[[1, 6, 7, 8]] == pytest.approx(TORQUES, rel=0.04)

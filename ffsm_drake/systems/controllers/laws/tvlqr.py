@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
@@ -23,7 +24,7 @@ from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, files_read
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Sample,
@@ -37,7 +38,6 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _STEP = 1e-6  # step of finite differences: rad, m, and per s
 _INSTANTS = 101  # instants of the plan with a linearisation; the matrices are interpolated between
-_SETTLED = 5.0  # s until the Riccati equation is stationary
 _UNKNOWN: np.ndarray = np.zeros((1, 0, 0))  # gains of a law without a plan
 
 
@@ -118,9 +118,16 @@ def _gains_of(
     weight = np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0)
     effort = np.diag(law.force_size**-2.0)
     gains = np.empty((last + 1, nv, 2 * nv))
-    cost = weight
-    # The first ones are at the end of the plan, until they are stationary.
-    for k in (*[last] * round(_SETTLED / period), *range(last, -1, -1)):
+    stationary = discretized(*known[-1], period)
+    try:
+        _, cost = DiscreteTimeLinearQuadraticRegulator(*stationary, weight, effort)
+    except DRAKE_ERRORS:
+        raise ScenarioError(
+            f"controllers.{scenario.controller}",
+            "has no regulator in double precision; error_size, rate_size and force_size must be "
+            "nearer to each other",
+        ) from None
+    for k in range(last, -1, -1):
         place = k * (_INSTANTS - 1) / last
         i = min(int(place), _INSTANTS - 2)
         before, after = i + 1 - place, place - i
