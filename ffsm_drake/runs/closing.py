@@ -477,6 +477,7 @@ class ClosingRun:
                 make_motion(without_target(scenario), self.loop.coordinates),
                 np.linspace(begin, sample - self._samples, _INSTANTS),
                 begin,
+                margin=self._approach.margin,
             ):
                 self.scenario, self.handover = scenario, Handover(scenario)
                 self.handover.sample = sample
@@ -518,16 +519,21 @@ class ClosingRun:
         move = Move(begin=first * period, duration=(begin - first) * period, start=start, goal=goal)
         self._across, motion = move, move.motion(scenario, self.loop.coordinates)
         samples = np.linspace(first, begin, _INSTANTS)
-        return is_gentle(scenario, motion) and self._is_clear(motion, samples, first)
+        margin = self._approach.margin
+        return is_gentle(scenario, motion) and self._is_clear(motion, samples, first, margin=margin)
 
-    def _is_clear(self, motion: PlannedMotion, samples: np.ndarray, first: int) -> bool:
-        """Whether a motion that begins at a sample keeps the scenario's clearance at others."""
+    def _is_clear(
+        self, motion: PlannedMotion, samples: np.ndarray, first: int, *, margin: float = 0.0
+    ) -> bool:
+        """Whether a motion that begins at a sample keeps the scenario's clearance, and a margin (m)
+        beyond it, at others.
+        """
         samples, scenario = samples.round().astype(int), self._chosen
         times = (samples - first) * scenario.sample_time
         q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
         target = self._known.motion[samples, :7]
         nearest = closest_of(scenario, times, q, target=target)
-        return all(each.distance >= scenario.clearance for each in nearest)
+        return all(each.distance >= scenario.clearance + margin for each in nearest)
 
     def _fail(self, status: str, what: str) -> None:
         time = self.sample * self._chosen.sample_time

@@ -38,6 +38,13 @@ class Approach:
         "given",
         "clear",
     )
+    margin: float = setting(
+        0.0,
+        "m",
+        'beyond clearance, that a "clear" start and the ways to a further try keep, for what the '
+        "navigation is off",
+        least=0,
+    )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Whole samples, and time left after it; every coordinate driven, no frame."""

@@ -77,6 +77,7 @@ def _clear_start(scenario: Scenario) -> Posture:
     X_WP, path = target_path(scenario, model, contact)
     end = np.array(scenario.initial_posture.base_position)
     best, kept = -np.inf, capture.approach.posture
+    needed = scenario.clearance + capture.approach.margin
     for joints, way in itertools.product(
         (kept.joints, scenario.initial_posture.joints), _ways(end - X_WP.translation())
     ):
@@ -87,14 +88,14 @@ def _clear_start(scenario: Scenario) -> Posture:
             margins = margins_of(scenario, motion, path[:, :7], instants=_CLOSER, most=_MOST)
         if margins.distance > best:
             best, found = margins.distance, posture
-        if margins.distance >= _WIDE and margins.share <= _LITTLE:
+        if margins.distance >= max(_WIDE, needed) and margins.share <= _LITTLE:
             return posture
-    if best < scenario.clearance:
+    if best < needed:
         raise LimitError(
             "capture.approach.start",
-            f"no start within {_LENGTHS[-1]:g} m keeps {scenario.clearance:g} m from the target "
-            f"at {100.0 * _MOST:g} % of the limits of force; change capture.approach.duration or "
-            "posture.joints",
+            f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target at "
+            f"{100.0 * _MOST:g} % of the limits of force; change capture.approach.duration, margin "
+            "or posture.joints",
             limit="clearance",
         )
     return found

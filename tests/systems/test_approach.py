@@ -65,6 +65,26 @@ def test_the_start_does_not_depend_on_the_target_that_is_left_out_or_the_law():
     assert given_approach(without_target(scenario)).start == "given"
 
 
+@settings(max_examples=3)
+@given(st.floats(0.01, 0.08))
+def test_the_margin_is_kept_beyond_the_clearance_or_the_scenario_is_refused(margin):
+    scenario = tumbling([0.03, 0.02, -0.03], f"capture.approach.margin={margin}")
+    needed = scenario.clearance + margin
+    try:
+        _, times, (q, _, _), target = planned(scenario)
+    except ScenarioError as error:
+        assert f"keeps {needed:g} m" in str(error)
+        return
+    assert all(
+        each.distance > needed - 1e-3 for each in closest_of(scenario, times, q, target=target)
+    )
+
+
+def test_a_margin_that_cannot_be_kept_is_refused():
+    with pytest.raises(ScenarioError, match=r"keeps 0\.51 m from the target"):
+        approach_posture(tumbling([0.03, 0.02, -0.03], "capture.approach.margin=0.5"))
+
+
 def test_a_target_that_turns_too_fast_is_refused_in_one_line():
     scenario = tumbling([0.0, 1.5, 0.0])
     with pytest.raises(ScenarioError, match=r"capture\.approach\.start: no start within 1 m") as no:
