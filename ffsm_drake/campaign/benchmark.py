@@ -4,6 +4,7 @@ A mission's runs are a campaign of three cases that differ in their random seed.
 an interruption, and a database holds the laws that were asked for together.
 """
 
+import collections
 import contextlib
 import dataclasses
 import functools
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.campaign.cases import make_cases
+from ffsm_drake.campaign.evaluate import COMPLETED
 from ffsm_drake.campaign.law_figures import FIGURES, law_figures
 from ffsm_drake.campaign.run import Progress, check_cases, resume_campaign
 from ffsm_drake.campaign.spec import Spec, spec_from_data
@@ -95,8 +97,8 @@ class Mission:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Standing:
-    """A law's row in the leaderboard of a mission: means over the seeds that settled, and
-    ``law_figures``.
+    """A law's row in the leaderboard of a mission: means over the seeds that settled, or over those
+    that ran to their end where none did, and ``law_figures``.
     """
 
     controller: str
@@ -107,6 +109,11 @@ class Standing:
     @property
     def settled(self) -> int:
         return self.outcomes.count("settled")
+
+    @property
+    def ended_early(self) -> Mapping[str, int]:
+        """How often by outcome."""
+        return collections.Counter(name for name in self.outcomes if name not in COMPLETED)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -277,7 +284,7 @@ def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
     ]
 
     def place(standing: Standing) -> tuple[Any, ...]:
-        itae = standing.figures["itae"]
+        itae = standing.figures["itae"]  # None where no run came to its end
         has_run = any(name != "error" for name in standing.outcomes)
         return -standing.settled, not has_run, math.inf if itae is None else itae
 
@@ -311,9 +318,11 @@ def _rows(mission: Mission, folder: Path) -> Iterator[tuple[str, list[dict[str, 
 
 def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> Standing:
     settled = [row for row in rows if row["outcome"] == "settled"]
+    # one that ended early has had less time to err
+    meant = settled or [row for row in rows if row["outcome"] in COMPLETED]
 
     def mean(column: str) -> float | None:
-        values = [row[column] for row in settled or rows if row.get(column) is not None]
+        values = [row[column] for row in meant if row.get(column) is not None]
         return statistics.fmean(values) if values else None
 
     of_law = dict.fromkeys(FIGURES)

@@ -40,6 +40,7 @@ from ffsm_drake.systems.reference import timed
 
 # refused: no motion keeps the limits
 UNSETTLED = ("not_settled", "growing", *NOT_CAPTURED, "diverged")
+COMPLETED = ("settled", "not_settled", "growing")  # those that ran to their end
 OUTCOMES = ("settled", *UNSETTLED, "refused", "error")
 _BY_GROUP = [
     (kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ffsm_drake.campaign.evaluate import (
+    COMPLETED,
     DIVERGENCE,
     FIRST_LIMIT,
     LOAD,
@@ -323,7 +324,7 @@ def _num_combinations(spec: Spec) -> int:
 
 def _grid_point(spec: Spec, runs: Runs, first: int) -> GridPoint:
     here = runs.case % _num_combinations(spec) == first
-    ended = here & np.isin(runs.outcome, ("settled", "not_settled", "growing"))
+    ended = here & np.isin(runs.outcome, COMPLETED)
     names, counts = np.unique(runs.outcome[here], return_counts=True)
     return GridPoint(
         levels={name: spec.level(name, first) for name in spec.distributions},

@@ -38,7 +38,8 @@ def _leaderboard(board: Board) -> list[list[str]]:
     rows = [["law", "settled", *(_COLUMNS[name] for name in columns)]]
     for standing, found in applied:
         cells = [_cell(name, found[name]) for name in columns]
-        settled = f"{standing.settled} of {len(standing.outcomes)}"
+        early = [f"{count} {name}" for name, count in standing.ended_early.items()]
+        settled = ", ".join([f"{standing.settled} of {len(standing.outcomes)}", *early])
         rows.append([standing.controller, settled, *cells])
     return rows
 

@@ -38,7 +38,7 @@ from ffsm_drake import ControlLaw
 @dataclasses.dataclass(frozen=True)
 class Idle(ControlLaw):
     def step(self, sample, state):
-        return 0.0 * sample.velocity, state
+        return 0.0 * sample.v, state
 """
 
 
@@ -105,8 +105,20 @@ def test_a_users_law_gets_its_row(mission, folder, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     board = run_mission(mission, ["idle_law:Idle"], copied(folder, tmp_path), workers=HERE)
     assert [each.controller for each in board.standings] == ["asmc", "tdc", "idle_law:Idle"]
+    assert "error" not in board.standings[-1].outcomes
     with pytest.raises(Exception, match="no_such_law"):
         run_mission(mission, ["no_such_law:Law"], tmp_path, workers=HERE)
+
+
+def test_a_law_that_diverges_at_once_does_not_lead(mission, folder, tmp_path, monkeypatch):
+    """Its error in the little time that it had is no figure."""
+    (tmp_path / "wild_law.py").write_text(LAW.replace("0.0 *", "1e6 + 0.0 *"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    board = run_mission(mission, ["wild_law:Idle"], copied(folder, tmp_path), workers=HERE)
+    *_, last = board.standings
+    assert (last.controller, last.outcomes) == ("wild_law:Idle", ("diverged",) * 3)
+    assert last.figures["itae"] is None
+    assert "0 of 3, 3 diverged" in board_text(board)
 
 
 def test_other_scenarios_do_not_mix(mission, folder, tmp_path):

@@ -11,6 +11,7 @@ from pydrake.systems.primitives import TrajectoryLinearSystem
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.linalg import solve_discrete_are
 
+from ffsm_drake.campaign.benchmark import load_mission
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario
@@ -79,7 +80,9 @@ def test_its_gains_are_those_of_the_regulator_in_continuous_time():
     """Drake's finite-horizon regulator, with the published weights, whose base position takes a
     minute to settle. 1.0 % is left by sampling at 2 ms, 0.5 % at 1 ms.
     """
+    published = load_mission("planar_published").scenario.controllers["tvlqr"]
     scenario = load_scenario("planar_detumble", ["controller=tvlqr", "sample_time=0.002"])
+    scenario = scenario.replace(controllers={"tvlqr": published})
     model = make_nominal_plant(scenario)
     law, motion = make_law(scenario, model), make_motion(scenario, model.coordinates)
     times = np.linspace(0.0, motion.end, 101)
@@ -106,7 +109,7 @@ def test_its_gains_are_those_of_the_regulator_in_continuous_time():
 
 
 def test_tvlqr_follows_the_plan_to_rest():
-    sets = ["controller=tvlqr", "controllers.tvlqr={}", "duration=3.6"]  # its default weights
+    sets = ["controller=tvlqr", "duration=3.6"]
     log = Rollout(load_scenario("planar_detumble", sets)).run()
     assert np.abs(log.error).max() < 1e-4
     assert np.abs(log.series["state"][-1, 10:]).max() < 1e-3
