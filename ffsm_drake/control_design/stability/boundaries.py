@@ -4,6 +4,7 @@ Every trial builds the loop again and linearises it at the posture nearest to in
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -16,6 +17,7 @@ LARGEST_FACTOR = 30.0
 LARGEST_DELAY = 30  # control samples
 _RATIO = 1.3  # of one factor to the next in the search
 _ACCURACY = 1e-3  # of a factor, relative
+_FAST = 100.0  # log of a spectral radius, in place of an infinite one
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,25 +53,23 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     ]
     parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
 
-    def is_stable(changed: Scenario) -> bool:
-        return _is_stable(changed, time)
+    def radius(changed: Scenario) -> float:
+        return _radius(changed, time)
 
     def largest_mass(names: Collection[str]) -> float:
-        return _largest_factor(
-            lambda factor: is_stable(with_flexible_mass(scenario, names, factor))
-        )
+        return _largest_factor(lambda factor: radius(with_flexible_mass(scenario, names, factor)))
 
-    if not is_stable(scenario):
+    if radius(scenario) >= 1.0:
         nan = float("nan")
         return Boundaries(
             gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
         )
     return Boundaries(
-        gains=_largest_factor(lambda factor: is_stable(with_gains(scenario, factor)))
+        gains=_largest_factor(lambda factor: radius(with_gains(scenario, factor)))
         if any(gain.feedback for gain in declared_gains(scenario).values())
         else float("inf"),
         nominal_payload=_largest_payload(scenario, time),
-        sample_time=_largest_factor(lambda factor: is_stable(with_sample_time(scenario, factor))),
+        sample_time=_largest_factor(lambda factor: radius(with_sample_time(scenario, factor))),
         flexible_mass={label: largest_mass(names) for label, names in parts.items()},
         delay=_first_unstable_delay(scenario, time),
     )
@@ -77,26 +77,26 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
 
 def largest_payload(scenario: Scenario, *, time: float) -> float:
     """``Boundaries.nominal_payload`` alone; arguments and errors as for ``find_boundaries``."""
-    return _largest_payload(scenario, time) if _is_stable(scenario, time) else float("nan")
+    return _largest_payload(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
 
 
 def first_unstable_delay(scenario: Scenario, *, time: float) -> float:
     """``Boundaries.delay`` alone; arguments and errors as for ``find_boundaries``."""
-    return _first_unstable_delay(scenario, time) if _is_stable(scenario, time) else float("nan")
+    return _first_unstable_delay(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
 
 
-def _is_stable(scenario: Scenario, time: float) -> bool:
+def _radius(scenario: Scenario, time: float) -> float:
     with Linearizer(scenario) as linearizer:
-        return linearizer.at(time).spectral_radius < 1.0
+        return linearizer.at(time).spectral_radius
 
 
 def _largest_payload(scenario: Scenario, time: float) -> float:
-    return _largest_factor(lambda factor: _is_stable(with_nominal_payload(scenario, factor), time))
+    return _largest_factor(lambda factor: _radius(with_nominal_payload(scenario, factor), time))
 
 
 def _first_unstable_delay(scenario: Scenario, time: float) -> float:
     for further in range(1, LARGEST_DELAY + 1):
-        if not _is_stable(with_delay(scenario, scenario.sensing.delay + further), time):
+        if _radius(with_delay(scenario, scenario.sensing.delay + further), time) >= 1.0:
             return float(further)
     return float("inf")
 
@@ -158,19 +158,30 @@ def with_delay(scenario: Scenario, delay: int) -> Scenario:
     )
 
 
-def _largest_factor(is_stable: Callable[[float], bool]) -> float:
-    """The largest stable factor from 1 up; infinite where the loop is stable over the whole search
-    range, or up to a model that cannot be built (a part outweighs its carrier).
+def _largest_factor(radius: Callable[[float], float]) -> float:
+    """The largest stable factor from 1 up, by a loop's spectral radius; infinite where the
+    loop is stable over the whole search range, or up to a model that cannot be built (a part
+    outweighs its carrier).
     """
-    inside, outside = 1.0, _RATIO
+    from scipy.optimize import brentq
+
+    stable = 1.0
+
+    def growth(factor: float) -> float:
+        nonlocal stable
+        found = radius(factor)
+        if found < 1.0:
+            stable = max(stable, factor)
+        return math.log(found) if math.isfinite(found) else _FAST
+
+    outside = _RATIO
     try:
-        while is_stable(outside):
-            inside, outside = outside, outside * _RATIO
+        while growth(outside) < 0.0:
+            outside *= _RATIO
             if outside > LARGEST_FACTOR:
                 return float("inf")
     except ModelError:
         return float("inf")
-    while outside - inside > _ACCURACY * inside:
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if is_stable(middle) else (inside, middle)
-    return inside
+    # it ends with a stable and an unstable factor so near to each other
+    brentq(growth, stable, outside, xtol=1e-12, rtol=_ACCURACY)
+    return stable
