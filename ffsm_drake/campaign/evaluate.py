@@ -24,14 +24,13 @@ from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
-from ffsm_drake.runs.batches import batches_of, run_many
-from ffsm_drake.runs.capture import CaptureRollout, make_rollout
+from ffsm_drake.runs.batches import Kept, batches_of, run_many
+from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
-from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
@@ -153,7 +152,7 @@ class Evaluator:
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
         self._metrics, self._predictions = metrics_of(spec), predictions_of(spec)
-        self._rollouts: dict[str, Rollout | CaptureRollout] = {}
+        self._rollouts: dict[str, Kept] = {}  # by controller
         self._software = " ".join(
             f"{name} {version}" for name, version in software_versions().items()
         )
@@ -219,13 +218,9 @@ class Evaluator:
             return {"message": "; ".join(filter(None, (message, why)))}
 
     def _run(self, scenario: Scenario) -> RunLog:
-        rollout = self._rollouts.get(scenario.controller)
-        if rollout is not None and not rollout.accepts(scenario):
-            rollout.release()
-            rollout = None
-        if rollout is None:
-            self._rollouts[scenario.controller] = rollout = make_rollout(scenario)
-        return rollout.run(scenario)
+        kept = self._rollouts.setdefault(scenario.controller, Kept(make_rollout))
+        log: RunLog = kept.rollout(scenario, scenario).run(scenario)
+        return log
 
 
 def evaluate_run(spec: Spec, log: RunLog) -> Row:

@@ -91,7 +91,7 @@ def run_many(
 
     Raises KeyboardInterrupt: interrupted from the keyboard.
     """
-    alone, together = _Kept(make_rollout), _Kept(make_rollout)
+    alone, together = Kept(make_rollout), Kept(make_rollout)
     try:
         for indices in batches_of(scenarios, batch):
             chosen = [scenarios[index] for index in indices]
@@ -108,7 +108,7 @@ def run_many(
         together.drop()
 
 
-def _alone(kept: "_Kept", scenario: Scenario) -> RunLog | Exception:
+def _alone(kept: "Kept", scenario: Scenario) -> RunLog | Exception:
     try:
         log: RunLog = kept.rollout(scenario, scenario).run(scenario)
         return log
@@ -117,7 +117,7 @@ def _alone(kept: "_Kept", scenario: Scenario) -> RunLog | Exception:
         return error
 
 
-class _Kept:
+class Kept:
     """The last rollout, for runs that it takes. A user's block may be built from what a run can
     change, so that those are built anew.
     """

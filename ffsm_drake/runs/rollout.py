@@ -119,9 +119,11 @@ class Rollout:
 
     def release(self) -> None:
         """Free the closed loop, which Drake would otherwise keep. Do not use any part of it
-        afterwards.
+        afterwards; it ``accepts`` no scenario. A second time this does nothing.
         """
-        untie(self.loop.diagram)
+        if self._built_for:
+            untie(self.loop.diagram)
+        self._built_for = []
 
     def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
         """True if ``run`` takes the scenario, or ``run_all`` the scenarios, without a new build.

@@ -1,5 +1,7 @@
 """Every kind of dispersed value reaches the plant or the controller: the run's series change."""
 
+import gc
+
 import pytest
 from campaign_tools import write_spec
 
@@ -13,7 +15,7 @@ from ffsm_drake.campaign.evaluate import (
     evaluate,
 )
 from ffsm_drake.campaign.spec import load_spec, spec_from_data
-from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario, scenario_from_dict, scenario_to_dict
@@ -130,6 +132,27 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
             assert reused[f"final_error_{group}"] == fresh["final_error"][group]
             assert reused[f"peak_effort_{group}"] == fresh["peak_effort"][group]
         assert not differing_columns(reused, evaluate_alone(spec, case))
+
+
+def test_a_case_that_cannot_be_built_leaves_nothing_of_the_one_before(spec, monkeypatch):
+    """A released loop was kept, and released or run again by the next case: a crash."""
+    first, refused, last = (
+        Case(index=index, seed=1, values={"controllers.tdc.k_d": gain})
+        for index, gain in enumerate((1.0, 2.0, 1.0))
+    )
+
+    def refuse(*arguments, **settings):
+        raise LimitError("capture.approach.start", "no start is clear", limit="clearance")
+
+    evaluator = Evaluator(spec)
+    before = evaluator.evaluate(first, "tdc")
+    with monkeypatch.context() as patched:
+        patched.setattr("ffsm_drake.runs.capture.Rollout", refuse)
+        assert evaluator.evaluate(refused, "tdc")["outcome"] == "refused"
+    gc.collect()
+    after = evaluator.evaluate(last, "tdc")
+    assert before["outcome"] != "error"
+    assert not differing_columns(before, after)
 
 
 @pytest.mark.smoke

@@ -71,6 +71,8 @@ def test_no_integrator_goes_on_from_the_run_before(scheme):
     first, second = (rollout.run().series["state"] for _ in range(2))
     rollout.release()
     np.testing.assert_array_equal(first, second)
+    assert not rollout.accepts(scenario)
+    rollout.release()
 
 
 @pytest.mark.parametrize(
