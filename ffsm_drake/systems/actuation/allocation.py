@@ -23,11 +23,9 @@ from ffsm_drake.common.products import times
 
 _SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
 _SLACK = 1e-9  # relative; by which a bound may be missed
-# Of the part of a wrench that is given, by which it outweighs the propellant; more where a unit of
-# some wrench costs more than _DEAR, as of thrusters with arms of centimetres.
-_PRICE, _DEAR = 1e3, 10.0
 # By which costs are set apart, so that of equally cheap forces one is chosen.
 _DISTINCT = 1e-7
+_DISTINCT_PROGRAM = 1e-4  # in the linear program, whose solver takes differences of 1e-7 for none
 _TOUCHES = 1e-10  # relative to the largest cost
 
 
@@ -59,12 +57,13 @@ class Allocation:
         if not optimal.any():  # too nearly degenerate
             raise ValueError(_in_words(np.linalg.svd(wrenches)[0][:, -1]))
         self._prices = np.unique(prices[optimal].round(9), axis=0)
-        self._price = _PRICE * largest.sum() * max(1.0, float(np.abs(self._prices).max()) / _DEAR)
         self._touches = self._prices @ wrenches > cost - 100.0 * _TOUCHES
         # least squares by the thrusters that may fire, as they come up
         self._shares = dict[bytes, np.ndarray]()
-        self._cost = cost * (1.0 + _DISTINCT * np.modf(0.618034 * np.arange(count))[0])
-        _, optimal = vertices(self._cost)
+        # squares: of an even sequence the sums are alike again
+        spread = np.modf(0.618034 * np.arange(count) ** 2)[0]
+        _, optimal = vertices(cost * (1.0 + _DISTINCT * spread))
+        self._program_cost = cost * (1.0 + _DISTINCT_PROGRAM * spread)
         self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
 
     def solve(
@@ -114,30 +113,38 @@ class Allocation:
     def _solve_within_bounds(
         self, wrench: np.ndarray, leak: np.ndarray | float
     ) -> tuple[np.ndarray, float]:
-        """As ``solve``: the largest part s with W f = s w - leak at the least cost, in one program
-        in which the part outweighs any cost, whatever the size of w.
+        """As ``solve``: the largest part s with W f = s w - leak, then the least cost with this
+        part. (In one program, whose costs would differ by many orders of magnitude, rounding would
+        choose among equally cheap forces.)
         """
-        program, unknown, bounds, balance = self._program
-        scale = max(1.0, float(np.abs(wrench).max() / self._largest.sum()))
-        bounds.evaluator().UpdateUpperBound([*self._largest, scale])
-        matrix = np.concatenate([self._wrenches, -wrench[:, None] / scale], axis=1)
+        program, unknown, bounds, balance, cost = self._program
+        most = max(1.0, float(np.abs(wrench).max() / self._largest.sum()))
+        matrix = np.concatenate([self._wrenches, -wrench[:, None] / most], axis=1)
         balance.evaluator().UpdateCoefficients(matrix, np.zeros(6) - leak)
-        found = ClpSolver().Solve(program).GetSolution(unknown)
-        return np.clip(found[:-1], 0.0, self._largest), float(found[-1]) / scale
+
+        def solved(weights: np.ndarray, least_part: float, most_part: float) -> np.ndarray:
+            bounds.evaluator().UpdateLowerBound([*np.zeros(self._largest.size), least_part])
+            bounds.evaluator().UpdateUpperBound([*self._largest, most_part])
+            cost.evaluator().UpdateCoefficients(weights)
+            return ClpSolver().Solve(program).GetSolution(unknown)
+
+        part = float(solved(np.append(np.zeros(self._largest.size), -1.0), 0.0, most)[-1])
+        forces = solved(np.append(self._program_cost, 0.0), part * (1.0 - _SLACK), part)[:-1]
+        return np.clip(forces, 0.0, self._largest), part / most
 
     @functools.cached_property
-    def _program(self) -> tuple[MathematicalProgram, np.ndarray, Any, Any]:
-        """The linear program, its unknowns, their bounds and the balance of wrenches; of the last
-        two, the numbers that depend on the wrench are still to be set.
+    def _program(self) -> tuple[MathematicalProgram, np.ndarray, Any, Any, Any]:
+        """The linear program, its unknowns, their bounds, the balance of wrenches and the cost; of
+        the last three, the numbers that depend on the wrench are still to be set.
         """
         program, count = MathematicalProgram(), self._largest.size
         unknown = program.NewContinuousVariables(count + 1)
-        program.AddLinearCost([*self._cost, -self._price], unknown)
+        cost = program.AddLinearCost(np.ones(count + 1), unknown)
         bounds = program.AddBoundingBoxConstraint(np.zeros(count + 1), np.ones(count + 1), unknown)
         balance = program.AddLinearEqualityConstraint(
             np.zeros((6, count + 1)), np.zeros(6), unknown
         )
-        return program, unknown, bounds, balance
+        return program, unknown, bounds, balance, cost
 
 
 def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:
