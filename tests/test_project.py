@@ -56,6 +56,6 @@ def test_the_lock_is_within_the_bounds(requirement):
 def test_hooks_are_what_ci_lints():
     (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
     script = (ROOT / ".ci" / "run").read_text()
-    lint = re.search(r'^ *step "lint and types"\n(.+?)\n *step', script, re.MULTILINE | re.DOTALL)
+    lint = re.search(r"^lint_and_types\(\) {\n(.+?)\n}", script, re.MULTILINE | re.DOTALL)
     lines = [line.strip() for line in lint[1].splitlines()]
     assert lines == [hook["entry"] for hook in repository["hooks"]]

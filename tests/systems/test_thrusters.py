@@ -93,6 +93,19 @@ def test_allocation_takes_the_least_propellant(layout):
     assert max(parts) == 1.0
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rounding_does_not_choose_among_equally_cheap_thrusters(layout):
+    """Within the limits and beyond them, along axes of symmetry too."""
+    wrenches, largest, cost = wrenches_of(layout)
+    allocation, random = Allocation(wrenches, largest=largest, cost=cost), np.random.default_rng(1)
+    for _ in range(100):
+        wrench = random.normal(size=6) * random.choice([0.0, 1.0], size=6)
+        wrench *= largest[0] * random.choice([0.1, 1.0, 3.0, 30.0])
+        rounded = wrench * (1.0 + 1e-12 * random.normal(size=6))
+        once, again = allocation.solve(wrench)[0], allocation.solve(rounded)[0]
+        assert again == pytest.approx(once, abs=1e-6 * largest[0]), wrench
+
+
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
 @given(st.tuples(*[st.floats(-4.0, 0.0)] * 3), st.integers(0, 2**32 - 1))
 def test_the_largest_wrench_is_found_however_short_the_arms(powers, number):
