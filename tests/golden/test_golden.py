@@ -19,8 +19,7 @@ def test_what_must_not_move(path):
     assert not changes, "\n".join([f"{len(changes)} changes in {path.name}", *changes[:20]])
 
 
-# Names of processors to OpenBLAS, whose products round differently. Others, whatever the name, do as
-# they do.
+# Names of processors to OpenBLAS, whose products round differently.
 @pytest.mark.slow
 @pytest.mark.parametrize("processor", ["Haswell", "Nehalem"])
 def test_rounding_moves_nothing_further(processor):
