@@ -176,9 +176,10 @@ def _is_users_file(top: str, file: str) -> bool:
 def user_code_is_loaded() -> bool:
     """True if a module of user-supplied code is loaded, beside the script that runs."""
     return any(
-        _is_users_file(name.partition(".")[0], module.__file__)
+        _is_users_file(name.partition(".")[0], file)
         for name, module in list(sys.modules.items())
-        if name not in ("__main__", "__mp_main__") and getattr(module, "__file__", None)
+        if name not in ("__main__", "__mp_main__")
+        and (file := getattr(module, "__file__", None)) is not None
     )
 
 
