@@ -23,6 +23,9 @@ PLANT = "import pydrake.multibody.plant"
 FIRST = "import ffsm_drake as f; scenario = f.load_scenario('postcapture')"
 PROGRAMS = {
     "ffsm --help": ["-m", "ffsm_drake", "--help"],
+    "ffsm validate postcapture": ["-m", "ffsm_drake", "validate", "postcapture"],
+    "ffsm run --no-report": ["-m", "ffsm_drake", "run", "--no-report"],
+    "ffsm run": ["-m", "ffsm_drake", "run"],
     "first record": ["-c", f"{FIRST}; f.simulate(scenario).metrics"],
     "first labelled dataset": ["-c", f"{FIRST}; f.simulate(scenario).dataset"],
     "first rollout": ["-c", f"{FIRST}; f.Rollout(scenario).run().metrics"],
@@ -33,14 +36,15 @@ def processor_time(
     arguments: Sequence[str], package: Path, compiled: str, *, codes: Sequence[int] = (0,)
 ) -> float:
     """Of a fresh interpreter that ends with one of some exit codes, s; ``compiled`` is the folder
-    for compiled modules.
+    for compiled modules and for what the program writes.
     """
+    Path(compiled).mkdir(parents=True, exist_ok=True)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    # The folder that Python is started in comes before all others that it looks for modules in.
+    # of the package itself, not of an installed one
     environment = os.environ | {"PYTHONPATH": str(package), "PYTHONPYCACHEPREFIX": compiled}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, *arguments]
-    done = subprocess.run(command, capture_output=True, env=environment, cwd=package)
+    done = subprocess.run(command, capture_output=True, env=environment, cwd=compiled)
     if done.returncode not in codes:
         done.check_returncode()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -25,7 +25,7 @@ from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.cli.common import EXIT_UNSTABLE
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.preflight.simulate import make_record, prepare
+from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.preflight.verdict import verdict
 from ffsm_drake.scenario import shipped_scenarios
 
@@ -57,19 +57,10 @@ class Counted:
         return len({id(each) for loop in self._loops for each in loop.samples})
 
 
-def run(scenario: Scenario) -> None:
-    """A run until its record is made."""
-    rollout = prepare(scenario, check_stability=False)
-    try:
-        make_record(rollout.run(), start=time.perf_counter())
-    finally:
-        rollout.release()
-
-
 def in_process(scenario: Scenario, repeats: int) -> str:
     """Ratios of the verdicts to a run, and what they count."""
     parts: dict[str, Callable[[], object]] = {
-        "run": lambda: run(scenario),
+        "run": lambda: simulate(scenario, check_stability=False),
         "validate": lambda: verdict(scenario),
         "stability": lambda: verdict(scenario, margins=True),
     }

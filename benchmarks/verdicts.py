@@ -61,7 +61,7 @@ class Predicted:
     warnings: list[str] = dataclasses.field(default_factory=list)
     beside: list[str] = dataclasses.field(default_factory=list)  # remarks that are no alarm
     unknown: str = ""  # why there is no verdict
-    cpu: dict[str, float] = dataclasses.field(default_factory=dict)  # s, by command
+    cpu: dict[str, float] = dataclasses.field(default_factory=dict)  # processor time by command, s
 
     @property
     def said(self) -> str:

@@ -2,6 +2,7 @@
 
 # The built-in module under ``signal``, so that no time passes.
 import _signal  # type: ignore[import-not-found]
+import gc
 import os
 
 # before the next import: Ctrl-C may fall into any of them
@@ -11,19 +12,24 @@ for _number in (_signal.SIGINT, _signal.SIGTERM, _signal.SIGHUP):
 
 from ffsm_drake.common.interrupts import handle_signals, ignore_signals  # noqa: E402
 
+# New objects between two garbage collections: imports make many, and next to no garbage.
+_MANY_OBJECTS = 10_000
+
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line, and end the process."""
     handle_signals()
+    gc.set_threshold(_MANY_OBJECTS, *gc.get_threshold()[1:])
     try:
         os.getcwd()
     except FileNotFoundError:  # Python itself may fail to import what follows
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
         os._exit(2)
+    import sys
     import threading
 
     from ffsm_drake.cli import main as ffsm
-    from ffsm_drake.cli.common import end_threads, forgiving_stderr, show_life
+    from ffsm_drake.cli.common import end_process, end_threads, forgiving_stderr, show_life
 
     forgiving_stderr()
     over = threading.Event()
@@ -33,6 +39,7 @@ def main() -> None:
     except SystemExit as ending:
         end_threads(ending.code)
         ignore_signals()
+        end_process(ending.code, sys._getframe().f_back)
         raise
     finally:
         over.set()

@@ -3,10 +3,62 @@
 import importlib
 import importlib.util
 import re
+import time
 from pathlib import Path
+
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 ON_BASILISK = importlib.util.find_spec("Basilisk") is not None
+
+
+WALL_CLOCKS = re.compile(
+    r"\b(perf_counter|monotonic|default_timer|clock_gettime|wall_time)"
+    r"|\btime\.time\b|from time import|datetime|timeit"
+)
+
+
+@pytest.mark.parametrize("path", sorted(BENCHMARKS.glob("*.py")), ids=lambda path: path.stem)
+def test_benchmarks_use_processor_time_and_say_so(path):
+    text = path.read_text()
+    assert not WALL_CLOCKS.search(text)
+    if re.search("process_time|getrusage|processor_time", text):
+        assert "rocessor time" in text.replace("\n", " ")
+    # the page of their figures
+    assert "processor time" in (BENCHMARKS.parent / "docs" / "speed.md").read_text()
+
+
+class Waiting(LeafSystem):
+    """Sleeps in one update and computes in another."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareDiscreteState(1)
+        self.DeclarePeriodicDiscreteUpdateEvent(1.0, 0.0, self.wait)
+
+    def wait(self, context, values):
+        time.sleep(0.02)
+        begin = time.process_time()
+        while time.process_time() - begin < 0.005:
+            pass
+
+
+def test_time_of_a_run_is_processor_time_within_advance_to(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    rollout = importlib.import_module("rollout")
+    builder = DiagramBuilder()
+    builder.AddSystem(Waiting())
+    simulator, advance = Simulator(builder.Build()), Simulator.AdvanceTo
+
+    def run():
+        Waiting.wait(None, None, None)  # outside
+        for end in (1.5, 3.5):
+            simulator.AdvanceTo(end)
+
+    assert 0.02 <= rollout.advance_time(run) < 0.06  # four updates of 5 ms, and 80 ms asleep
+    assert Simulator.AdvanceTo is advance
 
 
 def test_rollout(monkeypatch, capsys):

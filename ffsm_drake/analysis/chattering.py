@@ -30,16 +30,12 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
     Welch's method with half-overlapping Hann windows, each with its linear trend (the planned
     motion) removed.
     """
-    from scipy.signal import detrend, welch  # slow to load
-
-    frequency, density = welch(
-        effort.T,
-        fs=1.0 / period,
-        nperseg=min(SEGMENT, len(effort)),
-        detrend=detrend,
-        scaling="density",
-    )
-    return frequency, density.T
+    size = min(SEGMENT, len(effort))
+    segments = np.lib.stride_tricks.sliding_window_view(effort, size, axis=0)  # (n, nv, size)
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
+    parts = detrended(segments[:: size - size // 2]) * window
+    density = _one_sided(parts).mean(axis=0).T * (period / np.square(window).sum())
+    return np.fft.rfftfreq(size, period), density
 
 
 def split_variance(
@@ -50,13 +46,26 @@ def split_variance(
     Both (nv), squared force, over the whole record, from the periodogram without a window: it
     weights all samples equally, and by Parseval's theorem the two parts sum to the variance.
     """
-    from scipy.signal import detrend, periodogram
-
-    frequency, power = periodogram(
-        detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0
-    )
-    high = frequency >= split
+    power = _one_sided(detrended(effort.T)).T / len(effort) ** 2
+    high = np.fft.rfftfreq(len(effort), period) >= split
     return power[~high].sum(axis=0), power[high].sum(axis=0)
+
+
+def detrended(values: np.ndarray) -> np.ndarray:
+    """Values (..., n) without their linear trend: the least-squares line is subtracted."""
+    time = np.arange(values.shape[-1]) - 0.5 * (values.shape[-1] - 1)
+    centred = values - values.mean(axis=-1, keepdims=True)
+    slope = centred @ time / max(time @ time, 1.0)
+    return centred - slope[..., None] * time
+
+
+def _one_sided(values: np.ndarray) -> np.ndarray:
+    """Squared magnitude of the Fourier transform of real values (..., n), negative frequencies
+    added to the positive ones (..., n // 2 + 1).
+    """
+    power = np.square(np.abs(np.fft.rfft(values)))
+    power[..., 1 : (values.shape[-1] + 1) // 2] *= 2.0
+    return power
 
 
 def total_variation(effort: np.ndarray) -> np.ndarray:

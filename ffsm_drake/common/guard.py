@@ -173,6 +173,16 @@ def _is_users_file(top: str, file: str) -> bool:
     return not installed or top in _offering_packages()
 
 
+def user_code_is_loaded() -> bool:
+    """True if a module of user-supplied code is loaded, beside the script that runs."""
+    return any(
+        _is_users_file(name.partition(".")[0], file)
+        for name, module in list(sys.modules.items())
+        if name not in ("__main__", "__mp_main__")
+        and (file := getattr(module, "__file__", None)) is not None
+    )
+
+
 @functools.cache
 def _installed() -> tuple[str, ...]:
     names = ("stdlib", "platstdlib", "purelib", "platlib")

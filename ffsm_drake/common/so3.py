@@ -17,11 +17,14 @@ def quaternion_of(vector: np.ndarray) -> np.ndarray:
 
 
 def turned_by(vector: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) of a first attitude, quaternion (4), turned by rotation vectors (n, 3)."""
+    """Quaternions (..., 4) of attitudes, quaternions (..., 4), turned by rotation vectors (..., 3);
+    of one attitude (4) turned by many, too.
+    """
     turn = quaternion_of(vector)
-    w, v = turn[:, :1], turn[:, 1:]
-    scalar = w * first[0] - (v * first[1:]).sum(axis=1, keepdims=True)
-    return np.hstack([scalar, w * first[1:] + first[0] * v + np.cross(v, first[1:])])
+    w, v = turn[..., :1], turn[..., 1:]
+    first_w, first_v = first[..., :1], first[..., 1:]
+    scalar = w * first_w - (v * first_v).sum(axis=-1, keepdims=True)
+    return np.concatenate([scalar, w * first_v + first_w * v + np.cross(v, first_v)], axis=-1)
 
 
 def turning_matrix(vector: np.ndarray) -> np.ndarray:

@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.analysis import analyze
 from ffsm_drake.analysis.balances import displacements
 from ffsm_drake.analysis.chattering import (
+    SEGMENT,
     effort_spectrum,
     reversals,
     split_frequency,
@@ -408,6 +410,27 @@ def test_chattering_of_a_known_signal():
     assert frequency[density[:, 2].argmax()] == pytest.approx(50.0, abs=0.5)
     assert (density.sum(axis=0) * frequency[1])[:2] == pytest.approx([2.0, 2.09], rel=0.15)
     assert [split_frequency(period) for period in (0.001, 0.01, 0.05)] == [10.0, 10.0, 2.0]
+
+
+@pytest.mark.parametrize("samples", [16, 17, 255, 256, 257, 385, 2001])
+def test_spectra_are_those_of_scipy(samples):
+    """Of a random walk beside a ramp, within 1e-12 of SciPy's largest value."""
+    random = np.random.default_rng(samples)
+    walk = np.cumsum(random.normal(size=(samples, 3)), axis=0) * (0.01, 1.0, 100.0)
+    tau = walk + np.linspace(0.0, 1.0, samples)[:, None] * walk.std(axis=0)
+    frequency, density = effort_spectrum(tau, L)
+    settings = {"fs": 1.0 / L, "nperseg": min(SEGMENT, samples), "detrend": signal.detrend}
+    expected_frequency, expected = signal.welch(tau, **settings, axis=0)
+    assert frequency == pytest.approx(expected_frequency, rel=1e-12)
+    assert (np.abs(density - expected) <= 1e-12 * expected.max(axis=0)).all()
+    flat = signal.detrend(tau, axis=0)
+    frequency, power = signal.periodogram(
+        flat, fs=1.0 / L, detrend=False, scaling="spectrum", axis=0
+    )
+    parts = split_variance(tau, L, split=10.0)
+    for part, chosen in zip(parts, (frequency < 10.0, frequency >= 10.0), strict=True):
+        assert (np.abs(part - power[chosen].sum(axis=0)) <= 1e-12 * flat.var(axis=0)).all()
+    assert sum(parts) == pytest.approx(flat.var(axis=0), rel=1e-12)  # Parseval
 
 
 @pytest.mark.smoke

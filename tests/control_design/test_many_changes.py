@@ -15,9 +15,9 @@ from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.registry import call_factory, find_factory
 
 
-def loop(name, law, share, *, as_a_users=False):
+def loop(name, law, share, *settings, as_a_users=False):
     """The linear loop at a fraction of the motion; a user's law is called for each change alone."""
-    scenario = load_scenario(name, [f"controller={law}"])
+    scenario = load_scenario(name, [f"controller={law}", *settings])
 
     def factory(setup):
         own = dataclasses.replace(setup, name=law, settings=scenario.controllers.get(law, {}))
@@ -29,9 +29,11 @@ def loop(name, law, share, *, as_a_users=False):
         return linearizer.at(linearizer.part(share))
 
 
-def check(name, law, share):
+def check(name, law, share, *settings):
     """Equal to rounding, which the differences' steps of 1e-7 magnify."""
-    together, alone = loop(name, law, share), loop(name, law, share, as_a_users=True)
+    together, alone = (
+        loop(name, law, share, *settings, as_a_users=as_a_users) for as_a_users in (False, True)
+    )
     assert together.memory == alone.memory
     assert len(together.samples) == len(alone.samples)
     for one, other in zip(together.samples, alone.samples, strict=True):
@@ -65,6 +67,10 @@ def test_any_law_in_any_scenario(name, law, share):
 )
 def test_some(name, law):
     check(name, law, 0.3)
+
+
+def test_a_frame_at_the_estimated_state():
+    check("seven_joint", "task_time_delay", 0.1, "estimator.kind=coupled")
 
 
 def test_a_measurement_within_the_samples_compared_is_no_counter():

@@ -69,6 +69,8 @@ WIDE = {
     "task, no path": ("free_floating", "controller=task_computed_torque", *ALL_DRIVEN),
     "task rate": ("free_floating", "controller=resolved_rate"),
     "task, kalman": ("free_floating", "estimator.kind=kalman", NOISE),
+    "task, coupled": ("free_floating", *COUPLED),
+    "task, late": ("slow_navigation", "controller=task_time_delay", "actuation.limit={}"),
     "reaction": ("reaction_null",),
 }
 SETTLING = ("tdc", "asmc", "aismc", "tde_aismc", "pd_plus", "computed_torque")

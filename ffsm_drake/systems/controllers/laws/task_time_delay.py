@@ -67,8 +67,8 @@ class TaskTimeDelay(AccelerationLaw):
 
     @property
     def wide(self) -> bool:  # type: ignore[override]
-        """As an estimator of the frame; with one of the coordinates, one run after the other."""
-        return self._of_frame and is_wide(self.estimator)
+        """As its estimator."""
+        return is_wide(self.estimator)
 
     @property
     def _of_frame(self) -> bool:
@@ -91,7 +91,7 @@ class TaskTimeDelay(AccelerationLaw):
         return {**state, **self.estimator.resume(state, ratio, v_d)}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        if self._of_frame or sample.v.ndim > 1:
+        if self._of_frame or (sample.v.ndim > 1 and not is_wide(self)):
             return super().step(sample, state)
         mass_matrix = self.model.calc_mass_matrix(sample.q)
         estimate, estimator_memory = self.estimator.step(sample, mass_matrix, state)
@@ -100,8 +100,8 @@ class TaskTimeDelay(AccelerationLaw):
         u, dynamics_memory = self._limited(point.e, point.e_dot, point, _own(state))
         acceleration = point.served(self.planned(point.sample), u - point.bias_acceleration)
         force = estimate.base_force.copy()
-        force[driven] += applied(
-            point.mass_matrix, acceleration - estimate.base_acceleration[driven]
+        force[..., driven] += applied(
+            point.mass_matrix, acceleration - estimate.base_acceleration[..., driven]
         )
         singular = point.smallest_singular_value
         memory = {**estimator_memory, **_named(dynamics_memory)}
@@ -149,13 +149,13 @@ class TaskTimeDelay(AccelerationLaw):
 
 
 def _at_estimate(sample: Sample, estimate: Estimate, driven: np.ndarray) -> Sample:
-    """A sample (nv) with the estimated state of the driven coordinates in place of the measured
-    one, to first order in the attitude's error.
+    """A sample (..., nv) with the estimated state of the driven coordinates in place of the
+    measured one, to first order in the attitude's error.
     """
     q, v, e, e_dot = (of.copy() for of in (sample.q, sample.v, sample.e, sample.e_dot))
-    e[driven], e_dot[driven] = estimate.e[driven], estimate.e_dot[driven]
-    q[:4] = turned_by((sample.e - e)[None, :3], q[:4])[0]
-    q[4:] += (sample.e - e)[3:]
+    e[..., driven], e_dot[..., driven] = estimate.e[..., driven], estimate.e_dot[..., driven]
+    q[..., :4] = turned_by((sample.e - e)[..., :3], q[..., :4])
+    q[..., 4:] += (sample.e - e)[..., 3:]
     v += sample.e_dot - e_dot
     return sample._replace(q=q, v=v, e=e, e_dot=e_dot)
 
