@@ -3,17 +3,18 @@ deadlock.
 """
 
 import contextlib
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 
+import children
 import pytest
 
-CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(
+children.CONTEXT.set_forkserver_preload(
     ["ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
      "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
      "ffsm_drake.show.meshcat", "hypothesis", "pytest"]
 )  # fmt: skip
+
+
+LONGEST = 24 * 3600.0  # s, for thousands of inputs; each of them has its own bound
 
 
 @contextlib.contextmanager
@@ -32,10 +33,9 @@ def rough_drawing():
         yield
 
 
-def run_alone(function, *arguments):
+def run_alone(function, *arguments, longest=LONGEST):
     """What a function of a module returns, or raises, in such a process, in this folder."""
-    with ProcessPoolExecutor(1, mp_context=CONTEXT) as pool:
-        return pool.submit(_drawn_roughly, function, *arguments).result()
+    return children.call(_drawn_roughly, function, *arguments, longest=longest)
 
 
 def _drawn_roughly(function, *arguments):
