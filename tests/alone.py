@@ -7,14 +7,11 @@ import contextlib
 import children
 import pytest
 
-children.CONTEXT.set_forkserver_preload(
-    ["ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
-     "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
-     "ffsm_drake.show.meshcat", "hypothesis", "pytest"]
+children.preload(
+    "ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
+    "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
+    "ffsm_drake.show.meshcat", "hypothesis", "pytest",
 )  # fmt: skip
-
-
-LONGEST = 24 * 3600.0  # s, for thousands of inputs; each of them has its own bound
 
 
 @contextlib.contextmanager
@@ -33,9 +30,12 @@ def rough_drawing():
         yield
 
 
-def run_alone(function, *arguments, longest=LONGEST):
-    """What a function of a module returns, or raises, in such a process, in this folder."""
-    return children.call(_drawn_roughly, function, *arguments, longest=longest)
+def run_alone(function, *arguments, inputs=0):
+    """What a function of a module returns, or raises, in such a process, in this folder.
+
+    The process is killed after 10 minutes, and 10 s more for each of many inputs.
+    """
+    return children.call(_drawn_roughly, function, *arguments, longest=600.0 + 10.0 * inputs)
 
 
 def _drawn_roughly(function, *arguments):

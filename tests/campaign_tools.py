@@ -10,7 +10,7 @@ from pathlib import Path
 
 import alone  # noqa: F401 (what processes have loaded)
 import yaml
-from children import PIPE, STDOUT, Popen, child, pool, processes
+from children import PIPE, STDOUT, child, pool, processes
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.run import start_campaign
@@ -98,23 +98,23 @@ def driver(*arguments: str):
     return child(command, stdout=PIPE, stderr=STDOUT, text=True)
 
 
-def worker_processes(driver: int) -> list[int]:
+def worker_processes(pid: int) -> list[int]:
     """The processes that a driver, or a Dask nanny, has spawned to work."""
     found = []
-    for thread in Path(f"/proc/{driver}/task").iterdir():
+    for thread in Path(f"/proc/{pid}/task").iterdir():
         with contextlib.suppress(OSError):
-            for pid in (thread / "children").read_text().split():
-                if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-                    found.append(int(pid))
+            for each in (thread / "children").read_text().split():
+                if "spawn_main" in Path(f"/proc/{each}/cmdline").read_text():
+                    found.append(int(each))
     return found
 
 
-def wait_for_results(driver: Popen, database: Path, number: int) -> list[int]:
+def wait_for_results(process, database: Path, number: int) -> list[int]:
     """Wait until a driver has stored so many results; its workers."""
     while count(database) < number:
-        assert driver.poll() is None, driver.communicate()[0]
+        assert process.poll() is None, process.communicate()[0]
         time.sleep(0.01)
-    return worker_processes(driver.pid)
+    return worker_processes(process.pid)
 
 
 def wait_for_end(workers: list[int]) -> None:

@@ -34,7 +34,7 @@ from subprocess import (  # noqa: F401 (tests import these from here)
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 LONGEST = 300.0  # s that a child lives, unless told otherwise
-CONTEXT = multiprocessing.get_context("forkserver")
+_CONTEXT = multiprocessing.get_context("forkserver")
 _PROC = Path("/proc")
 _HAS_PROC = (_PROC / "self" / "environ").exists()
 _GUARDS = {}  # by the process that they guard; a fork has its own
@@ -87,6 +87,11 @@ def finished(command, *, longest=120.0, check=False, **settings):
     return CompletedProcess(command, process.returncode, said, errors)
 
 
+def preload(*modules):
+    """What the processes of ``call`` and ``pool`` have loaded when they start."""
+    _CONTEXT.set_forkserver_preload([*modules])
+
+
 def call(function, *arguments, longest=LONGEST):
     """What a function of a module returns, or raises, in a process with one thread.
 
@@ -94,8 +99,8 @@ def call(function, *arguments, longest=LONGEST):
       ChildProcessError: the process died, or was killed after ``longest`` seconds.
     """
     heed_signals()
-    ours, theirs = CONTEXT.Pipe()
-    process = CONTEXT.Process(target=_answer, args=(theirs, function, arguments))
+    ours, theirs = _CONTEXT.Pipe()
+    process = _CONTEXT.Process(target=_answer, args=(theirs, function, arguments))
     with contextlib.ExitStack() as stack, _guarded(longest) as guarded, ours:
         process.start()
         theirs.close()
@@ -187,7 +192,7 @@ def pool(count, *, longest=3600.0):
     """An executor of processes that start from one thread, and end with this process."""
     heed_signals()
     return ProcessPoolExecutor(
-        count, mp_context=CONTEXT, initializer=_end_with_parent, initargs=(longest,)
+        count, mp_context=_CONTEXT, initializer=_end_with_parent, initargs=(longest,)
     )
 
 

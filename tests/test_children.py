@@ -178,8 +178,23 @@ def test_no_child_ignores_a_signal():
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    assert _ignored() == 0
     assert run_alone(_ignored) == 0
     assert run_alone(_ignored_in_fork) == "0"
+
+
+@pytest.mark.slow
+def test_tests_heed_signals_in_the_background():
+    """In xdist's workers too, started as nohup and shells start what runs behind."""
+    tests = ("test_children.py::test_no_child_ignores_a_signal",
+             "common/test_workers.py::test_handlers_are_as_before_afterwards",
+             "runs/test_blame.py::test_ctrl_c_ends_a_step_that_never_returns")  # fmt: skip
+    pytest_ = (
+        f"exec {sys.executable} -m pytest -q -n 1 {' '.join(str(TESTS / name) for name in tests)}"
+    )
+    done = finished(["sh", "-c", f"trap '' INT HUP QUIT; {pytest_}"], cwd=TESTS.parent)
+    assert done.returncode == 0, done.stdout
+    assert "3 passed" in done.stdout
 
 
 def _ignored():
@@ -208,7 +223,13 @@ def test_what_is_left_is_listed(mark):
 
 MODULES = {"subprocess", "multiprocessing", "pty", "pexpect"}
 OF_OS = {"fork", "forkpty", "popen", "posix_spawn", "posix_spawnp", "system"}
-CALLS = {"ProcessPoolExecutor", "LocalCluster", "create_subprocess_exec", "create_subprocess_shell"}
+CALLS = {
+    "Popen",
+    "ProcessPoolExecutor",
+    "LocalCluster",
+    "create_subprocess_exec",
+    "create_subprocess_shell",
+}
 
 
 def starts(tree):

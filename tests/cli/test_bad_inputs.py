@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from children import PIPE, CompletedProcess, Popen, child, finished
+from children import PIPE, CompletedProcess, child, finished
 from click.testing import CliRunner
 from record_tools import sealed
 
@@ -920,7 +920,7 @@ def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, wor
     analyze(kept)  # what is kept can be looked at
 
 
-def _started(process: Popen) -> None:
+def _started(process) -> None:
     """Wait until the run has begun: its first progress line."""
     for line in process.stderr:
         if "tde_aismc:" in line:

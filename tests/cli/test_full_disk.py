@@ -147,4 +147,4 @@ def test_a_full_disk_leaves_nothing_by_halves(before, place):
     ],
 )
 def test_a_full_disk_leaves_nothing_by_halves_for_long(before, place, count):
-    run_alone(full_at_drawn_bytes, before, [*COMMANDS], count)
+    run_alone(full_at_drawn_bytes, before, [*COMMANDS], count, inputs=count)

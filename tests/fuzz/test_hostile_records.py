@@ -342,9 +342,9 @@ def test_some_records_are_read_or_refused(good, place):
 
 @pytest.mark.slow
 def test_records_are_read_or_refused(good, place):
-    run_alone(fuzz, good, 200)
+    run_alone(fuzz, good, 200, inputs=200)
 
 
 @pytest.mark.exhaustive
 def test_many_records_are_read_or_refused(good, place):
-    run_alone(fuzz, good, 5000)
+    run_alone(fuzz, good, 5000, inputs=5000)

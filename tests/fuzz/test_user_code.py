@@ -324,7 +324,7 @@ def test_what_lacks_a_linear_loop_says_so(tmp_path):
     + [pytest.param(500, k, COMMANDS + LONG, marks=pytest.mark.exhaustive) for k in range(10, 20)],
 )
 def test_faults_of_user_supplied_code(count, number, commands, tmp_path):
-    found = run_alone(try_all, drawn(count, number, commands), tmp_path)
+    found = run_alone(try_all, drawn(count, number, commands), tmp_path, inputs=count)
     assert not found, "\n".join(f"{draw}: {problem}" for draw, problem in found)
 
 
