@@ -3,16 +3,14 @@ deadlock.
 """
 
 import contextlib
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 
+import children
 import pytest
 
-CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(
-    ["ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
-     "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
-     "ffsm_drake.show.meshcat", "hypothesis", "pytest"]
+children.preload(
+    "ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
+    "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
+    "ffsm_drake.show.meshcat", "hypothesis", "pytest",
 )  # fmt: skip
 
 
@@ -32,10 +30,12 @@ def rough_drawing():
         yield
 
 
-def run_alone(function, *arguments):
-    """What a function of a module returns, or raises, in such a process, in this folder."""
-    with ProcessPoolExecutor(1, mp_context=CONTEXT) as pool:
-        return pool.submit(_drawn_roughly, function, *arguments).result()
+def run_alone(function, *arguments, inputs=0):
+    """What a function of a module returns, or raises, in such a process, in this folder.
+
+    The process is killed after 10 minutes, and 10 s more for each of many inputs.
+    """
+    return children.call(_drawn_roughly, function, *arguments, longest=600.0 + 10.0 * inputs)
 
 
 def _drawn_roughly(function, *arguments):

@@ -4,14 +4,13 @@ its own.
 
 import contextlib
 import sqlite3
-import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import alone  # noqa: F401 (what processes have loaded)
 import yaml
-from alone import CONTEXT
+from children import PIPE, STDOUT, child, pool, processes
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.run import start_campaign
@@ -60,7 +59,7 @@ HERE = Workers(open=InThisProcess, in_flight=lambda: 1, renewable=False)
 def forked(count: int, *, in_flight: int) -> Workers:
     """Processes that start with everything loaded."""
     return Workers(
-        open=lambda: ProcessPoolExecutor(count, mp_context=CONTEXT),
+        open=lambda: pool(count),
         in_flight=lambda: in_flight,
         renewable=True,
     )
@@ -93,42 +92,34 @@ def count(database: Path) -> int:
         return connection.execute("SELECT count(*) FROM results").fetchone()[0]
 
 
-def start_driver(*arguments: str) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, "-m", "ffsm_drake", "campaign", *arguments],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-    )  # fmt: skip
+def driver(*arguments: str):
+    """``ffsm campaign`` in a process of its own."""
+    command = [sys.executable, "-m", "ffsm_drake", "campaign", *arguments]
+    return child(command, stdout=PIPE, stderr=STDOUT, text=True)
 
 
-def worker_processes(driver: int) -> list[int]:
+def worker_processes(pid: int) -> list[int]:
     """The processes that a driver, or a Dask nanny, has spawned to work."""
     found = []
-    for thread in Path(f"/proc/{driver}/task").iterdir():
+    for thread in Path(f"/proc/{pid}/task").iterdir():
         with contextlib.suppress(OSError):
-            for pid in (thread / "children").read_text().split():
-                if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-                    found.append(int(pid))
+            for each in (thread / "children").read_text().split():
+                if "spawn_main" in Path(f"/proc/{each}/cmdline").read_text():
+                    found.append(int(each))
     return found
 
 
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def wait_for_results(driver: subprocess.Popen, database: Path, number: int) -> list[int]:
+def wait_for_results(process, database: Path, number: int) -> list[int]:
     """Wait until a driver has stored so many results; its workers."""
     while count(database) < number:
-        assert driver.poll() is None, driver.communicate()[0]
+        assert process.poll() is None, process.communicate()[0]
         time.sleep(0.01)
-    return worker_processes(driver.pid)
+    return worker_processes(process.pid)
 
 
-def wait_for_end(processes: list[int]) -> None:
+def wait_for_end(workers: list[int]) -> None:
     """No worker outlives its driver."""
     end = time.monotonic() + 10.0
-    while any(alive(process) for process in processes) and time.monotonic() < end:
+    while left := {one.pid for one in processes()} & {*workers}:
+        assert time.monotonic() < end, left
         time.sleep(0.05)
-    assert not [process for process in processes if alive(process)]

@@ -13,6 +13,7 @@ from ffsm_drake.common.workers import ONE_THREAD
 os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
 
 from alone import rough_drawing
+from children import heed_signals
 from hypothesis import settings
 
 from ffsm_drake import RunRecord, load_scenario, simulate
@@ -20,6 +21,8 @@ from ffsm_drake import RunRecord, load_scenario, simulate
 # The same examples on every machine; `pytest --hypothesis-profile default` draws others.
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile("same")
+
+heed_signals()  # in every worker
 
 EXAMPLES = str(Path(__file__).parents[1] / "examples")
 

@@ -161,7 +161,7 @@ def test_task_pages_are_short(name):
     assert len((DOCS / f"{name}.md").read_text().split()) < 600
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", TASKS)
 def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
     """In the page's order, in a folder with the files that it says to save. Campaigns have four

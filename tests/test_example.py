@@ -4,11 +4,11 @@ import json
 import re
 import runpy
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from children import finished
 
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
@@ -133,7 +133,7 @@ def test_bad_input_gets_one_line(main, capfd):
 def test_the_campaign(tmp_path):
     """In a process of its own, since its workers import the file."""
     command = [sys.executable, EXAMPLES / "campaign.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = finished(command, cwd=tmp_path, longest=600.0)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     assert "tdc: 8 settled" in done.stdout
@@ -188,7 +188,7 @@ def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
     from matplotlib import image
 
     picture = tmp_path / "picture.png"
-    subprocess.run(
+    finished(
         [
             CHROMIUM,
             "--headless",
@@ -207,8 +207,6 @@ def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
             f"--screenshot={picture}",
             recording.as_uri(),
         ],
-        capture_output=True,
-        timeout=120,
         check=True,
     )
     pixels = image.imread(picture)[..., :3]

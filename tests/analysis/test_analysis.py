@@ -5,13 +5,13 @@ proof's own world.
 import dataclasses
 import io
 import json
-import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from children import finished
 from scipy import signal
 
 from ffsm_drake import make_nominal_plant, make_true_plant
@@ -682,5 +682,5 @@ def test_the_package_does_not_load_the_analysis():
         "import sys, ffsm_drake; print(*(name for name in sys.modules if "
         "name.startswith('ffsm_drake.analysis')))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = finished([sys.executable, "-c", code], check=True)
     assert done.stdout.strip() == ""

@@ -11,25 +11,25 @@ import os
 import signal
 import socket
 import sqlite3
-import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
 
 import pytest
-from alone import CONTEXT
 from campaign_tools import (
     HERE,
     count,
+    driver,
     forked,
     run_here,
-    start_driver,
     table,
     wait_for_end,
     wait_for_results,
+    worker_processes,
     write_spec,
 )
+from children import DEVNULL, PIPE, STDOUT, call, child
 from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
@@ -91,36 +91,36 @@ def test_rows_that_another_program_removes_are_missed(spec, tmp_path):
             assert store.num_results() == 32
 
 
+@contextlib.contextmanager
+def dask_cluster(folder, *, threads):
+    """The address of a Dask cluster, its scheduler, and the nanny of its one worker."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    quiet = {"stdout": DEVNULL, "stderr": DEVNULL, "cwd": folder}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard"]
+    with child([*dask, "--port", port], **quiet) as scheduler:
+        dask[2:] = ["distributed.cli.dask_worker", "--no-dashboard", "--nthreads", str(threads)]
+        address = f"tcp://127.0.0.1:{port}"
+        with child([*dask, address], **quiet) as nanny:
+            yield address, scheduler, nanny
+
+
 @pytest.mark.slow
 def test_a_dask_scheduler_that_is_killed(tmp_path):
     """One line with what to type, and no traceback of the library's."""
     pytest.importorskip("distributed")
     spec = write_spec(tmp_path / "long.yaml", cases=400, overrides={"duration": 3.0})
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard"]
-    scheduler = subprocess.Popen([*dask, "--port", str(port)], **quiet)
-    dask[2:] = ["distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1"]
-    worker = subprocess.Popen([*dask, f"tcp://127.0.0.1:{port}"], **quiet)
     path = tmp_path / "x.db"
-    words = ("run", str(spec), "--database", str(path), "--scheduler", f"tcp://127.0.0.1:{port}")
-    driver = start_driver(*words)
-    try:
-        deadline = time.monotonic() + 90.0
-        while not (path.exists() and count(path) >= 2):
-            assert time.monotonic() < deadline
-            assert driver.poll() is None
-            time.sleep(0.2)
+    with (
+        dask_cluster(tmp_path, threads=1) as (address, scheduler, _),
+        driver("run", str(spec), "--database", str(path), "--scheduler", address) as process,
+    ):
+        wait_for_results(process, path, 2)
         scheduler.kill()
-        said, _ = driver.communicate(timeout=90)
-    finally:
-        for process in (driver, scheduler, worker):
-            process.kill()
-            process.wait()
+        said, _ = process.communicate(timeout=90)
     errors = [line for line in said.splitlines() if " of 800 runs (" not in line]
-    assert driver.returncode == 2
+    assert process.returncode == 2
     assert len(errors) == 1, said
     assert f"are stored, 'ffsm campaign resume {path}' runs the others" in errors[0]
 
@@ -132,22 +132,22 @@ def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
     that finishes.
     """
     path = tmp_path / "disturbed.db"
-    driver = start_driver("run", str(spec), "--database", str(path), "--workers", "2")
-    workers = wait_for_results(driver, path, 2)
-    os.kill(workers[0], signal.SIGKILL)
-    workers += wait_for_results(driver, path, count(path) + 2)
-    assert driver.poll() is None, "over before it could be killed"
-    driver.kill()
-    driver.communicate()
-    wait_for_end(workers)
-    driver = start_driver("resume", str(path), "--workers", "1")
-    workers = wait_for_results(driver, path, count(path) + 2)
-    driver.terminate()
-    output, _ = driver.communicate(timeout=60)
-    assert driver.returncode == 143, output
+    with driver("run", str(spec), "--database", str(path), "--workers", "2") as process:
+        workers = wait_for_results(process, path, 2)
+        os.kill(workers[0], signal.SIGKILL)
+        workers += wait_for_results(process, path, count(path) + 2)
+        assert process.poll() is None, "over before it could be killed"
+        process.kill()
+        process.communicate()
+        wait_for_end(workers)
+    with driver("resume", str(path), "--workers", "1") as process:
+        workers = wait_for_results(process, path, count(path) + 2)
+        process.terminate()
+        output, _ = process.communicate(timeout=60)
+        wait_for_end(workers)
+    assert process.returncode == 143, output
     assert f"interrupted with {count(path)} of 32 runs stored" in output
     assert "Traceback" not in output
-    wait_for_end(workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         assert connection.execute(
             "SELECT count(*) FROM results WHERE outcome = 'error'"
@@ -224,24 +224,18 @@ def test_a_failing_case_is_a_row(tmp_path):
 
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
-    distributed = pytest.importorskip("distributed")
+    pytest.importorskip("distributed")
     path = tmp_path / "cluster.db"
 
     def kill_a_worker():
         while count(path) < 2:
             time.sleep(0.02)
-        os.kill(cluster.workers[0].pid, signal.SIGKILL)  # Dask starts another
+        os.kill(worker_processes(nanny.pid)[0], signal.SIGKILL)  # Dask starts another
 
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=2,
-        host="127.0.0.1",
-        dashboard_address=":0",
-        local_directory=str(tmp_path),
-    ) as cluster:
+    with dask_cluster(tmp_path, threads=2) as (address, _, nanny):
         killer = threading.Thread(target=kill_a_worker, daemon=True)
         killer.start()
-        result = invoke("run", spec, "--database", path, "--scheduler", cluster.scheduler_address)
+        result = invoke("run", spec, "--database", path, "--scheduler", address)
         assert result.exit_code == 0, result.output
         killer.join(timeout=10)
     assert table(path) == table(database)
@@ -250,29 +244,28 @@ def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
         assert len({store.result(case, "tdc")["worker"] for case in range(16)}) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_slurm_step_gives_the_same_table(spec, database, tmp_path):
     # not imported here: it takes hold of SIGINT
     if importlib.util.find_spec("dask_jobqueue") is None:
         pytest.skip("needs dask-jobqueue")
     command = [sys.executable, "-m", "ffsm_drake", "campaign", "run", str(spec)]
-    tasks = [
-        subprocess.Popen(
-            [*command, "--database", "whole.db", "--slurm"],
-            cwd=tmp_path,
-            env={
-                **os.environ,
-                "SLURM_JOB_ID": "7",
-                "SLURM_NTASKS": "4",
-                "SLURM_PROCID": str(number),
-            },
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        for number in range(4)
-    ]
-    said = [task.communicate(timeout=120)[0] for task in tasks]
+    step = {**os.environ, "SLURM_JOB_ID": "7", "SLURM_NTASKS": "4"}
+    with contextlib.ExitStack() as stack:
+        tasks = [
+            stack.enter_context(
+                child(
+                    [*command, "--database", "whole.db", "--slurm"],
+                    cwd=tmp_path,
+                    env={**step, "SLURM_PROCID": str(number)},
+                    stdout=PIPE,
+                    stderr=STDOUT,
+                    text=True,
+                )
+            )
+            for number in range(4)
+        ]
+        said = [task.communicate(timeout=120)[0] for task in tasks]
     assert [task.returncode for task in tasks] == [0] * 4, said
     assert "32 of 32 runs" in said[1]
     lines = [line for each in (0, 2, 3) for line in said[each].splitlines()]
@@ -586,10 +579,8 @@ def _never_ends():
 
 
 def test_a_worker_that_cannot_be_interrupted_is_ended():
-    process = CONTEXT.Process(target=_never_ends)
-    process.start()
-    process.join(timeout=20.0)
-    assert process.exitcode == 1
+    with pytest.raises(ChildProcessError, match="ended with 1"):
+        call(_never_ends, longest=20.0)
 
 
 def test_a_database_in_use(database, tmp_path, monkeypatch):

@@ -4,10 +4,12 @@ import datetime
 import math
 import os
 import statistics
+import sys
 
 import pytest
 import yaml
 from campaign_tools import SMALL, write_spec
+from children import finished
 from click.testing import CliRunner
 from scipy.stats import kstest
 
@@ -416,19 +418,13 @@ def test_settled_means_until_the_end():
 
 
 def test_help_needs_no_drake():
-    import subprocess
-    import sys
-
     # The package itself may load Drake; what the commands add must not.
     script = (
         "import sys, ffsm_drake; before = set(sys.modules); import ffsm_drake.cli.campaign; "
         "heavy = {name.partition('.')[0] for name in set(sys.modules) - before}; "
         "print(heavy & {'pydrake', 'numpy', 'scipy', 'xarray', 'plotly', 'distributed', 'jinja2'})"
     )
-    assert (
-        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout
-        == "set()\n"
-    )
+    assert finished([sys.executable, "-c", script], check=True).stdout == "set()\n"
 
 
 def test_texts_that_look_like_numbers_stay_texts_in_overrides(tmp_path):

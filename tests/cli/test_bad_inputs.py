@@ -16,7 +16,6 @@ import shlex
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import time
 import warnings
@@ -27,6 +26,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from children import PIPE, CompletedProcess, child, finished
 from click.testing import CliRunner
 from record_tools import sealed
 
@@ -661,28 +661,18 @@ def test_the_table_is_long_and_its_names_differ():
     assert len({row.id for row in TABLE}) == len(TABLE)
 
 
-# With Ctrl-C as on a terminal: a process that was started in the background inherits that it is
-# ignored.
-FFSM = (
-    sys.executable,
-    "-c",
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from ffsm_drake.__main__ import main; main()",
-)
+FFSM = (sys.executable, "-m", "ffsm_drake")
 OWN_PROCESS = {
     "env": os.environ
     | {"PYTHONPATH": str(Path(files.__file__).parents[2]), "PYTHONDONTWRITEBYTECODE": "1"},
     "text": True,
-    "stderr": subprocess.PIPE,
+    "stderr": PIPE,
 }
 
 
-def ffsm(
-    *argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings
-) -> subprocess.CompletedProcess:
+def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> CompletedProcess:
     """The command line in a process of its own."""
-    settings = {"stdout": subprocess.PIPE} | OWN_PROCESS | settings
-    return subprocess.run([*command, *argv], cwd=cwd, check=False, timeout=120, **settings)
+    return finished([*command, *argv], cwd=cwd, **OWN_PROCESS | settings)
 
 
 @pytest.mark.parametrize(
@@ -692,18 +682,18 @@ def test_one_line_from_a_process_of_its_own(id, tmp_path):
     (row,) = (row for row in TABLE if row.id == id)
     for name, content in row.files.items():
         (tmp_path / name).write_text(content)
-    finished = ffsm(*shlex.split(row.command), cwd=tmp_path)
-    check_line(finished.stderr, row.expected)
-    assert finished.returncode == 2
-    assert "Traceback" not in finished.stderr + finished.stdout
+    ended = ffsm(*shlex.split(row.command), cwd=tmp_path)
+    check_line(ended.stderr, row.expected)
+    assert ended.returncode == 2
+    assert "Traceback" not in ended.stderr + ended.stdout
 
 
 def test_standard_output_on_a_full_disk(tmp_path):
     with open("/dev/full", "w") as full:
-        finished = ffsm("scenarios", cwd=tmp_path, stdout=full)
-    assert "Traceback" not in finished.stderr
-    assert finished.stderr.startswith("error: [Errno 28] No space left on device")
-    assert finished.returncode != 0
+        ended = ffsm("scenarios", cwd=tmp_path, stdout=full)
+    assert "Traceback" not in ended.stderr
+    assert ended.stderr.startswith("error: [Errno 28] No space left on device")
+    assert ended.returncode != 0
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
@@ -930,7 +920,7 @@ def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, wor
     analyze(kept)  # what is kept can be looked at
 
 
-def _started(process: subprocess.Popen) -> None:
+def _started(process) -> None:
     """Wait until the run has begun: its first progress line."""
     for line in process.stderr:
         if "tde_aismc:" in line:
@@ -952,8 +942,7 @@ def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
     record or none.
     """
     command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=2000"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
-    try:
+    with child(command, cwd=tmp_path, stdout=PIPE, **OWN_PROCESS) as process:
         _started(process)
         time.sleep(0.3)
         process.send_signal(number)
@@ -961,8 +950,6 @@ def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
             time.sleep(0.05)
             process.send_signal(number)
         _, stderr = process.communicate(timeout=120)
-    finally:
-        process.kill()
     assert process.returncode == 128 + number, stderr
     assert "Traceback" not in stderr
     if signals == 1:
@@ -1183,22 +1170,23 @@ def test_standard_error_that_takes_nothing(tmp_path, stderr):
         "--out",
         "new",
     ]
-    close = {"preexec_fn": lambda: os.close(2)} if stderr == "closed" else {}
+    if stderr == "closed":
+        command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *command]
     with open("/dev/full", "w") as full:
-        settings = OWN_PROCESS | {"stderr": full} | close
-        finished = subprocess.run(command, cwd=tmp_path, check=False, timeout=60, **settings)
-    assert finished.returncode == 0
+        ended = finished(command, cwd=tmp_path, **OWN_PROCESS | {"stderr": full})
+    assert ended.returncode == 0
     check_kept(tmp_path / "new", "completed")
 
 
 def test_a_folder_that_is_gone(tmp_path):
     (tmp_path / "gone").mkdir()
-    script = f"import os; os.rmdir({str(tmp_path / 'gone')!r}); {FFSM[2]}"
-    finished = ffsm(
+    script = f"import os; os.rmdir({str(tmp_path / 'gone')!r}); "
+    script += "from ffsm_drake.__main__ import main; main()"
+    ended = ffsm(
         "validate", "postcapture", cwd=tmp_path / "gone", command=(sys.executable, "-c", script)
     )
-    assert finished.stderr == "error: the current folder has been deleted; change to another one\n"
-    assert finished.returncode == 2
+    assert ended.stderr == "error: the current folder has been deleted; change to another one\n"
+    assert ended.returncode == 2
 
 
 @pytest.mark.slow
@@ -1208,8 +1196,8 @@ def test_a_home_that_cannot_be_written(tmp_path):
     settings = OWN_PROCESS | {"env": OWN_PROCESS["env"] | {"HOME": "/dev/null"}}
     for name in ("MPLCONFIGDIR", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
         settings["env"].pop(name, None)
-    finished = ffsm(cwd=tmp_path, command=(sys.executable, "-c", script), **settings)
-    assert (finished.stderr, finished.returncode) == ("", 0)
+    ended = ffsm(cwd=tmp_path, command=(sys.executable, "-c", script), **settings)
+    assert (ended.stderr, ended.returncode) == ("", 0)
 
 
 def test_a_name_that_is_no_text(tmp_path, monkeypatch):
@@ -1288,11 +1276,11 @@ def wait_for_handler(process):
 def test_signals_at_the_start(tmp_path, number, delay):
     """In the imports, mostly: nothing is said, nothing is left."""
     command = [*FFSM, "run", "--out", "new"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
-    wait_for_handler(process)
-    time.sleep(delay)
-    process.send_signal(number)
-    _, stderr = process.communicate(timeout=60)
+    with child(command, cwd=tmp_path, stdout=PIPE, **OWN_PROCESS) as process:
+        wait_for_handler(process)
+        time.sleep(delay)
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=60)
     assert process.returncode == 128 + number, stderr
     assert all("tde_aismc:" in line for line in stderr.splitlines())  # at most its progress
     assert not list(tmp_path.rglob("*partial*"))

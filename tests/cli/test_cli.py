@@ -3,13 +3,13 @@
 import inspect
 import json
 import re
-import subprocess
 import sys
 import threading
 import time
 from importlib.metadata import version
 
 import pytest
+from children import finished
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -49,7 +49,7 @@ def test_help_needs_no_drake():
         "import sys, ffsm_drake.cli as c; c.main(['--help'], standalone_mode=False); "
         "print(sorted(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = finished([sys.executable, "-c", code], check=True)
     loaded = done.stdout.splitlines()[-1]
     for heavy in ("pydrake", "numpy", "matplotlib", "scipy", "xarray"):
         assert f"'{heavy}'" not in loaded
@@ -213,7 +213,7 @@ def test_scenarios_and_validate(tmp_path):
     assert results[str(mine)]["error"] == f"{mine}: payload.truth.mass: must be > 0 kg, not -1"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_shipped_scenario_is_valid():
     """Without the rehearsal, which the verdict's and the matrix's tests look at."""
     done = ffsm("validate", "--no-rehearsal", *shipped_scenarios())

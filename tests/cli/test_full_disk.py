@@ -3,7 +3,6 @@
 import os
 import resource
 import shutil
-import signal
 import sqlite3
 import traceback
 from contextlib import closing
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 from alone import run_alone
 from campaign_tools import run_here, write_spec
+from children import forked
 from click.testing import CliRunner
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -96,23 +96,15 @@ def check(before, name, size):
 
 def in_child(act):
     """What went wrong in a forked child, as text; in a process with one thread."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reading)
+
+    def tried(tell):
         try:
             act()
         except BaseException:
-            os.write(writing, traceback.format_exc()[-4000:].encode())
-        finally:
-            os._exit(0)
-    os.close(writing)
-    with open(reading, encoding="utf-8", errors="replace") as pipe:
-        said = pipe.read()
-    _, status = os.waitpid(child, 0)
-    return (
-        f"ended by {signal.Signals(os.WTERMSIG(status)).name}" if os.WIFSIGNALED(status) else said
-    )
+            tell(traceback.format_exc()[-4000:])
+
+    fork = forked(tried, silence=150.0)
+    return fork.death or fork.told
 
 
 def full_at_drawn_bytes(before, names, count):
@@ -155,4 +147,4 @@ def test_a_full_disk_leaves_nothing_by_halves(before, place):
     ],
 )
 def test_a_full_disk_leaves_nothing_by_halves_for_long(before, place, count):
-    run_alone(full_at_drawn_bytes, before, [*COMMANDS], count)
+    run_alone(full_at_drawn_bytes, before, [*COMMANDS], count, inputs=count)

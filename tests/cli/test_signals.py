@@ -7,13 +7,13 @@ import random
 import shutil
 import signal
 import sqlite3
-import subprocess
 import sys
 import time
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from children import PIPE, TimeoutExpired, child, processes
 
 from ffsm_drake import RunRecord
 from ffsm_drake.scenario import load_scenario
@@ -40,26 +40,6 @@ COMMANDS = (
     (("plot", "old", "--out", "new/plots"), 6.0),
     (("analyze", "old", "--out", "new/analysis"), 6.0),
 )
-
-
-def heard():
-    """In a child: no signal is ignored, as a shell and nohup have it for what runs behind."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_DFL)
-
-
-def in_session(session):
-    """The processes of a session that are alive."""
-    found = []
-    for path in Path("/proc").iterdir():
-        if path.name.isdigit():
-            try:
-                fields = (path / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if fields[3] == str(session) and fields[0] != "Z":
-                found.append(int(path.name))
-    return found
 
 
 def check_whole(words, code):
@@ -97,47 +77,41 @@ def disturb(old, draw):
     number, instant = draw.choice(SIGNALS), draw.uniform(0.0, longest)
     shutil.rmtree("new", ignore_errors=True)
     said = f"{' '.join(words)}: {number.name} at {instant:.2f} s"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ffsm_drake", *words],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=heard,
-    )  # fmt: skip
-    try:
+    command = [sys.executable, "-m", "ffsm_drake", *words]
+    with child(command, stdout=PIPE, stderr=PIPE, text=True) as process:
         try:
             _, stderr = process.communicate(timeout=instant)
-        except subprocess.TimeoutExpired:
+        except TimeoutExpired:
             process.send_signal(number)
             _, stderr = process.communicate(timeout=MOST)
         end = time.monotonic() + 10.0
-        while (left := in_session(process.pid)) and time.monotonic() < end:
+        while left := [one for one in processes() if one.session == process.pid]:
+            if time.monotonic() > end:
+                break
             time.sleep(0.05)
-        assert not left, f"{said}: still running: {left}"
+        assert not left, f"{said}: still running: {[*map(str, left)]}"
         # before Python runs a line of ours, the signal meets its own handler or the system's
         if process.returncode != -number or instant > 0.5:
             assert "Traceback" not in stderr, f"{said}: {stderr}"
             codes = (0, 3, 128 + number)
             assert process.returncode in codes, f"{said}: {process.returncode}: {stderr}"
         check_whole(words, process.returncode)
-    finally:
-        for each in in_session(process.pid):
-            os.kill(each, signal.SIGKILL)
-        process.wait()
     return "interrupted" if process.returncode not in (0, 3) else "in time"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_signals_at_any_instant(tmp_path, monkeypatch, run):
-    """As many as the variable SIGNALS says, 15 without."""
+    """As many as the variable SIGNALS says, 6 without."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     Path("c.yaml").write_text(SPEC)
     run("postcapture", "duration=0.2").save("old")
     draw, ends, unclean = random.Random(28), {}, []
-    for _ in range(int(os.environ.get("SIGNALS", "15"))):
+    for _ in range(int(os.environ.get("SIGNALS", "6"))):
         try:
             end = disturb("old", draw)
-        except (AssertionError, subprocess.TimeoutExpired, OSError) as error:
+        except (AssertionError, TimeoutExpired, OSError) as error:
             end = "unclean"
             unclean.append(f"{type(error).__name__}: {error}")
         ends[end] = ends.get(end, 0) + 1

@@ -4,13 +4,13 @@ computed them.
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 
 import pytest
+from children import PIPE, STDOUT, child
 
 from ffsm_drake.common.errors import ScenarioError, WorkersError
 from ffsm_drake.common.workers import (
@@ -168,16 +168,11 @@ if __name__ == "__main__":
 def test_signals_stop_after_the_tasks_under_way(tmp_path, workers, sent):
     script = tmp_path / "script.py"
     script.write_text(INTERRUPTED)
-    process = subprocess.Popen(
-        [sys.executable, script, workers],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-    assert process.stdout.readline() == "1\n"
-    os.killpg(process.pid, sent)  # the workers get it too, as from a terminal
-    output, _ = process.communicate(timeout=60)
+    command = [sys.executable, script, workers]
+    with child(command, stdout=PIPE, stderr=STDOUT, text=True) as process:
+        assert process.stdout.readline() == "1\n"
+        os.killpg(process.pid, sent)  # the workers get it too, as from a terminal
+        output, _ = process.communicate(timeout=60)
     assert process.returncode == 128 + sent, output
     assert output.splitlines()[-1] == "interrupted"
     assert len(output.splitlines()) < 20

@@ -1,14 +1,13 @@
 """Gain design: what may get worse, its end by time and by signal, actuators in its score."""
 
-import os
 import re
 import signal
-import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
+from children import PIPE, STDOUT, child
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -181,13 +180,11 @@ def test_the_table_shows_margins_before_and_after(tmp_path):
 def test_an_interrupted_design_gives_the_best_so_far(tmp_path, number):
     """The first signal ends the search: files are whole, the exit code is that of an interrupt."""
     command = [sys.executable, "-m", "ffsm_drake", "design", "flight_sensors", "-c", "tdc"]
-    process = subprocess.Popen(
-        [*command, "--set", "duration=6", "--time", "500", "--out", str(tmp_path)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=dict(os.environ),
-    )  # fmt: skip
-    time.sleep(8.0)  # in the middle of the search, or before it
-    process.send_signal(number)
-    told, _ = process.communicate(timeout=120)
+    command += ["--set", "duration=6", "--time", "500", "--out", str(tmp_path)]
+    with child(command, stdout=PIPE, stderr=STDOUT, text=True) as process:
+        time.sleep(8.0)  # in the middle of the search, or before it
+        process.send_signal(number)
+        told, _ = process.communicate(timeout=120)
     assert process.returncode == 128 + number, told
     if "as it was" in told:
         assert "cut by an interrupt" in told

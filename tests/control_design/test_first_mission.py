@@ -70,8 +70,13 @@ def assert_settles(new):
 SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SIX)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(SIX[0], marks=pytest.mark.slow),
+        *(pytest.param(name, marks=pytest.mark.long) for name in SIX[1:]),
+    ],
+)
 def test_everything_at_once_settles(tmp_path, name):
     begin = time.process_time()
     new = make(tmp_path, name, ALL)
@@ -101,7 +106,7 @@ def settle(folder, name, count):
             assert len(refusal.splitlines()) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["servicer", "six_joints"])
 def test_subsets_settle_or_say_why_not(tmp_path, name):
     settle(tmp_path, name, 3)

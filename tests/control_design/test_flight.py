@@ -272,7 +272,7 @@ def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
     assert demand.ideal_isv == pytest.approx(simulated, rel=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_design_beats_the_hand_made_gains(monkeypatch):
     """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3,
     1e-2.
@@ -309,7 +309,7 @@ def test_design_beats_the_hand_made_gains(monkeypatch):
     assert record.metrics["isv"] == pytest.approx(found.chosen.prediction.isv, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_design_from_the_shell(tmp_path, monkeypatch):
     """With one price: the whole front, and the search along it, are looked at above."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))

@@ -128,7 +128,7 @@ def test_a_run_starts_where_the_plan_does(tmp_path):
     assert np.abs(record.dataset.error.values).max() < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_solver_stops_when_it_gains_no_more():
     """Without, this one took 4303 evaluations."""
     found = plan_motion(

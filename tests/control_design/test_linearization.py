@@ -274,7 +274,7 @@ def grows(scenario):
     return not record.outcome.completed or rate[-len(rate) // 4 :].max() > 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("controller", ["pd_plus", "lab_of_the_boundaries:Damper"])
 def test_boundaries_against_simulation(controller, monkeypatch):
     """The initial posture held after a kick: 1.5 % inside a boundary the oscillation decays, 1.5 %

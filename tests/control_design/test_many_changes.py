@@ -42,7 +42,7 @@ def check(name, law, share, *settings):
             np.testing.assert_allclose(matrix, like, rtol=0.0, atol=1e-7 * scale)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=12, deadline=None)
 @given(
     name=st.sampled_from(sorted(shipped_scenarios())),

@@ -186,7 +186,7 @@ def test_the_base_turns_no_further_than_it_may(quick):
     assert found.plan.duration > quick.plan.duration
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_goal_posture_and_effort():
     """From rest to a posture with all the time there is: less effort than the fifth-order
     polynomial.
@@ -310,7 +310,7 @@ def test_parts_that_come_too_near_are_warned_of():
         prepare(load_scenario("postcapture", ["clearance=0.1"])).release()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
     """Nominal 80 kg, true 100 kg: with a reserve of 0.3 the force saturates, and the run
     diverges.
@@ -333,7 +333,7 @@ def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
     assert error[3:6].max() < 1e-3
 
 
-@pytest.mark.parametrize("rate", [pytest.param(0.01, marks=pytest.mark.slow), 0.035])  # rad/s
+@pytest.mark.parametrize("rate", [pytest.param(0.01, marks=pytest.mark.long), 0.035])  # rad/s
 def test_a_slow_tumble_stops_where_it_is(rate):
     """It takes no longer than a control sample per segment, or than the base's torque needs."""
     overrides = ["capture.approach=null", "planning.segments=6", "reference.goal=stop"]

@@ -5,12 +5,12 @@ An input ends cleanly with a result or with an ``FfsmError`` of one line.
 """
 
 import faulthandler
-import os
 import resource
-import signal
 import warnings
+from functools import partial
 from pathlib import Path
 
+from children import forked
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from ffsm_drake.common.errors import FfsmError
@@ -40,39 +40,28 @@ def unclean(inputs, check):
     found, first = {}, 0
     while first < len(inputs):
         last = min(first + _BATCH, len(inputs))
-        reader, writer = os.pipe()
-        child = os.fork()
-        if child == 0:
-            os.close(reader)
-            _try_each(inputs, range(first, last), check, writer)
-        os.close(writer)
-        with os.fdopen(reader, encoding="utf-8") as lines:
-            told = [line.rstrip("\n").partition(" ") for line in lines]
-        _, status = os.waitpid(child, 0)
+        fork = forked(partial(_try_each, inputs, range(first, last), check), silence=LONGEST)
+        told = [line.partition(" ") for line in fork.told.split("\n") if line]
         found |= {int(index): text for index, _, text in told if text}
         reached = max((int(index) for index, _, _ in told), default=first)
-        if os.WIFSIGNALED(status):
-            found[reached] = f"ended by {signal.Signals(os.WTERMSIG(status)).name}"
+        if fork.death or fork.code:
+            found[reached] = fork.death or f"ended with {fork.code}"
         first = reached + 1
     return found
 
 
-def _try_each(inputs, indices, check, writer):
-    """Tell each index as it begins, and what is unclean; ends the process."""
+def _try_each(inputs, indices, check, tell):
+    """Tell each index as it begins, and what is unclean."""
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MOST_MEMORY, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     warnings.simplefilter("ignore")
     faulthandler.disable()
     for index in indices:
-        os.write(writer, f"{index} \n".encode())
-        signal.alarm(LONGEST)
+        tell(f"{index} \n")
         problem = _problem(check, inputs[index])
-        signal.alarm(0)
         if problem:
-            os.write(writer, f"{index} {problem}\n".encode("utf-8", "replace"))
-    os._exit(0)
+            tell(f"{index} {problem}\n")
 
 
 def _problem(check, given):

@@ -83,7 +83,7 @@ HOSTILE_YAML = st.one_of(
 @pytest.mark.parametrize("area", ["urdf", "scenario"])
 def test_hostile_inputs_end_cleanly(area, count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run_alone(inputs_end_cleanly, area, count)
+    run_alone(inputs_end_cleanly, area, count, inputs=count)
 
 
 def inputs_end_cleanly(area, count):

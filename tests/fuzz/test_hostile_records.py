@@ -7,9 +7,7 @@ its input named.
 
 import json
 import os
-import select
 import shutil
-import signal
 import traceback
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from alone import run_alone
+from children import forked
 from fuzz_inputs import invoke, mutated_bytes, mutated_data
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -282,41 +281,20 @@ def try_inputs(good, inputs, tell):
 
 def in_child(good, inputs):
     """Run inputs in a forked child. Returns the number that was tried and what went wrong."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            os.close(reading)
-            null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, 2)  # Drake's own words before an abort
-            try_inputs(good, inputs, lambda text: os.write(writing, text.encode()))
-            code = 0
-        finally:
-            os._exit(code)
-    os.close(writing)
-    said = b""
-    hangs = False
-    while True:
-        if not select.select([reading], [], [], SILENCE)[0]:
-            hangs = True
-            os.kill(child, signal.SIGKILL)
-        more = os.read(reading, 65536)
-        if not more:
-            break
-        said += more
-    os.close(reading)
-    _, status = os.waitpid(child, 0)
-    lines = said.decode()
-    begun = [int(line) for line in lines.split("\n") if line.isdigit()]
+
+    def quietly(tell):
+        null = os.open(os.devnull, os.O_RDWR)
+        os.dup2(null, 2)  # Drake's own words before an abort
+        try_inputs(good, inputs, tell)
+
+    fork = forked(quietly, silence=SILENCE)
+    begun = [int(line) for line in fork.told.split("\n") if line.isdigit()]
     last = begun[-1] if begun else 0
-    if hangs:
-        return last, "hangs"
-    if os.WIFSIGNALED(status):
-        return last, f"ended by signal {os.WTERMSIG(status)}"
-    if "failed: " in lines:
-        return last, lines.partition("failed: ")[2]
-    return last, "" if os.WEXITSTATUS(status) == 0 and len(begun) == len(inputs) else "ended early"
+    if fork.death:
+        return last, fork.death
+    if "failed: " in fork.told:
+        return last, fork.told.partition("failed: ")[2]
+    return last, "" if fork.code == 0 and len(begun) == len(inputs) else "ended early"
 
 
 def fuzz(good, count):
@@ -364,9 +342,9 @@ def test_some_records_are_read_or_refused(good, place):
 
 @pytest.mark.slow
 def test_records_are_read_or_refused(good, place):
-    run_alone(fuzz, good, 200)
+    run_alone(fuzz, good, 200, inputs=200)
 
 
 @pytest.mark.exhaustive
 def test_many_records_are_read_or_refused(good, place):
-    run_alone(fuzz, good, 5000)
+    run_alone(fuzz, good, 5000, inputs=5000)

@@ -9,18 +9,18 @@ They run in forked batches, so that a process that dies is seen, and its fault k
 import contextlib
 import json
 import os
-import select
 import shutil
-import signal
 import sys
 import time
 import traceback
 import warnings
+from functools import partial
 from pathlib import Path
 
 import faulty
 import pytest
 from alone import run_alone
+from children import forked
 from click.testing import CliRunner
 from faulty import BLOCKS, ERRORS, HARMLESS, VALUES, Fault
 from hypothesis import HealthCheck, Phase, given, seed, settings
@@ -244,33 +244,13 @@ def warm_up(folder):
 
 def run_batch(draws, folder):
     """Problems of the first draws, and how the process died on the next; empty: it did not."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reading)
-        report_batch(draws, folder, writing)
-        os._exit(0)
-    os.close(writing)
-    lines, text, died = [], b"", ""
-    while True:
-        ready, _, _ = select.select([reading], [], [], LONGEST)
-        if not ready:
-            os.kill(child, signal.SIGKILL)
-            died = "hangs"
-            break
-        more = os.read(reading, 1 << 16)
-        if not more:
-            break
-        text += more
-    os.close(reading)
-    _, status = os.waitpid(child, 0)
-    lines = [json.loads(line) for line in text.splitlines()]
-    if len(lines) < len(draws) and not died:
-        died = f"the process died: {os.waitstatus_to_exitcode(status)}"
-    return lines, died
+    fork = forked(partial(report_batch, draws, folder), silence=LONGEST)
+    lines = [json.loads(line) for line in fork.told.splitlines()]
+    died = "hangs" if fork.hung else f"the process died: {fork.code}"
+    return lines, died if len(lines) < len(draws) else ""
 
 
-def report_batch(draws, folder, writing):
+def report_batch(draws, folder, tell):
     with contextlib.suppress(BaseException):
         os.chdir(folder)
         sys.path.append(str(folder))
@@ -283,7 +263,7 @@ def report_batch(draws, folder, writing):
                 problem = problem_of(*draw)
             except BaseException as error:
                 problem = f"the test itself: {error!r}: {last_place(error)}"
-            os.write(writing, (json.dumps(problem) + "\n").encode())
+            tell(json.dumps(problem) + "\n")
 
 
 def drawn(count, number, commands=(*COMMANDS, *LONG)):
@@ -344,7 +324,7 @@ def test_what_lacks_a_linear_loop_says_so(tmp_path):
     + [pytest.param(500, k, COMMANDS + LONG, marks=pytest.mark.exhaustive) for k in range(10, 20)],
 )
 def test_faults_of_user_supplied_code(count, number, commands, tmp_path):
-    found = run_alone(try_all, drawn(count, number, commands), tmp_path)
+    found = run_alone(try_all, drawn(count, number, commands), tmp_path, inputs=count)
     assert not found, "\n".join(f"{draw}: {problem}" for draw, problem in found)
 
 

@@ -1,11 +1,11 @@
 """A run's files for other programs hold what its record holds."""
 
 import shutil
-import subprocess
 
 import numpy as np
 import pandas as pd
 import pytest
+from children import finished
 from click.testing import CliRunner
 from scipy.io import loadmat
 
@@ -69,7 +69,7 @@ def test_octave_reads_the_mat_file(folder, tmp_path):
         printf("%.17g", run.velocity.values(end, 7));
     """
     line = ["octave-cli", "--no-init-file", "--quiet", "--eval", asked]
-    said = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
+    said = finished(line, check=True).stdout
     data = RunRecord.load(folder).dataset
     rows, columns, unit, name, value = said.split()
     assert (int(rows), int(columns)) == data.velocity.shape

@@ -4,11 +4,11 @@ its record.
 
 import json
 import shutil
-import subprocess
 import sys
 
 import numpy as np
 import pytest
+from children import finished
 from click.testing import CliRunner
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
@@ -187,12 +187,8 @@ def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
     def command(source):
         return ["run", str(moved / source), "--out", str(lab / "again"), "--no-report"]
 
-    again = subprocess.run(  # a process of its own: the module is found by what the record says
-        [sys.executable, "-m", "ffsm_drake", *command("out/mine")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    # a process of its own: the module is found by what the record says
+    again = finished([sys.executable, "-m", "ffsm_drake", *command("out/mine")])
     assert again.returncode == 0, again.stderr
     assert (lab / "again/record.nc").read_bytes() == (moved / "out/mine/record.nc").read_bytes()
     assert "same record, bit for bit" in again.stdout

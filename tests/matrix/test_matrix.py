@@ -123,8 +123,15 @@ def test_a_few_missions_are_predicted_without_a_run(row, workshop):
     assert not found.is_linearly_unstable
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("row", ROWS, ids=name_of)
+@pytest.mark.parametrize(
+    "row",
+    [
+        # every sixth on each change, all of them weekly
+        pytest.param(row, marks=pytest.mark.long if number % 6 else pytest.mark.slow)
+        for number, row in enumerate(ROWS)
+    ],
+    ids=name_of,
+)
 def test_a_mission_settles_as_predicted(row, workshop, tmp_path, monkeypatch):
     """The row's command looks ahead anew only at what is not the row's own mission."""
     scenario = workshop(row)

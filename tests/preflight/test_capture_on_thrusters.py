@@ -42,7 +42,7 @@ def test_the_load_of_a_grasp_counts_the_thrusters_help(assisted):
         assert (predicted_load(linearizer) < 1.0) is assisted
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_settles_at_every_rate_with_either_law():
     """Each rate with each law, each of both with every seed."""
     cases = [
@@ -54,7 +54,7 @@ def test_it_settles_at_every_rate_with_either_law():
     assert all(record.ending.is_settled for record in records)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_false_alarm():
     found = verdict(mission(8.0), margins=True)
     assert found.conclusion.startswith("expected to go as planned")
@@ -130,7 +130,7 @@ def test_nothing_is_said_of_actuators_that_have_room():
     assert advice(load_scenario("flight_sensors"), {}, settles=False) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=3, deadline=None, derandomize=True)
 @given(numbers=crafts)
 def test_following_what_helps_makes_a_craft_settle(numbers):

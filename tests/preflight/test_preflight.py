@@ -1,10 +1,10 @@
 """What is said of a scenario before it runs, and what is not loaded for a run."""
 
-import subprocess
 import sys
 import warnings
 
 import pytest
+from children import finished
 
 import ffsm_drake
 from ffsm_drake import load_scenario
@@ -17,11 +17,7 @@ SHORT = ["duration=0.105", "sensing.delay=1"]  # no whole number of samples, and
 def loaded_after(code):
     """The modules that a new process has loaded after running some code."""
     code += "\nimport sys; print(*sorted(sys.modules), sep='\\n')"
-    return set(
-        subprocess.run(
-            [sys.executable, "-c", code], check=True, capture_output=True, text=True
-        ).stdout.split()
-    )
+    return set(finished([sys.executable, "-c", code], check=True).stdout.split())
 
 
 @pytest.mark.parametrize(

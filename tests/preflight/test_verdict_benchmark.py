@@ -124,7 +124,7 @@ def test_misses_and_false_alarms_are_named(verdicts):
     assert "validate: 0.25 of a complete run" in printed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_goes_on_where_it_stopped(verdicts, tmp_path, capsys):
     out = tmp_path / "verdicts.json"
     verdicts.main(["--number", "1", "--captures", "0", "--out", str(out)])

@@ -220,6 +220,16 @@ def test_every_shipped_scenario_has_its_bits(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "controller"),
+    [("postcapture", "tde_aismc"), ("flight_sensors", "tdc")],
+)
+def test_longer_runs_have_their_bits(name, controller):
+    scenario = load_scenario(name, ["duration=4", f"controller={controller}"])
+    check_side_by_side(scenario, 16, batches=(4, 16))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "controller"),
     [
         *(("postcapture", controller) for controller in SETTLING),
         *(("flight_sensors", controller) for controller in SETTLING[:4]),

@@ -2,12 +2,12 @@
 
 import re
 import signal
-import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
+from children import PIPE, child
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, ControlLaw, RunRecord, load_scenario, simulate
@@ -209,17 +209,12 @@ class Endless(PdPlus):
 def test_ctrl_c_ends_a_step_that_never_returns(tmp_path):
     (tmp_path / "endless.py").write_text(ENDLESS)
     command = [sys.executable, "-m", "ffsm_drake", "run", "-c", "endless:Endless", "--no-report"]
-    process = subprocess.Popen(
-        [*command, "--set", "duration=3", "--out", "out"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout.readline() == "now\n"
-    time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    command += ["--set", "duration=3", "--out", "out"]
+    with child(command, cwd=tmp_path, stdout=PIPE, stderr=PIPE, text=True) as process:
+        assert process.stdout.readline() == "now\n"
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     assert RunRecord.load(tmp_path / "out").outcome.status == "interrupted"

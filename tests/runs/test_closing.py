@@ -84,7 +84,7 @@ def test_a_missed_target_is_left_at_once():
     assert record.metrics["gripper"] == {"closings": 0, "peak_force": 0.0, "peak_torque": 0.0}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_second_try_captures_what_a_push_made_the_first_one_miss():
     file = Path(__file__).parents[2] / "docs" / "animate.py"
     spec = importlib.util.spec_from_file_location("animate", file)

@@ -4,7 +4,6 @@ import collections
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -14,6 +13,7 @@ from contextlib import contextmanager, suppress
 
 import msgpack
 import pytest
+from children import DEVNULL, PIPE, child, finished
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from meshcat_page import resident
@@ -154,16 +154,7 @@ def hostile_frames(process, url, count):
 @contextmanager
 def command(*arguments):
     """A command of the terminal, and a function that waits for a line with a pattern."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ffsm_drake", *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"BROWSER": "true"},
-    )
     lines = []
-    reader = threading.Thread(target=lambda: lines.extend(iter(process.stderr.readline, "")))
-    reader.start()
 
     def told(pattern, seconds=60.0):
         end = time.monotonic() + seconds
@@ -174,13 +165,17 @@ def command(*arguments):
             time.sleep(0.02)
         raise AssertionError(lines)
 
-    try:
+    with child(
+        [sys.executable, "-m", "ffsm_drake", *arguments],
+        longest=3600.0,
+        stdout=DEVNULL,
+        stderr=PIPE,
+        text=True,
+        env=os.environ | {"BROWSER": "true"},
+    ) as process:
+        reader = threading.Thread(target=lambda: lines.extend(iter(process.stderr.readline, "")))
+        reader.start()
         yield process, told
-    finally:
-        process.kill()
-        process.wait()
-        reader.join()
-        process.stderr.close()
 
 
 ADDRESS = r"connections at (\S+)"
@@ -282,7 +277,7 @@ start_meshcat()
 
 def test_only_its_own_thread_frees_a_server():
     """Else Drake would end the process."""
-    done = subprocess.run([sys.executable, "-c", ABANDONED], capture_output=True, text=True)
+    done = finished([sys.executable, "-c", ABANDONED])
     assert done.returncode == 0, done.stderr
 
 
@@ -348,13 +343,13 @@ for k in range(count):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
 def test_hundreds_of_pages_need_no_more_memory_than_a_hundred(served):
     meshcat, url = served
     set_stage(meshcat, load_scenario("postcapture"))
     sizes = []
     for count in (100, 300):
-        subprocess.run([sys.executable, "-c", PAGES, url, str(count)], check=True)
+        finished([sys.executable, "-c", PAGES, url, str(count)], check=True)
         sizes.append(resident())
     assert max(sizes) - sizes[0] < 5.0, sizes

@@ -5,11 +5,11 @@ import html
 import json
 import re
 import shutil
-import subprocess
 from html.parser import HTMLParser
 
 import pytest
 from campaign_tools import run_here, write_spec
+from children import finished
 from click.testing import CliRunner
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -156,14 +156,14 @@ def test_a_recording_s_caption_is_text(short):
 
 def looked_at(path, *options):
     """What Chromium makes of a page."""
-    return subprocess.run(
+    return finished(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
             "--disable-background-networking", "--disable-component-update", "--disable-sync",
             f"--user-data-dir={path.parent / 'profile'}", "--window-size=1400,3000",
             "--virtual-time-budget=20000", *options, path.as_uri(),
         ],
-        capture_output=True, text=True, timeout=180, check=True,
+        longest=180.0, check=True,
     ).stdout  # fmt: skip
 
 

@@ -2,11 +2,11 @@
 operator's hands.
 """
 
+import contextlib
 import dataclasses
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import time
 import weakref
@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from children import DEVNULL, child
 from click.testing import CliRunner
 from meshcat_page import ForeignPage, click, click_message, resident, slider_message
 
@@ -358,7 +359,7 @@ def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario, plain):
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
 @pytest.mark.parametrize(
     "count",
-    [pytest.param(40, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.exhaustive)],
+    [pytest.param(40, marks=pytest.mark.long), pytest.param(100, marks=pytest.mark.exhaustive)],
 )
 def test_restarts_need_no_more_memory_than_twenty(meshcat, scenario, count):
     told, sizes, records = [], [], []
@@ -594,25 +595,20 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path,
           s.send(new Uint8Array(m)) }};
         s.onopen = () => {{ send(); setInterval(send, 20) }};</script>"""
     (tmp_path / "foreign.html").write_text(script)
-    started, told = [], []
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--remote-debugging-port=0",
+        (tmp_path / "foreign.html").as_uri(),
+    ]
+    told, browser = [], contextlib.ExitStack()
 
     def come(hands):
         meshcat.AddButton("arrived")
-        started.append(
-            subprocess.Popen(
-                [
-                    CHROMIUM,
-                    "--headless",
-                    "--no-sandbox",
-                    "--disable-gpu",
-                    f"--user-data-dir={tmp_path / 'profile'}",
-                    "--remote-debugging-port=0",
-                    (tmp_path / "foreign.html").as_uri(),
-                ],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-        )
+        browser.enter_context(child(command, stdout=DEVNULL, stderr=DEVNULL))
         until(lambda: meshcat.GetButtonClicks("arrived") >= 1, seconds=60.0)
 
     def is_still_sending(hands):
@@ -633,14 +629,12 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path,
     own = ForeignPage(meshcat)  # the operator's
     until(lambda: meshcat.GetNumActiveConnections() == 1)
     try:
-        (record,) = run_interactive(
-            scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
-        )
+        with browser:
+            (record,) = run_interactive(
+                scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
+            )
     finally:
         own.close()
-        for process in started:
-            process.terminate()
-            process.wait(timeout=20.0)
         meshcat.DeleteButton("arrived")
     assert "A page has joined or left, so the controls are locked" in told[2]
     assert record.outcome.status == "completed"

@@ -11,11 +11,11 @@ import math
 import re
 import shlex
 import shutil
-import subprocess
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from children import finished
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.common.numbers import number
@@ -464,7 +464,7 @@ def test_command_and_scenario_make_the_same_run(short, text):
 def test_draws_in_a_browser_without_complaint(short, tmp_path):
     records = [with_scenario(short, description=HOSTILE), shortened(short, 1)]
     path = write_report(records, tmp_path / "report.html")
-    done = subprocess.run(
+    done = finished(
         [
             CHROMIUM,
             "--headless",
@@ -485,10 +485,7 @@ def test_draws_in_a_browser_without_complaint(short, tmp_path):
             "--dump-dom",
             path.as_uri(),
         ],
-        capture_output=True,
-        text=True,
-        timeout=180,
-        check=False,
+        longest=180.0,
     )
     complaints = [
         line

@@ -40,7 +40,7 @@ def test_minor_steps_change_the_force():
     assert run(scenario, RUNGE_KUTTA).itae > 1.1 * run(scenario, RUNGE_KUTTA, held=True).itae
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_the_published_gains_complete():
     """Without a held force it depends on the scheme; with one, the gain leaves the sampled loop's
     limit of 100 1/s.

@@ -8,11 +8,11 @@ import dataclasses
 import io
 import re
 import shutil
-import subprocess
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from children import finished
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
 from ffsm_drake.runs.log import Outcome
@@ -454,7 +454,7 @@ def test_the_page_in_a_browser(written, tmp_path):
     from matplotlib import image
 
     picture = tmp_path / "picture.png"
-    subprocess.run(
+    finished(
         [
             CHROMIUM,
             "--headless",
@@ -470,8 +470,6 @@ def test_the_page_in_a_browser(written, tmp_path):
             f"--screenshot={picture}",
             (written / "reproduction.html").as_uri(),
         ],
-        capture_output=True,
-        timeout=120,
         check=True,
     )
     pixels = image.imread(picture)[..., :3]

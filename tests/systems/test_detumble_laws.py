@@ -75,7 +75,7 @@ def test_its_gains_are_those_of_the_riccati_equation():
     assert np.abs(law.gains[0] - law.gains[-1]).max() > 0.01 * np.abs(expected).max()  # they vary
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_gains_are_those_of_the_regulator_in_continuous_time():
     """Drake's finite-horizon regulator, with the published weights, whose base position takes a
     minute to settle. 1.0 % is left by sampling at 2 ms, 0.5 % at 1 ms.

@@ -476,7 +476,7 @@ def test_a_capture_whose_approach_changes_the_wrists_inertia_is_followed():
     assert np.abs(log.error[-500:, 6:]).max() < 2e-4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_random_motion_of_the_joints_makes_the_coupled_filter_diverge():
     """A third of such motions diverged with the gain of the initial posture."""
     rng = np.random.default_rng(0)

@@ -108,7 +108,7 @@ def test_actuators_have_their_bits(case):
     check([varied(scenario, number, limits=limits) for number in range(3)])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_actuators_have_their_bits_in_long_runs(case):
     name, overrides = CASES[case]
