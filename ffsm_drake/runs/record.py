@@ -1,5 +1,6 @@
 """The record of a run: labelled time series, metrics, and a manifest of how it was made."""
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -148,6 +149,8 @@ class RunRecord:
         Raises:
           RecordError: the directory cannot be written.
         """
+        from xarray.backends.netCDF4_ import NETCDF4_PYTHON_LOCK, NetCDF4DataStore
+
         directory = Path(directory)
         # Character arrays rather than netCDF strings: every MATLAB reads them.
         encoding: dict[str, dict[str, Any]] = {
@@ -179,9 +182,11 @@ class RunRecord:
             manifest["parts"] = [dataclasses.asdict(part) for part in self.parts]
         with published(directory, outdated=OUTPUTS) as folder:
             try:
-                self.dataset.to_netcdf(
-                    folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding
-                )
+                # As ``to_netcdf``, which would load Dask's ``distributed`` where that is installed.
+                open_store: Any = NetCDF4DataStore.open  # without types
+                store = open_store(folder / DATASET_FILE, mode="w", lock=NETCDF4_PYTHON_LOCK)
+                with contextlib.closing(store):
+                    self.dataset.dump_to_store(store, encoding=encoding)
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
             identifier = digest_of(folder / DATASET_FILE)

@@ -252,7 +252,7 @@ def test_a_failed_save_leaves_the_old_files(run, tmp_path, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(type(record.dataset), "to_netcdf", full)
+    monkeypatch.setattr(type(record.dataset), "dump_to_store", full)
     with pytest.raises(RecordError, match=r": cannot be written: .*No space left"):
         record.save(tmp_path)
     assert (tmp_path / "record.nc").read_bytes() == before
