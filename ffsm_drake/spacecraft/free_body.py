@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import quaternion_of
+from ffsm_drake.common.so3 import matrix_of, quaternion_of, skew
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.orbit import Orbit
 
@@ -65,21 +65,6 @@ def shape_spread(shape: np.ndarray) -> np.ndarray:
     changes = root @ np.concatenate([BASIS, math.sqrt(2.0 / 3.0) * np.eye(3)[None]]) @ root
     changes -= np.trace(changes, axis1=1, axis2=2)[:, None, None] * G / 3.0
     return 0.5 * np.einsum("kij,lij->kl", BASIS, changes)
-
-
-def skew(vector: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of a x (.)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def matrix_of(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any norm."""
-    unit = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    cross = skew(unit[..., 1:])
-    return np.eye(3) + 2.0 * (unit[..., :1, None] * cross + cross @ cross)
 
 
 def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:

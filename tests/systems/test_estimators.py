@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from flight_settings import FLIGHT, NO_NOISE
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.runs.capture import make_rollout
@@ -221,7 +222,7 @@ def test_late_measurements_are_filtered_at_their_time_and_predicted():
     runs at once.
     """
     rng = np.random.default_rng(0)
-    delay = np.array([0, 0, 1, 1, 2, 3, 5, 5, 5, 8, 8])
+    delay = np.array([1, 1, 1, 3, 3, 3, 5, 5, 0, 8, 2])
     mass_matrix = np.diag(rng.uniform(5.0, 50.0, SIZE))
     noise = {"position_noise": 1e-3, "velocity_noise": 1e-3, "walk": 1e-1}
     plain = KalmanEstimator(
@@ -499,7 +500,7 @@ def test_what_is_not_new_is_not_looked_at():
     is_new[[3, 4, 5, SIZE + 3, SIZE + 4, SIZE + 5]] = False
     position = np.isin(np.arange(SIZE), (3, 4, 5))
     given = {
-        "q": None,
+        "q": np.eye(1, SIZE + 1)[0],
         "v": None,
         "q_d": None,
         "v_d": v_d,
@@ -518,6 +519,82 @@ def test_what_is_not_new_is_not_looked_at():
     assert not np.allclose(results[0].e[position], results[2].e[position])
 
 
+def turned(rotation, values):
+    """Values (SIZE) with the base's vectors turned."""
+    return np.concatenate([rotation.apply(values[:6].reshape(2, 3)).ravel(), values[6:]])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_bases_filters_stand_in_its_axes(seed):
+    """In a turned world the same happens, turned, to everything but the bias, which is in the
+    base's axes; measurements late and slow, noises and walks drawn for each axis.
+    """
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(1.0, 4.0, (4, SIZE)) * np.array([[1e-4], [1e-4], [1e-2], [1e-3]])
+    keys = [
+        f"estimator.{key}"
+        for key in ("position_noise", "velocity_noise", "walk", "velocity_bias_walk")
+    ]
+    given = [
+        f"{key}={dict(zip(NAMES, of.tolist(), strict=True))}"
+        for key, of in zip(keys, drawn, strict=True)
+    ]
+    given += ["sensing.position_delay={base_position: 4, joints: 1}",
+              "sensing.velocity_period={base_rotation: 3}"]  # fmt: skip
+    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *given])
+    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    turn = Rotation.random(random_state=seed)
+    attitude = Rotation.random(random_state=seed + 100)
+    states = [dict(estimator.initial_state()) for _ in range(2)]
+    mass = np.diag(np.repeat(rng.uniform(5.0, 50.0, SIZE - 4), [3, 3, 1, 1, 1, 1, 1]))
+    for k in range(12):
+        v_d, e, e_dot, force = rng.normal(size=(4, SIZE))
+        new = np.concatenate([np.repeat(rng.random(7) < 0.7, [3, 3, *[1] * 5]) for _ in PARTS])
+        found = []
+        for i, by in enumerate((Rotation.identity(), turn)):
+            q = np.zeros(SIZE + 1)
+            q[[1, 2, 3, 0]] = (by * attitude).as_quat()
+            sample = Sample(
+                q=q, v=None, q_d=None, v_d=turned(by, v_d), a_d=None, e=turned(by, e),
+                e_dot=turned(by, e_dot), applied_force=turned(by, force), is_first=k == 0,
+                is_new=new,
+            )  # fmt: skip
+            estimate, states[i] = estimator.step(sample, mass, states[i])
+            found.append(np.stack([estimate.e, estimate.e_dot, estimate.base_acceleration]))
+        expected = np.stack([turned(turn, row) for row in found[0]])
+        assert found[1] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+        bias = [state["estimated_velocity_bias"] for state in states]
+        assert bias[1] == pytest.approx(bias[0], abs=1e-9 * (np.abs(bias[0]).max() + 1e-9))
+    assert np.abs(bias[0][:6]).min() > 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_turning_gyros_bias_is_found_in_its_axes(seed):
+    """Over a drawn slew at 0.1 rad/s: in the world it would be off by its own size."""
+    rng = np.random.default_rng(seed)
+    given = [
+        *("estimator.position_noise=1e-5", "estimator.velocity_noise=1e-5", "estimator.walk=1e-4"),
+        "estimator.velocity_bias_walk={base_rotation: 1e-5}",
+    ]
+    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *given])
+    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    bias, axis = 1e-4 * rng.normal(size=3), rng.normal(size=3)
+    rate = 0.1 * axis / np.linalg.norm(axis)
+    state, zeros = dict(estimator.initial_state()), np.zeros(SIZE)
+    for k in range(3000):
+        attitude = Rotation.from_rotvec(PERIOD * k * rate)
+        q, e_dot = np.zeros(SIZE + 1), np.zeros(SIZE)
+        q[[1, 2, 3, 0]] = attitude.as_quat()
+        e_dot[:3] = -attitude.apply(bias)
+        sample = Sample(
+            q=q, v=zeros, q_d=q, v_d=zeros, a_d=zeros, e=zeros, e_dot=e_dot, applied_force=zeros,
+            is_first=k == 0,
+        )  # fmt: skip
+        state = estimator.step(sample, np.eye(SIZE), state)[1]
+    off = state["estimated_velocity_bias"][:3] - bias
+    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(bias)
+
+
 def test_a_gyros_bias_is_found(run):
     """Without a state of its own it becomes an error of attitude, or position."""
     bias = (
@@ -532,7 +609,7 @@ def test_a_gyros_bias_is_found(run):
             np.abs(record.dataset["error"].sel(coordinate=name).values[-1])
             for record in (without, estimated)
         )
-        assert after < 0.03 * before, name
+        assert after < 0.05 * before, name
 
 
 def test_an_unknown_constant_disturbance_leaves_no_error(run):
@@ -659,7 +736,7 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
         (
             "estimator={kind: coupled, delay: 2}",
-            "estimator.kind: coupled takes no slow or late sensors and no bias",
+            "estimator.kind: coupled takes no slow or late sensors, no bias, and the same noise",
         ),
         ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),
     ],

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.stats import chi2
 
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import (
     Environment,
     MassProperties,
@@ -22,7 +23,6 @@ from ffsm_drake.spacecraft.free_body import (
     SIZE,
     Target,
     inverse_inertia,
-    matrix_of,
     shape_spread,
 )
 from ffsm_drake.spacecraft.orbit import Orbit

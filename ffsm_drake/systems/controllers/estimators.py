@@ -21,6 +21,10 @@ state b. It remembers what e and e' were over the delay, compares a measurement 
 time, and corrects all of it, the present included. This equals a filter at the time of measurement
 that predicts over the delay with the force that acted.
 
+The errors of the base's sensors, a gyro's bias among them, turn with the base. Where a bias is
+estimated, or what is assumed differs along the base's three axes, the filters of its rotation and
+its position take innovations along the measured base's axes, and b stays in them.
+
 *Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
 f, with f a random walk. One filter of all their measurements then knows more of each than one for
 each. H changes along a motion, and the gain of a posture with H_0 makes the filter unstable where
@@ -32,7 +36,7 @@ import abc
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
@@ -40,9 +44,14 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.products import matrix_vector
+from ffsm_drake.common.products import applied, matrix_vector, product
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Scenario, planned_part
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    Coordinates,
+)
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -174,7 +183,8 @@ class KalmanEstimator(Estimator):
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> Estimator:
         axes, step = _axes(scenario, coordinates), scenario.sample_time
-        if not all(axis.is_plain for axis in axes):
+        of_base = jacobian is None and _axes_matter(axes)
+        if of_base or not all(axis.is_plain for axis in axes):
             return LateKalmanEstimator.make(scenario, coordinates, jacobian)
         noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
         if jacobian is not None:
@@ -231,6 +241,8 @@ class LateKalmanEstimator(Estimator):
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
+    # whether the gains of the base's coordinates, and its bias, are along its axes
+    in_base: bool
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
     # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
     # position, both; those of each of several runs
@@ -251,6 +263,7 @@ class LateKalmanEstimator(Estimator):
         return cls(
             sample_time=scenario.sample_time,
             delay=delays.T.ravel(),
+            in_base=_axes_matter(axes),
             gain=np.concatenate([*present, *of_e, *of_rate], axis=1),
         )
 
@@ -283,6 +296,15 @@ class LateKalmanEstimator(Estimator):
         nv = self.delay.size // 2
         return np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
 
+    @functools.cached_property
+    def _of_base(self) -> np.ndarray:
+        """Vectors of the base among the entries of x without b, as rows (m, 3)."""
+        nv = self.delay.size // 2
+        axis = self._axis.copy()
+        axis[3 * nv : 4 * nv] = nv
+        of = [np.flatnonzero(axis == each) for each in range(NUM_BASE_VELOCITIES)]
+        return np.concatenate([np.stack(of[first : first + 3], axis=1) for first in (0, 3)])
+
     def initial_state(self) -> State:
         nv = self.delay.size // 2
         names = (
@@ -306,7 +328,14 @@ class LateKalmanEstimator(Estimator):
             past = self._moved_past(state, sample.v_d)
         x = np.concatenate((e, e_dot, past), axis=-1)
         expected = x[..., self._measured]
-        position, rate = sample.e - expected[..., :nv], sample.e_dot - (expected[..., nv:] - bias)
+        position = sample.e - expected[..., :nv]
+        if self.in_base:
+            R = matrix_of(sample.q[..., :4])
+            back = np.swapaxes(R, -1, -2)
+            position = _turned(back, position)
+            rate = _turned(back, sample.e_dot - expected[..., nv:]) + bias
+        else:
+            rate = sample.e_dot - (expected[..., nv:] - bias)
         axis, gain = self._axis, self._gain[..., 3, :, :]
         if sample.is_new is not None:
             new = 2 * sample.is_new[..., :nv] + sample.is_new[..., nv:]
@@ -314,6 +343,9 @@ class LateKalmanEstimator(Estimator):
             run = (np.arange(len(new))[:, None],) if isinstance(self.gain, tuple) else ()
             gain = self._gain[(*run, *chosen)]
         correction = gain[..., 0] * position[..., axis] + gain[..., 1] * rate[..., axis]
+        if self.in_base:
+            vectors = product(correction[..., self._of_base], back)  # rows: R v is v R'
+            correction[..., self._of_base] = vectors
         x = np.concatenate((e, e_dot, d, bias, past), axis=-1) + correction
         e, e_dot, d, bias, past = np.split(x, [nv, 2 * nv, 3 * nv, 4 * nv], axis=-1)
         return Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d), {
@@ -364,7 +396,9 @@ class CoupledEstimator(Estimator):
         separate = KalmanEstimator.make(scenario, coordinates, None)
         if not isinstance(separate, KalmanEstimator):
             raise ScenarioError(
-                "estimator.kind", "coupled takes no slow or late sensors and no bias; use kalman"
+                "estimator.kind",
+                "coupled takes no slow or late sensors, no bias, and the same noise and walk along "
+                "the base's three axes; use kalman",
             )
         axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
         position, velocity = assumed_noise(scenario, coordinates)
@@ -434,6 +468,21 @@ def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
     cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # of half the angle
     nearest: np.ndarray = ((joints * joints).sum(axis=-1) - 8.0 * cosine).argmin(axis=-1)
     return nearest
+
+
+def _axes_matter(axes: Sequence[SensedAxis]) -> bool:
+    """Whether it matters along which axes the filters of the base's coordinates are."""
+    base = axes[:NUM_BASE_VELOCITIES]
+    alike = len(set(base[:3])) == len(set(base[3:])) == 1
+    return not alike or any(axis.bias_walk > 0.0 for axis in base)
+
+
+def _turned(R: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (..., nv) along the coordinates, the base's vectors turned by R (..., 3, 3)."""
+    turned = values.copy()
+    for part in (slice(0, 3), slice(3, NUM_BASE_VELOCITIES)):
+        turned[..., part] = applied(R, values[..., part])
+    return turned
 
 
 def _predict(
