@@ -53,8 +53,8 @@ class Estimator:
     velocity_bias_walk: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s per sqrt(s)",
-        "kalman only: random walk of a bias of the velocities that it estimates with N (of the "
-        "base in its axes), its standard deviation after one second; 0: no bias is estimated",
+        "not for one_sample: random walk of a bias of the velocities that it estimates with N (of "
+        "the base in its axes), its standard deviation after one second; 0: none is estimated",
         least=0,
     )
     delay: int | None = in_samples(

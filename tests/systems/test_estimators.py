@@ -335,32 +335,40 @@ def test_late_gains_are_those_of_the_whole_filter(period, delay):
     assert not gains[0].any()
 
 
-def test_coupled_is_separate_where_nothing_couples():
+@pytest.mark.parametrize("bias_walk", [0.0, 1e-3])
+def test_coupled_is_separate_where_nothing_couples(bias_walk):
     """With a diagonal mass matrix M, and a force's walk of M times that of N; of several runs, each
-    as alone.
+    as alone. Biases are in the axes of a base that stands anywhere.
     """
     rng = np.random.default_rng(0)
-    mass, axes = rng.uniform(5.0, 50.0, SIZE), np.array([0, 1, 2, 6, 7, 8, 9, 10])
-    position, velocity, walk = (rng.uniform(1.0, 5.0, SIZE) * size for size in (1e-5, 1e-4, 1e-2))
-    noises = zip(position, velocity, walk, strict=True)
-    gain = np.array(
-        [
-            kalman_gain(position_noise=p, velocity_noise=v, walk=w, sample_time=PERIOD)
-            for p, v, w in noises
-        ]
+    mass, position, velocity, walk = (
+        np.repeat(rng.uniform(1.0, 5.0, 7), [3, 3, 1, 1, 1, 1, 1]) * size
+        for size in (10.0, 1e-5, 1e-4, 1e-2)
     )
-    separate = KalmanEstimator(sample_time=PERIOD, gain=gain)
+    of_bias = np.where(np.isin(np.arange(SIZE), (6, 8)), 0.0, bias_walk)
+    settings = {"position_noise": position, "velocity_noise": velocity, "walk": walk}
+    settings["velocity_bias_walk"] = of_bias
+    given = [
+        f"estimator.{key}={dict(zip(NAMES, of.tolist(), strict=True))}"
+        for key, of in settings.items()
+    ]
+    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *given])
+    separate = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    assert isinstance(separate, LateKalmanEstimator if bias_walk else KalmanEstimator)
+    axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
     together = coupled_gain(
         np.diag(1.0 / mass[axes]),
         position_noise=position[axes],
         velocity_noise=velocity[axes],
         walk=(mass * walk)[axes],
+        bias_walk=of_bias[axes],
         sample_time=PERIOD,
     )
     q_d = np.arange(1.0, 13.0)
     coupled = CoupledEstimator(
         separate=separate,
         axes=axes,
+        biased=axes[of_bias[axes] > 0.0],
         postures=np.stack([q_d, -2.0 * q_d]),
         gain=np.stack([together, np.zeros_like(together)]),
     )
@@ -369,8 +377,8 @@ def test_coupled_is_separate_where_nothing_couples():
     _, v_d, e, e_dot, force = smooth_motion(rng, 60)
     for k in range(60):
         given = {"v_d": v_d[k], "e": e[k], "e_dot": e_dot[k], "applied_force": force[k]}
-        given["q_d"] = q_d
-        sample = Sample(q=None, v=None, a_d=None, is_first=k == 0, **given)
+        given |= {"q": rng.normal(size=SIZE + 1), "q_d": q_d}
+        sample = Sample(v=None, a_d=None, is_first=k == 0, **given)
         both = sample._replace(**{name: np.stack([value, value]) for name, value in given.items()})
         expected, states[0] = separate.step(sample, np.diag(mass), states[0])
         estimate, states[1] = coupled.step(sample, np.diag(mass), states[1])
@@ -381,6 +389,10 @@ def test_coupled_is_separate_where_nothing_couples():
             assert getattr(estimates, name) == pytest.approx(
                 np.stack([of, of]), rel=1e-12, abs=1e-15
             )
+    if bias_walk:
+        found, wanted = (state["estimated_velocity_bias"] for state in states[1::-1])
+        assert found == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max())
+        assert (np.abs(found) > 0.0).tolist() == (of_bias > 0.0).tolist()
 
 
 def test_the_gain_is_that_of_the_nearest_posture():
@@ -390,7 +402,9 @@ def test_the_gain_is_that_of_the_nearest_posture():
     rng = np.random.default_rng(0)
     postures, gain = rng.normal(size=(5, 12)), rng.normal(size=(5, 6, 4))
     postures[:, :4] /= np.linalg.norm(postures[:, :4], axis=1)[:, None]
-    estimator = CoupledEstimator(separate=None, axes=np.arange(2), postures=postures, gain=gain)
+    estimator = CoupledEstimator(
+        separate=None, axes=np.arange(2), biased=np.arange(0), postures=postures, gain=gain
+    )
     near = postures + 1e-3
     near[:, :4] *= -1.0
     near[:, 4:7] += 100.0
@@ -595,14 +609,16 @@ def test_a_turning_gyros_bias_is_found_in_its_axes(seed):
     assert np.linalg.norm(off) < 0.02 * np.linalg.norm(bias)
 
 
-def test_a_gyros_bias_is_found(run):
+@pytest.mark.parametrize("kind", ["kalman", "coupled"])
+def test_a_gyros_bias_is_found(run, kind):
     """Without a state of its own it becomes an error of attitude, or position."""
     bias = (
         "sensing.velocity_bias={base_rotation_x: 1e-4, base_position_z: 2e-3}",
         *NO_NOISE,
+        f"estimator.kind={kind}",
         "duration=10",
     )
-    walk = "estimator.velocity_bias_walk={base_rotation_x: 1e-4, base_position_z: 3e-3}"
+    walk = "estimator.velocity_bias_walk={base_rotation: 1e-4, base_position_z: 3e-3}"
     without, estimated = (run(*FLIGHT, *bias, *more) for more in ((), (walk,)))
     for name in ("base_rotation_x", "base_position_z"):
         before, after = (
@@ -736,7 +752,7 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
         (
             "estimator={kind: coupled, delay: 2}",
-            "estimator.kind: coupled takes no slow or late sensors, no bias, and the same noise",
+            "estimator.kind: coupled takes no slow or late sensors, and the same noise",
         ),
         ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),
     ],

@@ -27,9 +27,10 @@ its position take innovations along the measured base's axes, and b stays in the
 
 *Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
 f, with f a random walk. One filter of all their measurements then knows more of each than one for
-each. H changes along a motion, and the gain of a posture with H_0 makes the filter unstable where
-an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains for as many postures of the plan as
-it takes, and that of the one nearest to the desired posture is used.
+each. Biases are states of it, as above. H changes along a motion, and the gain of a posture with
+H_0 makes the filter unstable where an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains
+for as many postures of the plan as it takes, and that of the one nearest to the desired posture is
+used.
 """
 
 import abc
@@ -181,7 +182,7 @@ class KalmanEstimator(Estimator):
     @classmethod
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
-    ) -> Estimator:
+    ) -> "KalmanEstimator | LateKalmanEstimator":
         axes, step = _axes(scenario, coordinates), scenario.sample_time
         of_base = jacobian is None and _axes_matter(axes)
         if of_base or not all(axis.is_plain for axis in axes):
@@ -382,10 +383,11 @@ class CoupledEstimator(Estimator):
 
     wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
-    separate: KalmanEstimator
+    separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
-    # (m, nq) for which there are gains, and (m, 3 n, 2 n): correction of [e, e', f] per unit of
-    # innovation of [e, e']; those of each of several runs
+    biased: np.ndarray  # (k,) those of them whose velocities have a bias
+    # (m, nq) for which there are gains, and (m, 3 n + k, 2 n): correction of [e, e', f, b] per unit
+    # of innovation of [e, e']; those of each of several runs
     postures: np.ndarray | tuple[np.ndarray, ...] = of_each()
     gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
@@ -393,16 +395,17 @@ class CoupledEstimator(Estimator):
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> Self:
-        separate = KalmanEstimator.make(scenario, coordinates, None)
-        if not isinstance(separate, KalmanEstimator):
+        sensed = _axes(scenario, coordinates)
+        if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
             raise ScenarioError(
                 "estimator.kind",
-                "coupled takes no slow or late sensors, no bias, and the same noise and walk along "
-                "the base's three axes; use kalman",
+                "coupled takes no slow or late sensors, and the same noise and walk about the "
+                "base's three axes; use kalman",
             )
         axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
         position, velocity = assumed_noise(scenario, coordinates)
         walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
+        bias_walk = np.array([axis.bias_walk for axis in sensed])
         postures, gain = _gains_along(
             planned_part(scenario),
             files_read(scenario),
@@ -410,14 +413,17 @@ class CoupledEstimator(Estimator):
             position_noise=position[axes],
             velocity_noise=velocity[axes],
             walk=walk[axes],
+            bias_walk=bias_walk[axes],
         )
-        return cls(separate=separate, axes=axes, postures=postures, gain=gain)
+        separate = KalmanEstimator.make(scenario, coordinates, None)
+        biased = axes[bias_walk[axes] > 0.0]
+        return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
 
     def gain_at(self, q_d: np.ndarray) -> np.ndarray:
-        """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
+        """The gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
         base's rotation and the joints' positions, rad or m.
         """
         if isinstance(self.gain, tuple):
@@ -434,11 +440,14 @@ class CoupledEstimator(Estimator):
         estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
         e, e_dot, d = estimate.e.copy(), estimate.e_dot.copy(), -estimate.base_acceleration
         old_e, old_rate = (of[..., self.axes] for of in predicted[:2])
-        innovation = np.concatenate(
-            (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
-        )
-        of_e, of_rate, of_force = np.split(
-            matrix_vector(self.gain_at(sample.q_d), innovation), 3, axis=-1
+        rate = sample.e_dot[..., self.axes] - old_rate
+        if self.biased.size:
+            R, bias = matrix_of(sample.q[..., :4]), state["estimated_velocity_bias"]
+            rate = rate + _turned(R, bias)[..., self.axes]
+        innovation = np.concatenate((sample.e[..., self.axes] - old_e, rate), axis=-1)
+        n = self.axes.size
+        of_e, of_rate, of_force, of_bias = np.split(
+            matrix_vector(self.gain_at(sample.q_d), innovation), [n, 2 * n, 3 * n], axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
@@ -449,6 +458,13 @@ class CoupledEstimator(Estimator):
             ..., self.axes, 0
         ]
         kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
+        if self.biased.size:  # in the base's axes
+            correction = np.zeros_like(d)
+            correction[..., self.biased] = of_bias
+            bias = bias + _turned(np.swapaxes(R, -1, -2), correction)
+            of_others = after["estimated_velocity_bias"]
+            coupled = np.isin(np.arange(bias.shape[-1]), self.axes)
+            kept["estimated_velocity_bias"] = np.where(coupled, bias, of_others)
         return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {
             **after,
             **kept,
