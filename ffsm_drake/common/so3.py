@@ -6,6 +6,7 @@ Sola et al. 2018, "A micro Lie theory for state estimation in robotics".
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -38,10 +39,26 @@ def product_matrix(quaternion: np.ndarray) -> np.ndarray:
 
 
 def matrix_of(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any norm."""
-    unit = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    across = skew(unit[..., 1:])
-    return np.eye(3) + 2.0 * (unit[..., :1, None] * across + across @ across)
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any norm; of one with plain floats,
+    because control updates need it, with the bits that it has among others.
+    """
+    if quaternion.ndim == 1 and quaternion.any():
+        return np.array(_rotation_matrix(*quaternion.tolist()))
+    rows = _rotation_matrix(*np.moveaxis(quaternion, -1, 0))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rotation_matrix(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:
+    """The rows of a rotation matrix, from numbers or arrays."""
+    twice = 2.0 / (w * w + x * x + y * y + z * z)
+    xx, yy, zz = twice * x * x, twice * y * y, twice * z * z
+    xy, xz, yz = twice * x * y, twice * x * z, twice * y * z
+    wx, wy, wz = twice * w * x, twice * w * y, twice * w * z
+    return (
+        (1.0 - (yy + zz), xy - wz, xz + wy),
+        (xy + wz, 1.0 - (xx + zz), yz - wx),
+        (xz - wy, yz + wx, 1.0 - (xx + yy)),
+    )
 
 
 def skew(vector: np.ndarray) -> np.ndarray:

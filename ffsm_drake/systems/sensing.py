@@ -462,7 +462,7 @@ class _Turning(LeafSystem):
         state, true = (port.Eval(context).reshape(self._copies, -1) for port in self._inputs)
         state = state.copy()
         for row, quaternion in zip(state, true[:, :4], strict=True):
-            turn = product_matrix(quaternion / np.linalg.norm(quaternion))
+            turn = product_matrix(quaternion / math.hypot(*quaternion.tolist()))
             # rows of vectors: R v is v R', R' v is v R
             R = matrix_of(quaternion)
             row[:4] = (turn if self._back else turn.T) @ row[:4]

@@ -45,7 +45,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.products import applied, matrix_vector, product
+from ffsm_drake.common.products import matrix_vector, product
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import (
@@ -495,9 +495,9 @@ def _axes_matter(axes: Sequence[SensedAxis]) -> bool:
 
 def _turned(R: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (..., nv) along the coordinates, the base's vectors turned by R (..., 3, 3)."""
-    turned = values.copy()
-    for part in (slice(0, 3), slice(3, NUM_BASE_VELOCITIES)):
-        turned[..., part] = applied(R, values[..., part])
+    turned, base = values.copy(), values[..., :NUM_BASE_VELOCITIES]
+    vectors = product(base.reshape(*base.shape[:-1], 2, 3), np.swapaxes(R, -1, -2))  # as rows
+    turned[..., :NUM_BASE_VELOCITIES] = vectors.reshape(base.shape)
     return turned
 
 
