@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, simulate_many
+from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.blend import quintic_blend
@@ -205,3 +206,9 @@ def test_roll_pitch_and_yaw_cannot_begin_with_a_velocity():
     with pytest.raises(ScenarioError, match=r"reference\.base_rotation: must be eigenaxis"):
         stopping({"base_rotation_x": 0.01}, "reference.base_rotation=rpy")
     assert stopping({"base_rotation_x": 0, "joints": 0.01}, "reference.base_rotation=rpy")
+
+
+def test_a_stop_of_nothing_is_said():
+    (line,) = (of for of in plan_remarks(stopping({"joints": 0})) if of.startswith("reference"))
+    assert "has no velocity to stop" in line
+    assert not [of for of in plan_remarks(stopping({"joint_1": 1e-3})) if "to stop" in of]
