@@ -393,3 +393,17 @@ def test_nearly_coplanar_wheels_are_remarked_on():
     assert "wheels nearly degenerate: along [0, 0, -1]" in remark
     assert "they give 1.41e-05 N m of torque" in remark
     assert not list(uneven_remarks(load_scenario("postcapture", [flat % 1])))
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=15)
+def test_a_lost_wheel_takes_no_part_in_rearranging(seed):
+    rng = np.random.default_rng(seed)
+    units = {str(i): Wheel(axis=rng.normal(size=3).tolist()) for i in range(5)}
+    wheel_set = WheelSet(Wheels(units=units), sample_time=0.01, alone=False, lost=["2"])
+    momentum = rng.uniform(-40.0, 40.0, 5)
+    motor = wheel_set.rearranging_torque(momentum)
+    assert motor[2] == 0.0
+    assert np.abs(motor).max() > 0.0
+    assert wheel_set.axes @ motor == pytest.approx(np.zeros(3), abs=1e-12)
+    assert motor @ momentum < 0.0  # it slows them
