@@ -149,9 +149,16 @@ def _tolerance(log: RunLog) -> np.ndarray:
     """
     bias = log.scenario.sensing.position_bias
     names, groups = log.tracked.names, log.tracked.groups
+
+    def of(name: str, group: str) -> float:
+        return next((bias[key] for key in (name, group, "all") if key in bias), 0.0)
+
     return np.array([
-        log.scenario.tolerance_of(name, group)
-        + next((abs(bias[key]) for key in (_seen(name), group, "all") if key in bias), 0.0)
+        log.scenario.tolerance_of(name, group) + (
+            abs(of(name, group)) if name in log.coordinates.joints
+            # of the base's axes, which are not the world's
+            else float(np.linalg.norm([of(_seen(name)[:-1] + axis, group) for axis in "xyz"]))
+        )
         for name, group in zip(names, groups, strict=True)
     ])  # fmt: skip
 

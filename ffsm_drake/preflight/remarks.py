@@ -70,6 +70,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     limits = joint_limits(scenario, model.plant)
     remarks = [
         *_cut_short(scenario),
+        *_stops_nothing(scenario),
         *_overridden_mass(scenario, model.plant),
         *_coarse_steps(scenario),
         *_fast_disturbances(scenario),
@@ -97,6 +98,15 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
         remarks += part(begin=0.0, end=motion.begin - scenario.sample_time)
     return remarks
+
+
+def _stops_nothing(scenario: Scenario) -> Iterator[str]:
+    """A line if the reference is to stop a spacecraft that does not move."""
+    if scenario.stops_from_start and not any(scenario.initial_velocity.values()):
+        yield (
+            "reference.goal: stop has no velocity to stop, so that initial_posture is held; give "
+            "initial_velocity, or a capture"
+        )
 
 
 def _motion_remarks(

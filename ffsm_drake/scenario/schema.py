@@ -78,8 +78,8 @@ class Scenario:
         ZERO,
         "rad/s or m/s",
         "at the start; base_rotation is the angular velocity in world axes. The reference starts "
-        "at rest; with capture, at the velocity after a grasp of the nominal payload, and this is "
-        "added to the true velocity.",
+        "at rest, with reference.goal: stop at this; with capture, at the velocity after a grasp "
+        "of the nominal payload, and this is added to the true velocity.",
     )
     capture: Capture | None = unitless(
         None, "the grasp of a moving target; null: the target is held and at rest at the start"
@@ -212,6 +212,13 @@ class Scenario:
         return None if self.blocks.actuation else self.actuation.drives
 
     @property
+    def stops_from_start(self) -> bool:
+        """Whether the reference begins at ``initial_velocity``, which it brings to rest."""
+        reference = self.reference
+        is_polynomial = reference.kind != "optimal"
+        return self.capture is None and reference.goal == "stop" and is_polynomial
+
+    @property
     def grasp_time(self) -> float:
         """When the target is grasped, s; 0 where it is held from the start."""
         return (
@@ -276,6 +283,8 @@ def planned_part(scenario: Scenario) -> Scenario:
         truth.center_of_mass = scenario.payload.truth.center_of_mass
     payload = replace(scenario.payload, truth=truth)
     changes = {name: getattr(plain, name) for name in _OF_THE_RUN}
+    if scenario.stops_from_start:
+        del changes["initial_velocity"]
     return replace(scenario, payload=payload, **changes)
 
 
