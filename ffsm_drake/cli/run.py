@@ -313,7 +313,7 @@ def _finish(
 ) -> int:
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.preflight.verdict import saturation_remark
+    from ffsm_drake.preflight.verdict import helpful_remarks
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
@@ -321,7 +321,7 @@ def _finish(
 
     said: dict[str, list[str]] = {}  # remark -> controllers
     for record in records:
-        for remark in filter(None, (*run_remarks(record), saturation_remark(record))):
+        for remark in (*run_remarks(record), *helpful_remarks(record)):
             said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)

@@ -31,6 +31,7 @@ from ffsm_drake.control_design.stability.rehearsal import (
 )
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.preflight.remarks import plan_limits
+from ffsm_drake.preflight.remedies import remedies
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
@@ -91,6 +92,7 @@ class Verdict:
     not_margins: str = ""  # why there are no margins; empty where there are, or none were asked for
     adaptation: str = ""  # ``adaptation_remark``
     advice: tuple[Advice, ...] = ()  # what helps where actuators of the base saturate
+    remedies: tuple[Advice, ...] = ()  # what helps where it is not expected to go as planned
 
     @property
     def is_alarm(self) -> bool:
@@ -100,12 +102,16 @@ class Verdict:
         where the run, too, ends without settling, and the load and the plan, which are one only
         without a run.
         """
-        if self.planned or (self.noises is not None and self.noises.share_diverged > 0.0):
+        if self.planned or self._diverges_by_noise:
             return True
         if self.run is None:
             return self.is_linearly_unstable or self._overloaded
         unstable = self.is_linearly_unstable and not self.run.ending.is_settled
         return self.run.is_alarm or unstable
+
+    @property
+    def _diverges_by_noise(self) -> bool:
+        return self.noises is not None and self.noises.share_diverged > 0.0
 
     @property
     def is_linearly_unstable(self) -> bool:
@@ -153,6 +159,8 @@ class Verdict:
                 )
         if self.advice:
             yield helps(self.advice)
+        if self.remedies:
+            yield helps_alone(self.remedies)
 
     @property
     def _is_in_margins(self) -> bool:
@@ -203,6 +211,7 @@ class Verdict:
             "linear": None if linear is None else [dataclasses.asdict(leg) for leg in linear.legs],
             "load": self.load,
             "advice": [dict(each.changes) for each in self.advice],
+            "remedies": [dict(each.changes) for each in self.remedies],
             "beyond": [*self.planned, *(() if self.run is None else self.run.broken)],
             "share_diverged": None if self.noises is None else self.noises.share_diverged,
             "run": None
@@ -216,20 +225,23 @@ class Verdict:
         if self._overloaded:
             share = f"{number(100.0 * (self.load or 0.0), 3)} %"
             yield f"after the grasp it asks for {share} of the force's limit"
-        if self.noises is not None and self.noises.share_diverged > 0.0:
+        if self.noises is not None and self._diverges_by_noise:
             yield f"under its limits: {self.noises}"
         if self.run is not None and self.run.is_alarm:
             yield f"rehearsed: {self.run.sentence}"
 
 
 @guarded
-def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False) -> Verdict:
+def verdict(
+    scenario: Scenario, *, rehearsal: bool = True, margins: bool = False, advises: bool = True
+) -> Verdict:
     """The verdict on a mission.
 
     Args:
       scenario: the mission.
       rehearsal: run it, in the time of a run; otherwise only what is found without a run.
       margins: find those from the grasp on, too; a loop without them says why.
+      advises: with a rehearsal, look for what helps a mission that fails (``remedies``): seconds.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -258,7 +270,14 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False
         for name, shares in expected.noises.saturated.items():
             saturated[name] = max(saturated.get(name, 0.0), float(np.median(shares)))
     settles = not expected.is_alarm and (expected.run is None or expected.run.ending.is_settled)
-    return dataclasses.replace(expected, advice=advice(scenario, saturated, settles=settles))
+    fails = expected._diverges_by_noise or (expected.run is not None and expected.run.fails)
+    return dataclasses.replace(
+        expected,
+        advice=advice(scenario, saturated, settles=settles),
+        remedies=remedies(scenario, fails=fails)
+        if advises and rehearsal and expected.is_alarm
+        else (),
+    )
 
 
 def helps(found: Iterable[Advice]) -> str:
@@ -266,14 +285,22 @@ def helps(found: Iterable[Advice]) -> str:
     return f"what helps: {'; '.join(map(str, found))}"
 
 
-def saturation_remark(record: RunRecord) -> str:
-    """A line where actuators of the base saturated in a run, with what helps; else empty."""
-    scenario = record.scenario
+def helps_alone(found: Iterable[Advice]) -> str:
+    """Changes of which each helps alone, in one line."""
+    return f"what helps, each alone: {'; '.join(map(str, found))}"
+
+
+def helpful_remarks(record: RunRecord) -> list[str]:
+    """Lines with what helps where actuators of the base saturated in a run, and where it failed."""
+    scenario, told = record.scenario, list[str]()
     values = {str(name): each.values for name, each in record.dataset.data_vars.items()}
     saturated = saturated_shares(scenario, values)
-    found = advice(scenario, saturated, settles=record.ending.is_settled)
-    told = ", ".join(f"{name} in {percent(share)}" for name, share in saturated.items() if share)
-    return f"saturated: {told} of the samples; {helps(found)}" if found else ""
+    if found := advice(scenario, saturated, settles=record.ending.is_settled):
+        shares = (f"{name} in {percent(share)}" for name, share in saturated.items() if share)
+        told.append(f"saturated: {', '.join(shares)} of the samples; {helps(found)}")
+    if record.ending.is_failure and (found := remedies(scenario, fails=True)):
+        told.append(helps_alone(found))
+    return told
 
 
 def _without_a_run(
