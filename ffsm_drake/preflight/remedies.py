@@ -130,7 +130,7 @@ def _first(
     *,
     may_help: Callable[[Scenario], bool] | None = None,
 ) -> Iterator[Advice]:
-    """The first of some changes that helps, if there is one; none where the last ``may_help`` not."""
+    """The first of some changes that helps, if there is one; none where even the last may not."""
 
     def holds(test: Callable[[Scenario], bool], changes: Changes) -> bool:
         try:
