@@ -111,7 +111,17 @@ class Verdict:
 
     @property
     def _diverges_by_noise(self) -> bool:
-        return self.noises is not None and self.noises.share_diverged > 0.0
+        if self.noises is None or self._noises_are_contradicted:
+            return False
+        return self.noises.share_diverged > 0.0
+
+    @property
+    def _noises_are_contradicted(self) -> bool:
+        """Whether the linearised loop diverges whatever the noise, and the run settles: it is too
+        far from its plan for a linearised loop.
+        """
+        settles = self.run is not None and self.run.ending.is_settled
+        return self.noises is not None and self.noises.share_diverged == 1.0 and settles
 
     @property
     def is_linearly_unstable(self) -> bool:
@@ -152,6 +162,11 @@ class Verdict:
             yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
             if self.is_linearly_unstable and self.run.ending.is_settled:
                 yield "they disagree: the linear loop is unstable, yet the run settles"
+            if self._noises_are_contradicted:
+                yield (
+                    "they disagree: under its limits the linearised loop diverges with every "
+                    "noise, yet the run settles"
+                )
             if self._linear_is_known and not self.is_linearly_unstable and self.run.fails:
                 yield (
                     "they disagree: the linear loop is stable, so limits, noise or the transient "

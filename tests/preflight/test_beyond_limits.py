@@ -2,6 +2,8 @@
 planned".
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -116,6 +118,18 @@ def test_a_limit_within_the_reach_of_the_noise_is_rehearsed_with_more():
         shares[limit] = found.noises.share_diverged
     assert 0.02 < shares[2.6] < 0.25
     assert 0.5 < shares[2.45] < 0.95
+
+
+def test_a_run_that_settles_contradicts_a_loop_that_always_diverges():
+    found = verdict(
+        load_scenario("flight_sensors", ["actuation.limit.base_rotation=2.6"]), advises=False
+    )
+    assert found.is_alarm
+    always = dataclasses.replace(found.noises, diverged=np.full(64, 5.0))
+    contradicted = dataclasses.replace(found, noises=always)
+    assert not contradicted.is_alarm
+    assert any(line.startswith("they disagree: under its limits") for line in contradicted.lines)
+    assert contradicted.conclusion.startswith("expected to settle, not as planned")
 
 
 def test_where_no_noise_diverges_the_chance_is_bounded_and_said():
