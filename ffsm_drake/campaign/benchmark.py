@@ -33,6 +33,7 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.control_design.least_time import least_times
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -44,11 +45,9 @@ from ffsm_drake.scenario import (
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.systems.controllers import controller_names
-from ffsm_drake.systems.limits import limits_of
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
 
@@ -128,9 +127,7 @@ class Board:
 
     @property
     def ratio(self) -> float | None:
-        """Time of the planned motion over the least that momentum and limits allow; None without
-        momentum or limits.
-        """
+        """Time of the planned motion over the bound of momentum and limits; None without one."""
         bound = self.bounds.get("momentum")
         return self.motion / bound if bound else None
 
@@ -337,18 +334,23 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
 
 
 def bounds_of(mission: Mission) -> dict[str, float]:
-    """Least times of a mission, s: in which its limits of force and torque take the momentum out,
-    and that of the plan where there is an optimal one.
+    """Least times of a mission, s (``least_times``): the bound of momentum over what the actuators
+    give, the time that they take at the start's posture, and that of the plan where there is an
+    optimal one.
     """
     scenario, bounds = mission.scenario, dict[str, float]()
-    start = _at_start(scenario)
-    least = {
-        group: float((np.abs(start.momenta[group]) / start.limits[group]).max())
-        for group in start.momenta
-        if group in scenario.driven
-    }
-    if (time := max(least.values(), default=0.0)) > 0.0:
-        bounds["momentum"] = time
+    model, start = make_nominal_plant(scenario), _at_start(scenario)
+    least = least_times(
+        scenario,
+        model,
+        start.q,
+        spin=start.momenta["base_rotation"],
+        linear=start.momenta["base_position"],
+    )
+    if least.bound > 0.0:
+        bounds["momentum"] = least.bound
+    if 0.0 < least.held < math.inf:
+        bounds["held"] = least.held
     if scenario.reference.kind == "optimal":
         bounds["planner"] = _planned_time(scenario)
     return bounds
@@ -369,7 +371,7 @@ class _Start:
 
     # by group of the base: angular about the centre of mass, N m s, and linear, N s
     momenta: Mapping[str, np.ndarray]
-    limits: Mapping[str, np.ndarray]  # of what takes them out, N m and N
+    q: np.ndarray  # (nq)
     center_of_mass: np.ndarray  # (3) in the base's frame, m
 
 
@@ -386,11 +388,9 @@ def _at_start(scenario: Scenario) -> _Start:
         v = v[: len(coordinates.names)]
         base = free_floating(model, q)
         spin, linear = base.spin_map @ v, base.momentum(v)[3:]
-    limits = tightest(limits_of(scenario, model.plant), FORCE).upper
-    momenta = {"base_rotation": spin, "base_position": linear}
     return _Start(
-        momenta=momenta,
-        limits={group: limits[coordinates.groups[group]] for group in momenta},
+        momenta={"base_rotation": spin, "base_position": linear},
+        q=q,
         center_of_mass=in_body_axes(q[None, :4], base.center_of_mass[None])[0],
     )
 

@@ -42,8 +42,9 @@ _report = click.option(
 _require = click.option(
     "--require",
     type=click.Choice(["settled"]),
-    help="Exit with 3 unless every run has settled: over its last second every tracked error is "
-    "within 'tolerance'.",
+    help="Exit with 3 unless every run has settled as planned: over its last second every tracked "
+    "error is within 'tolerance', no parts came too near, and no limit was exceeded that nothing "
+    "enforces.",
 )
 
 
@@ -312,15 +313,15 @@ def _finish(
 ) -> int:
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.preflight.verdict import saturation_remark
-    from ffsm_drake.runs.limits import run_clearance, run_remarks
+    from ffsm_drake.preflight.verdict import helpful_remarks
+    from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
     said: dict[str, list[str]] = {}  # remark -> controllers
     for record in records:
-        for remark in filter(None, (*run_remarks(record), saturation_remark(record))):
+        for remark in (*run_remarks(record), *helpful_remarks(record)):
             said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
@@ -342,13 +343,16 @@ def _finish(
         click.echo(
             f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else "")
         )
-    for record in records:
+    broken = [broken_limits(record.scenario, record.dataset) for record in records]
+    for record, beyond in zip(records, broken, strict=True):
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        click.echo(f"{name}{record.ending.sentence}", err=as_json)
+        end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
+        click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)
     if any(record.outcome.status == "interrupted" for record in records):
         return exit_code()
     failed = any(
-        record.ending.is_failure or (require is not None and not record.ending.is_settled)
-        for record in records
+        record.ending.is_failure
+        or (require is not None and bool(beyond or not record.ending.is_settled))
+        for record, beyond in zip(records, broken, strict=True)
     )
     return EXIT_UNSTABLE if failed else EXIT_GOOD

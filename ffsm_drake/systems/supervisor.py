@@ -37,7 +37,7 @@ from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.approach import approach_posture
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
-from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.reference import make_motion
@@ -158,6 +158,14 @@ class SupervisorPart(Part):
                 },
             ),
         )
+
+    def given_up(self, signals: Signals) -> str:
+        """Rate damping, or a retreat, that lasts until the end."""
+        modes = np.asarray(signals["mode"]).astype(int).ravel()
+        last = Mode(int(modes[-1])) if modes.size else Mode.HOLD
+        if last not in (Mode.RATE_DAMPING, Mode.RETREAT):
+            return ""
+        return f"its supervisor ended in {last.words}, the plan given up"
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """The modes with their times."""

@@ -124,7 +124,7 @@ class BaseActuators(LeafSystem):
             self._told = self.DeclareVectorInputPort("isolated", len(self.units))
             self._isolated = self.DeclareDiscreteState(len(self.units))
             self._without = dict[bytes, _Working]()
-        self.initial_memory = memory = np.concatenate(initial)
+        self.initial_memory = memory = np.concatenate([np.empty(0), *initial])
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
         self._parts = list(itertools.starmap(slice, itertools.pairwise(ends)))
