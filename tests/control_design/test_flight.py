@@ -340,6 +340,7 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
     assert (tmp_path / "design.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     """With one price, the highest: what costs least is what is asked for."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))

@@ -105,6 +105,7 @@ def test_a_run_that_ends_off_its_plan_has_not_settled(mode):
     assert not (gave_up and ending.is_settled)
 
 
+@pytest.mark.long
 def test_a_limit_within_the_reach_of_the_noise_is_rehearsed_with_more():
     """3 of 48 seeds diverge at 2.6 N m, 11 of 16 at 2.45 N m, although that of the scenario
     settles.

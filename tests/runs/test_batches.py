@@ -519,6 +519,7 @@ def captured(shared, end, number):
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(
     shared=st.sampled_from(sorted(GRASPS)),
