@@ -12,14 +12,38 @@ for _number in (_signal.SIGINT, _signal.SIGTERM, _signal.SIGHUP):
 from ffsm_drake.common.interrupts import handle_signals, ignore_signals  # noqa: E402
 
 
+def _in_utf8() -> None:
+    """Begin anew in Python's UTF-8 mode where the locale has another encoding: files that are read
+    on the way, also those of libraries, are UTF-8.
+    """
+    import locale
+    import sys
+
+    if locale.getencoding().lower() not in ("utf-8", "utf8") and not sys.flags.utf8_mode:
+        words = [sys.executable, "-X", "utf8", *sys.orig_argv[1:]]
+        os.execve(sys.executable, words, {**os.environ, "PYTHONUTF8": "1"})
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None and hasattr(stream, "reconfigure"):  # PYTHONIOENCODING
+            stream.reconfigure(errors="backslashreplace")
+
+
 def main() -> None:
     """Run the command line."""
     handle_signals()
+    try:
+        _main()
+    except (OSError, ImportError) as error:  # of what is imported: too few files may be open, ...
+        os.write(2, f"error: {' '.join(str(error).split())}\n".encode("utf-8", "replace"))
+        os._exit(2)
+
+
+def _main() -> None:
     try:
         os.getcwd()
     except FileNotFoundError:  # Python itself may fail to import what follows
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
         os._exit(2)
+    _in_utf8()
     import threading
 
     from ffsm_drake.cli import main as ffsm

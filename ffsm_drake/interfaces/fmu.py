@@ -80,7 +80,7 @@ def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
     if part == "controller" and getattr(factory, "tracks_frame", False):
         raise FfsmError(f"controller: {scenario.controller} tracks a frame; cannot be an FMU")
     check_writable(path.parent)
-    with tempfile.TemporaryDirectory() as name:
+    with written_whole(path) as temporary, tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         script, text = folder / f"ffsm_{part}.py", folder / _SCENARIO_FILE
         base = {"plant": "PlantSlave", "controller": "ControllerSlave"}[part]
@@ -88,8 +88,7 @@ def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
         text.write_text(scenario_to_yaml(scenario))
         options = {"canHandleVariableCommunicationStepSize": "false"}
         built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text], **options)
-        with written_whole(path) as temporary:
-            temporary.write_bytes(built.read_bytes())
+        temporary.write_bytes(built.read_bytes())
 
 
 class _Slave(Fmi3Slave):

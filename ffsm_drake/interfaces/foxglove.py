@@ -27,7 +27,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from websockets.http11 import Request
 
 from ffsm_drake.common.door import HOST, BadFrame, Door, random_loopback
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
@@ -55,15 +55,19 @@ _AS_IT_IS = np.array([1.0, 0.0, 0.0, 0.0])  # scale of the disturbance, and no p
 def write(record: RunRecord, path: Path) -> None:
     """Write a run to a file.
 
-    Raises: FfsmError, if the library is missing.
+    Raises: FfsmError, if the library is missing; OSError, if the file cannot be written.
     """
     foxglove = _library()
     context = foxglove.Context()
-    with foxglove.open_mcap(str(path), context=context, allow_overwrite=True) as writer:
-        for name, text in _attached(record):
-            media = "application/xml" if name.endswith("urdf") else "application/yaml"
-            writer.attach(log_time=0, create_time=0, name=name, media_type=media, data=text)
-        _Messages(foxglove, context, record).write()
+    messages = _Messages(foxglove, context, record)
+    try:
+        with foxglove.open_mcap(str(path), context=context, allow_overwrite=True) as writer:
+            for name, text in _attached(record):
+                media = "application/xml" if name.endswith("urdf") else "application/yaml"
+                writer.attach(log_time=0, create_time=0, name=name, media_type=media, data=text)
+            messages.write()
+    except RuntimeError as error:  # the library's for a full disk, too
+        raise OSError(f"not to its end, as on a full disk: {one_line(error)}") from error
 
 
 def watch(
