@@ -32,7 +32,7 @@ def main() -> None:
     handle_signals()
     try:
         _main()
-    except (OSError, ImportError) as error:  # of what is imported: too few files may be open, ...
+    except (OSError, ImportError) as error:  # of what is imported
         os.write(2, f"error: {' '.join(str(error).split())}\n".encode("utf-8", "replace"))
         os._exit(2)
 
@@ -42,6 +42,12 @@ def _main() -> None:
         os.getcwd()
     except FileNotFoundError:  # Python itself may fail to import what follows
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
+        os._exit(2)
+    try:
+        for end in os.pipe():
+            os.close(end)
+    except OSError:  # within an import it is anything
+        os.write(2, b"error: too few files may be open; allow more, such as ulimit -n 256\n")
         os._exit(2)
     _in_utf8()
     import threading
