@@ -30,7 +30,8 @@ from ffsm_drake.common.errors import (
     did_you_mean,
     one_line,
 )
-from ffsm_drake.common.files import write_text
+from ffsm_drake.common.files import check_regular, write_text
+from ffsm_drake.common.shapes import misfit
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
 from ffsm_drake.control_design.least_time import least_times
@@ -52,6 +53,7 @@ from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
 
 SEEDS = 3
+_MAX_FIGURES = 100_000  # bytes of a file of law_figures
 _AT_START, _PLANNED = "angular_momentum", "planned_time"
 _OF_RUNS = (
     "itae",
@@ -242,11 +244,21 @@ def _figures_of(mission: Mission, name: str, folder: Path) -> Path:
     return folder / f"{mission.name}-{_spec(mission.scenario, [name]).fingerprint[:12]}.json"
 
 
+def _read_figures(path: Path) -> dict[str, float | None] | None:
+    """The ``law_figures`` that a file keeps; None: there is none, or it holds something else."""
+    try:
+        check_regular(path, limit=_MAX_FIGURES)
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return None if misfit(found, {key: [float, None] for key in FIGURES}, "figures") else found
+
+
 def _find_figures(
     mission: Mission, laws: Sequence[str], folder: Path, *, workers: Workers, stop: Stop | None
 ) -> None:
     """Find the ``law_figures`` that are not in the folder yet. Errors as for ``run_mission``."""
-    missing = [name for name in laws if not _figures_of(mission, name, folder).exists()]
+    missing = [name for name in laws if _read_figures(_figures_of(mission, name, folder)) is None]
 
     def arguments(name: str) -> tuple[str]:
         return (scenario_to_yaml(override_scenario(mission.scenario, [f"controller={name}"])),)
@@ -322,9 +334,7 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
         values = [row[column] for row in meant if row.get(column) is not None]
         return statistics.fmean(values) if values else None
 
-    of_law = dict.fromkeys(FIGURES)
-    if figures.exists():  # not yet, of one that ran before an interruption
-        of_law = json.loads(figures.read_text(encoding="utf-8"))
+    of_law = _read_figures(figures) or dict.fromkeys(FIGURES)
     return Standing(
         controller=name,
         outcomes=tuple(row["outcome"] for row in rows),

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -87,7 +87,7 @@ def run(
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.runs.record import RunRecord, record_stamp
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
@@ -96,6 +96,7 @@ def run(
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
     check_writable(directory)  # before the slow run
+    before = record_stamp(directory)
     if report or meshcat or controls or foxglove:
         check_pictures(scenario.model)
     if controls:
@@ -113,9 +114,9 @@ def run(
 
         record = watch_in_foxglove(scenario, tell=partial(click.echo, err=True))
     else:
-        with _kept(directory):
+        with _kept(directory, before):
             record = _simulate(scenario)
-    record.save(directory)
+    directory = _saved(record, directory, before)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
     if first is not None:
         same = first.dataset.identical(record.dataset)
@@ -151,6 +152,7 @@ def compare(
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/both
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.runs.record import record_stamp
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
@@ -172,11 +174,12 @@ def compare(
     _warn_replaced(
         zip([directory / folder for folder in folders], scenarios, strict=True), directory
     )
+    before = [record_stamp(directory / folder) for folder in folders]
     records: list[RunRecord] = []
-    for chosen, folder in zip(scenarios, folders, strict=True):
-        with located_errors(scenario, overrides), _kept(directory / folder):
+    for chosen, folder, old in zip(scenarios, folders, before, strict=True):
+        with located_errors(scenario, overrides), _kept(directory / folder, old):
             record = _simulate(chosen)
-        record.save(directory / folder)
+        _saved(record, directory / folder, old)
         records.append(record)
         if record.outcome.status == "interrupted":
             break
@@ -264,8 +267,17 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
     return [RunRecord.load(folder) for folder in saved]
 
 
+def _saved(record: "RunRecord", directory: Path, before: Any) -> Path:
+    """Save a record; where it is if another one came into the folder during the run."""
+    place = record.save(directory, replacing=before)
+    if place != directory:
+        line = f"{directory} holds another run by now, which stays; this one is in {place}"
+        click.echo(f"warning: {line}", err=True)
+    return place
+
+
 @contextmanager
-def _kept(directory: Path) -> Iterator[None]:
+def _kept(directory: Path, before: Any) -> Iterator[None]:
     """Save the record of a run in which a user-supplied block fails, up to then."""
     from ffsm_drake.common.errors import BlockError
     from ffsm_drake.runs.reading import REPORT_FILE
@@ -274,7 +286,7 @@ def _kept(directory: Path) -> Iterator[None]:
         yield
     except BlockError as error:
         if error.record is not None:
-            error.record.save(directory)
+            directory = _saved(error.record, directory, before)
             (directory / REPORT_FILE).unlink(missing_ok=True)  # of an earlier run
             end = error.record.outcome.time
             click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)

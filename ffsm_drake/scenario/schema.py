@@ -7,6 +7,7 @@ specific key wins, and a bare number stands for ``{all: number}``.
 """
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -18,7 +19,13 @@ from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Capture
 from ffsm_drake.scenario.faults import Faults
-from ffsm_drake.scenario.fields import ZERO, PerCoordinate, name_problems, unitless
+from ffsm_drake.scenario.fields import (
+    ZERO,
+    PerCoordinate,
+    controller_problems,
+    policy_parts,
+    unitless,
+)
 from ffsm_drake.scenario.forces import Disturbance, Environment
 from ffsm_drake.scenario.layers import Layer, assembled, override_layers
 from ffsm_drake.scenario.model import MassProperties, Model, Payload, Posture
@@ -30,7 +37,6 @@ from ffsm_drake.scenario.supervisor import Supervisor
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
-POLICY = "policy:"  # begins the controller of an ONNX file
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
 
@@ -94,8 +100,8 @@ class Scenario:
     )
     controller: str = unitless(
         "tde_aismc",
-        "name of a shipped controller (`ffsm doctor` lists them) or of an installed one, or "
-        "module:attribute",
+        "name of a shipped controller (`ffsm doctor` lists them) or of an installed one, "
+        "module:attribute, or policy:FILE",
     )
     controllers: dict[str, dict[str, PerCoordinate | None]] = unitless(
         {},
@@ -157,7 +163,7 @@ class Scenario:
                     f"initial_velocity.{name}",
                     f"must be within divergence_speed ({self.divergence_speed:g}), not {number}",
                 )
-        yield from name_problems(self.controller, "controller")
+        yield from controller_problems(self.controller, "controller")
 
     def __repr__(self) -> str:
         title = f"'{self.description}', " if self.description else ""
@@ -290,7 +296,10 @@ def planned_part(scenario: Scenario) -> Scenario:
 
 def controller_key(controller: str) -> str:
     """The key in ``controllers`` of a controller: its name, or what follows the colon of
-    ``module:attribute``; of ``policy:FILE`` the file's name without its ending.
+    ``module:attribute``; of ``policy:FILE`` the file's name without its ending, an underscore for
+    what is no letter, digit or dash.
     """
-    name = controller.rpartition(":")[2]
-    return PurePath(name).stem if controller.startswith(POLICY) else name
+    policy = policy_parts(controller)
+    if policy is None:
+        return controller.rpartition(":")[2]
+    return re.sub(r"[^\w-]", "_", PurePath(policy[0]).stem)
