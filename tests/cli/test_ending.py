@@ -60,6 +60,7 @@ def ended(folder: Path, name: str, *words: str, streams="", first="", children=F
     # the shell closes or redirects streams
     command = ["sh", "-c", f'exec "$@" {streams}', "sh", sys.executable, str(script), *words]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment.pop("PYTHONUNBUFFERED", None)  # what is printed is to be in buffers at the end
     done = finished(command, cwd=folder, env=environment, longest=60.0)
     said = re.sub(r"0x[0-9a-f]+", "", done.stderr.replace(str(script), "SCRIPT"))
     lines = said.splitlines()
