@@ -145,17 +145,22 @@ def end_process(code: Any, caller: FrameType | None) -> None:
         or user_code_is_loaded()
     ):
         return
-    threading._shutdown()  # type: ignore[attr-defined]
-    atexit._run_exitfuncs()
     try:
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None and not stream.closed:
-                stream.flush()
+        _flush()
+        threading._shutdown()  # type: ignore[attr-defined]
+        atexit._run_exitfuncs()
+        _flush()
     except Exception:  # Python has a text and an exit code for it
         return
+    os._exit(code or EXIT_GOOD)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None and not stream.closed:
+            stream.flush()
     if "ctypes" in sys.modules:  # of NumPy: the streams of C
         sys.modules["ctypes"].CDLL(None).fflush(None)
-    os._exit(code or EXIT_GOOD)
 
 
 def _is_command(caller: FrameType) -> bool:
