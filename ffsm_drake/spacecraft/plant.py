@@ -43,6 +43,7 @@ _CONDITIONS = {  # Drake's C++ text -> plain words
 }
 
 
+@functools.cache
 def models_dir() -> Path:
     """The folder of ``package://ffsm_drake/``: inside the package when installed, else the
     checkout's.

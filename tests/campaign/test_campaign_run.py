@@ -125,7 +125,7 @@ def test_a_dask_scheduler_that_is_killed(tmp_path):
     assert f"are stored, 'ffsm campaign resume {path}' runs the others" in errors[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @linux
 def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
     """One of two workers is killed, then the driver; SIGTERM interrupts what resumes; what resumes
@@ -222,7 +222,7 @@ def test_a_failing_case_is_a_row(tmp_path):
     assert "all values equal the stored ones, bit for bit" in result.output
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
     pytest.importorskip("distributed")
     path = tmp_path / "cluster.db"

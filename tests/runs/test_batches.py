@@ -217,27 +217,23 @@ def test_every_shipped_scenario_has_its_bits(name):
         assert_equal(record, alone(each))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "controller"),
-    [("postcapture", "tde_aismc"), ("flight_sensors", "tdc")],
-)
-def test_longer_runs_have_their_bits(name, controller):
-    scenario = load_scenario(name, ["duration=4", f"controller={controller}"])
-    check_side_by_side(scenario, 16, batches=(4, 16))
+LONG_RUNS = [
+    *(("postcapture", controller) for controller in SETTLING),
+    *(("flight_sensors", controller) for controller in SETTLING[:4]),
+    *(("flexible_panels", controller) for controller in SETTLING[:4]),
+    *(("seven_joint", controller) for controller in ("tdc", "tde_aismc")),
+    *(("slow_navigation", controller) for controller in ("tdc", "tde_aismc")),
+    ("thrusters_and_wheels", "tdc"),
+    ("free_floating", "tdc"),
+]
+ON_EACH_CHANGE = [("postcapture", "tde_aismc"), ("flight_sensors", "tdc")]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "controller"),
     [
-        *(("postcapture", controller) for controller in SETTLING),
-        *(("flight_sensors", controller) for controller in SETTLING[:4]),
-        *(("flexible_panels", controller) for controller in SETTLING[:4]),
-        *(("seven_joint", controller) for controller in ("tdc", "tde_aismc")),
-        *(("slow_navigation", controller) for controller in ("tdc", "tde_aismc")),
-        ("thrusters_and_wheels", "tdc"),
-        ("free_floating", "tdc"),
+        pytest.param(*each, marks=pytest.mark.slow if each in ON_EACH_CHANGE else pytest.mark.long)
+        for each in LONG_RUNS
     ],
 )
 def test_long_runs_have_their_bits(name, controller):

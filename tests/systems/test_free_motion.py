@@ -143,7 +143,7 @@ def test_what_is_tracked_counts_and_what_drifts_is_reported():
     assert 0.02 < metrics["drift"]["final"]["base_rotation"] < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_momentum_through_a_minute_of_control():
     """To 1e-11 of what the arm's motion gives the base."""
     overrides = ["duration=60", "simulator_config.max_step_size=0.002", "reference.duration=60"]
