@@ -1,5 +1,6 @@
 """The combined spacecraft: model directives -> MultibodyPlant, coordinates, captured payload."""
 
+import functools
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path

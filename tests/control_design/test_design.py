@@ -161,7 +161,11 @@ def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
 
 
 @pytest.mark.parametrize(
-    "limit", [1.5, *(pytest.param(limit, marks=pytest.mark.long) for limit in (0.0, 6.0))]
+    "limit",
+    [
+        pytest.param(1.5, marks=pytest.mark.slow),
+        *(pytest.param(limit, marks=pytest.mark.long) for limit in (0.0, 6.0)),
+    ],
 )
 def test_the_limit_bounds_all_of_a_design(limit):
     """Within a candidate, too: each of a heavy mission takes seconds."""

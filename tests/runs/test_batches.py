@@ -152,7 +152,7 @@ def check_wide(scenarios):
 @pytest.mark.parametrize("kind", WIDE)
 def test_blocks_of_all_copies_have_their_bits(kind):
     name, *overrides = WIDE[kind]
-    scenario = load_scenario(name, ["duration=0.2", *overrides])
+    scenario = load_scenario(name, ["duration=0.1", *overrides])
     check_wide([varied(scenario, number) for number in range(3)])
 
 
@@ -501,12 +501,26 @@ def captured(shared, end, number):
     )
 
 
-@settings(max_examples=10, deadline=None)
-@given(
+captures = given(
     shared=st.sampled_from(sorted(GRASPS)),
     runs=st.lists(st.tuples(st.sampled_from(sorted(ENDS)), st.integers(0, 5)), min_size=2),
 )
+
+
+@settings(max_examples=3, deadline=None)
+@captures
 def test_captures_go_side_by_side(shared, runs):
+    check_captures(shared, runs)
+
+
+@pytest.mark.slow
+@settings(max_examples=10, deadline=None)
+@captures
+def test_more_captures_go_side_by_side(shared, runs):
+    check_captures(shared, runs)
+
+
+def check_captures(shared, runs):
     scenarios = [captured(GRASPS[shared], end, number) for end, number in runs[:4]]
     assert batches_of(scenarios, len(scenarios)) == [list(range(len(scenarios)))]
     own_logs = [run_once(scenario) for scenario in scenarios]
