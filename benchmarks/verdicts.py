@@ -1,12 +1,14 @@
 """What is said of random missions before they run, against how the runs end.
 
-    python benchmarks/verdicts.py [--number 200] [--captures 60] [--seed 0] [--workers 1]
-        [--out out/verdicts.json]
+    python benchmarks/verdicts.py [--number 200] [--captures 60] [--built 0] [--seed 0]
+        [--workers 1] [--out out/verdicts.json]
 
-Missions are drawn from all that scenarios can say (``random_missions``); one that cannot be loaded
-or built is drawn again. Of each the verdict is asked (``predict``), then it runs. A *miss* is a run
-that diverges, grows at its end, misses its target or fails, of which no warning was given; a *false
-alarm* is a warning of a run that settles. Both are printed with the command that repeats them.
+Missions are drawn from all that scenarios can say (``random_missions``), or of spacecraft that are
+built at random (``built_missions``); one that cannot be loaded or built is drawn again. Of each the
+verdict is asked (``predict``), then it runs. A *miss* is a run that diverges, grows at its end,
+misses its target, fails or breaks a limit that nothing enforces (as parts that overlap), of which
+no warning was given; a *false alarm* is a warning of a run that settles within its limits. Both are
+printed with the command that repeats them.
 
 Results are written as they come; the same command goes on where the last one stopped. A mission
 that takes longer than --time-limit, or ends its process, becomes a result like any other.
@@ -14,6 +16,7 @@ that takes longer than --time-limit, or ends its process, becomes a result like 
 
 import argparse
 import dataclasses
+import functools
 import json
 import shlex
 import statistics
@@ -24,8 +27,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import built_missions
 import numpy as np
-from random_missions import Mission, draw
+import random_missions
+from random_missions import Mission
 
 from ffsm_drake import RunLog, Scenario, load_scenario
 from ffsm_drake.common.errors import FfsmError, one_line
@@ -35,19 +40,27 @@ from ffsm_drake.common.workers import WorkerLost, local_workers, run_tasks, stop
 from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.preflight.simulate import prepare
 from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.limits import broken_limits
 
 GOOD, WARNED, UNKNOWN = "stable", "warned", "cannot say"
+KINDS: dict[str, Callable[[np.random.Generator], Mission]] = {
+    "mission": functools.partial(random_missions.draw, "mission"),
+    "capture": functools.partial(random_missions.draw, "capture"),
+    "built": built_missions.draw,
+}
 ENDS = (
     "settled",
     "not settled",
     "growing",
+    "beyond",
     "missed",
     "diverged",
     "failed",
     "interrupted",
 )
 COMPLETED = ("settled", "not settled", "growing")
-BAD = ("growing", "missed", "diverged", "failed")
+BAD = ("growing", "beyond", "missed", "diverged", "failed")
 _LAST = 2.0  # s, at the end, in which a settled run stays within its tolerance
 _REACH, _ANGLE = 0.1, np.deg2rad(10.0)  # m, rad; beyond these a gripper does not close
 _LOST = "its process ended every time"
@@ -87,7 +100,7 @@ def predict(scenario: Scenario) -> Predicted:
     """
     start = time.process_time()
     remarks = plan_remarks(scenario)
-    found = verdict(scenario)
+    found = verdict(scenario, advises=False)
     nothing = found.linear is None and found.run is None
     return Predicted(
         warnings=found.warnings if found.is_alarm else [],
@@ -149,9 +162,16 @@ def _tolerance(log: RunLog) -> np.ndarray:
     """
     bias = log.scenario.sensing.position_bias
     names, groups = log.tracked.names, log.tracked.groups
+
+    def of(name: str, group: str) -> float:
+        return next((bias[key] for key in (name, group, "all") if key in bias), 0.0)
+
     return np.array([
-        log.scenario.tolerance_of(name, group)
-        + next((abs(bias[key]) for key in (_seen(name), group, "all") if key in bias), 0.0)
+        log.scenario.tolerance_of(name, group) + (
+            abs(of(name, group)) if name in log.coordinates.joints
+            # of the base's axes, which are not the world's
+            else float(np.linalg.norm([of(_seen(name)[:-1] + axis, group) for axis in "xyz"]))
+        )
         for name, group in zip(names, groups, strict=True)
     ])  # fmt: skip
 
@@ -176,18 +196,21 @@ def fly(scenario: Scenario) -> End:
     other = dataclasses.replace(scenario, random_seed=scenario.random_seed + 1)
     rollout = prepare(other, check_stability=False)
     try:
-        return end_of(rollout.run())
+        log = rollout.run()
+        end = end_of(log)
+        broken = broken_limits(other, make_table(log)) if end.kind in COMPLETED else []
+        return dataclasses.replace(end, kind="beyond", message=broken[0]) if broken else end
     finally:
         rollout.release()
 
 
 def drawn(kind: str, number: int, seed: int) -> tuple[Mission, Scenario, list[str]]:
     """The mission of a number, its scenario, and the errors of those drawn before it."""
-    rng = np.random.default_rng([seed, number, kind == "capture"])
+    rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     refused = list[str]()
     for _ in range(_ATTEMPTS):
-        mission = draw(kind, rng)
         try:
+            mission = KINDS[kind](rng)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 scenario = load_scenario(mission.base, mission.overrides)
@@ -328,6 +351,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--number", type=int, default=200, help="random missions (default: 200)")
     parser.add_argument("--captures", type=int, default=60, help="random captures (default: 60)")
+    parser.add_argument("--built", type=int, default=0, help="built spacecraft (default: 0)")
     parser.add_argument("--seed", type=int, default=0, help="another seed draws others")
     parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     parser.add_argument(
@@ -343,6 +367,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         parser.error(f"{options.out} holds missions of seed {stored['seed']}; give another --out")
     wanted = [("mission", k) for k in range(options.number)]
     wanted += [("capture", k) for k in range(options.captures)]
+    wanted += [("built", k) for k in range(options.built)]
 
     def keep(kind: str, number: int, result: dict[str, Any]) -> None:
         results[f"{kind} {number}"] = result
@@ -359,7 +384,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         seconds=options.time_limit,
         keep=keep,
     )
-    for kind in ("mission", "capture"):
+    for kind in KINDS:
         own = {name: row for name, row in results.items() if name.startswith(kind)}
         if own:
             print(f"\n{len(own)} random {kind}s\n{table(own)}")

@@ -16,15 +16,45 @@ from ffsm_drake.common.interrupts import handle_signals, ignore_signals  # noqa:
 _MANY_OBJECTS = 10_000
 
 
+def _in_utf8() -> None:
+    """Begin anew in Python's UTF-8 mode where the locale has another encoding: files that are read
+    on the way, also those of libraries, are UTF-8.
+    """
+    import locale
+    import sys
+
+    if locale.getencoding().lower() not in ("utf-8", "utf8") and not sys.flags.utf8_mode:
+        words = [sys.executable, "-X", "utf8", *sys.orig_argv[1:]]
+        os.execve(sys.executable, words, {**os.environ, "PYTHONUTF8": "1"})
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None and hasattr(stream, "reconfigure"):  # PYTHONIOENCODING
+            stream.reconfigure(errors="backslashreplace")
+
+
 def main() -> None:
     """Run the command line, and end the process."""
     handle_signals()
     gc.set_threshold(_MANY_OBJECTS, *gc.get_threshold()[1:])
     try:
+        _main()
+    except (OSError, ImportError) as error:  # of what is imported
+        os.write(2, f"error: {' '.join(str(error).split())}\n".encode("utf-8", "replace"))
+        os._exit(2)
+
+
+def _main() -> None:
+    try:
         os.getcwd()
     except FileNotFoundError:  # Python itself may fail to import what follows
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
         os._exit(2)
+    try:
+        for end in os.pipe():
+            os.close(end)
+    except OSError:  # within an import it is anything
+        os.write(2, b"error: too few files may be open; allow more, such as ulimit -n 256\n")
+        os._exit(2)
+    _in_utf8()
     import sys
     import threading
 
@@ -39,7 +69,7 @@ def main() -> None:
     except SystemExit as ending:
         end_threads(ending.code)
         ignore_signals()
-        end_process(ending.code, sys._getframe().f_back)
+        end_process(ending.code, sys._getframe(1).f_back)
         raise
     finally:
         over.set()

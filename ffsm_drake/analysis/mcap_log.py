@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,6 +23,7 @@ _MODULES = {  # encoding of messages -> what decodes it, its package, our extra
     "protobuf": ("mcap_protobuf.decoder", "mcap-protobuf-support", "mcap"),
     "cdr": ("mcap_ros2.decoder", "mcap-ros2-support", "ros2"),
 }
+_MAX_UNPACKED = 8_000_000_000  # bytes
 _INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
 
 
@@ -137,6 +138,8 @@ def _read(path: Path) -> dict[_Key, _Series]:
     decoders: dict[int, Callable[[bytes], Any]] = {}
     try:
         with path.open("rb") as stream:
+            _check_unpacked(stream)
+            stream.seek(0)
             for schema, channel, message in make_reader(stream).iter_messages():
                 name = schema.name if schema else ""
                 if channel.message_encoding == "json":
@@ -154,6 +157,25 @@ def _read(path: Path) -> dict[_Key, _Series]:
     except Exception as error:  # of many kinds, by what decompresses and decodes
         raise ValueError(one_line(error)) from error
     return {key: _Series(np.array(stamps[key]), np.array(rows[key])) for key in rows}
+
+
+def _check_unpacked(stream: BinaryIO) -> None:
+    """Raise ValueError for a file that says of its chunks, or whose chunks say, that they are too
+    much when unpacked; of lz4 they are at most 255 times the file.
+    """
+    reader: Any = importlib.import_module("mcap.stream_reader")
+    total = 0
+    for record in reader.StreamReader(stream, emit_chunks=True).records:
+        if type(record).__name__ == "Chunk":
+            size = record.uncompressed_size
+            if record.compression == "zstd":
+                zstandard: Any = importlib.import_module("zstandard")
+                size = max(size, zstandard.frame_content_size(record.data))  # -1: not stated
+            total += size
+        if total > _MAX_UNPACKED:
+            raise ValueError(
+                f"holds {total:.3g} bytes unpacked; at most {_MAX_UNPACKED:.3g} are read"
+            )
 
 
 def _decoder(encoding: str, schema: Any) -> Callable[[bytes], Any]:

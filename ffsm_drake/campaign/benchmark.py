@@ -30,9 +30,11 @@ from ffsm_drake.common.errors import (
     did_you_mean,
     one_line,
 )
-from ffsm_drake.common.files import write_text
+from ffsm_drake.common.files import check_regular, write_text
+from ffsm_drake.common.shapes import misfit
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.control_design.least_time import least_times
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -44,15 +46,14 @@ from ffsm_drake.scenario import (
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.systems.controllers import controller_names
-from ffsm_drake.systems.limits import limits_of
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
 
 SEEDS = 3
+_MAX_FIGURES = 100_000  # bytes of a file of law_figures
 _AT_START, _PLANNED = "angular_momentum", "planned_time"
 _OF_RUNS = (
     "itae",
@@ -128,9 +129,7 @@ class Board:
 
     @property
     def ratio(self) -> float | None:
-        """Time of the planned motion over the least that momentum and limits allow; None without
-        momentum or limits.
-        """
+        """Time of the planned motion over the bound of momentum and limits; None without one."""
         bound = self.bounds.get("momentum")
         return self.motion / bound if bound else None
 
@@ -245,11 +244,21 @@ def _figures_of(mission: Mission, name: str, folder: Path) -> Path:
     return folder / f"{mission.name}-{_spec(mission.scenario, [name]).fingerprint[:12]}.json"
 
 
+def _read_figures(path: Path) -> dict[str, float | None] | None:
+    """The ``law_figures`` that a file keeps; None: there is none, or it holds something else."""
+    try:
+        check_regular(path, limit=_MAX_FIGURES)
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return None if misfit(found, {key: [float, None] for key in FIGURES}, "figures") else found
+
+
 def _find_figures(
     mission: Mission, laws: Sequence[str], folder: Path, *, workers: Workers, stop: Stop | None
 ) -> None:
     """Find the ``law_figures`` that are not in the folder yet. Errors as for ``run_mission``."""
-    missing = [name for name in laws if not _figures_of(mission, name, folder).exists()]
+    missing = [name for name in laws if _read_figures(_figures_of(mission, name, folder)) is None]
 
     def arguments(name: str) -> tuple[str]:
         return (scenario_to_yaml(override_scenario(mission.scenario, [f"controller={name}"])),)
@@ -325,9 +334,7 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
         values = [row[column] for row in meant if row.get(column) is not None]
         return statistics.fmean(values) if values else None
 
-    of_law = dict.fromkeys(FIGURES)
-    if figures.exists():  # not yet, of one that ran before an interruption
-        of_law = json.loads(figures.read_text(encoding="utf-8"))
+    of_law = _read_figures(figures) or dict.fromkeys(FIGURES)
     return Standing(
         controller=name,
         outcomes=tuple(row["outcome"] for row in rows),
@@ -337,18 +344,23 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
 
 
 def bounds_of(mission: Mission) -> dict[str, float]:
-    """Least times of a mission, s: in which its limits of force and torque take the momentum out,
-    and that of the plan where there is an optimal one.
+    """Least times of a mission, s (``least_times``): the bound of momentum over what the actuators
+    give, the time that they take at the start's posture, and that of the plan where there is an
+    optimal one.
     """
     scenario, bounds = mission.scenario, dict[str, float]()
-    start = _at_start(scenario)
-    least = {
-        group: float((np.abs(start.momenta[group]) / start.limits[group]).max())
-        for group in start.momenta
-        if group in scenario.driven
-    }
-    if (time := max(least.values(), default=0.0)) > 0.0:
-        bounds["momentum"] = time
+    model, start = make_nominal_plant(scenario), _at_start(scenario)
+    least = least_times(
+        scenario,
+        model,
+        start.q,
+        spin=start.momenta["base_rotation"],
+        linear=start.momenta["base_position"],
+    )
+    if least.bound > 0.0:
+        bounds["momentum"] = least.bound
+    if 0.0 < least.held < math.inf:
+        bounds["held"] = least.held
     if scenario.reference.kind == "optimal":
         bounds["planner"] = _planned_time(scenario)
     return bounds
@@ -369,7 +381,7 @@ class _Start:
 
     # by group of the base: angular about the centre of mass, N m s, and linear, N s
     momenta: Mapping[str, np.ndarray]
-    limits: Mapping[str, np.ndarray]  # of what takes them out, N m and N
+    q: np.ndarray  # (nq)
     center_of_mass: np.ndarray  # (3) in the base's frame, m
 
 
@@ -386,11 +398,9 @@ def _at_start(scenario: Scenario) -> _Start:
         v = v[: len(coordinates.names)]
         base = free_floating(model, q)
         spin, linear = base.spin_map @ v, base.momentum(v)[3:]
-    limits = tightest(limits_of(scenario, model.plant), FORCE).upper
-    momenta = {"base_rotation": spin, "base_position": linear}
     return _Start(
-        momenta=momenta,
-        limits={group: limits[coordinates.groups[group]] for group in momenta},
+        momenta={"base_rotation": spin, "base_position": linear},
+        q=q,
         center_of_mass=in_body_axes(q[None, :4], base.center_of_mass[None])[0],
     )
 

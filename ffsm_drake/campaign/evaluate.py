@@ -233,6 +233,8 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
             :, log.coordinates.driven
         ]
         settled_time = spec.settled.time(log.time, log.tracked, velocity=velocity)
+        if log.ending.gave_up:
+            settled_time = None
         outcome, message = "not_settled" if settled_time is None else "settled", ""
         if log.ending.status == GROWING:
             outcome, message = "growing", log.ending.sentence

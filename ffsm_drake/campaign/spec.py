@@ -29,8 +29,10 @@ from ffsm_drake.common.files import check_regular
 from ffsm_drake.scenario import (
     Scenario,
     anchor_paths,
+    anchored_policy,
     load_scenario,
     relate_paths,
+    related_policy,
     scenario_from_dict,
     scenario_to_dict,
     shipped_scenarios,
@@ -165,6 +167,10 @@ class Spec:
         data = copy.deepcopy(dict(self.data))
         if folder is not None:
             relate_paths(data["base"], folder)
+            if "controllers" in data:
+                data["controllers"] = [
+                    related_policy(name, folder) for name in _controllers(data["controllers"])
+                ]
         return json.dumps(data, sort_keys=False)
 
     @property
@@ -204,7 +210,9 @@ def load_spec(name_or_path: str | Path) -> Spec:
     try:
         check_plain(data, place="specification")
         check_keys(data, _KEYS, place="specification")
-        spec = spec_from_data({**data, "base": _base(data, folder=path.parent)})
+        whole = {**data, "base": _base(data, folder=path.parent)}
+        _anchor_policies(whole, path.parent)
+        spec = spec_from_data(whole)
         return _with_python_path(spec)
     except ScenarioError as error:
         raise CampaignError(f"{path}: {error}") from error
@@ -236,7 +244,15 @@ def spec_from_json(text: str, folder: Path | None = None) -> Spec:
         raise CampaignError(f"not a campaign's specification: {one_line(error)}") from error
     if folder is not None:
         anchor_paths(data["base"], folder)
+        _anchor_policies(data, folder)
     return spec_from_data(data)
+
+
+def _anchor_policies(data: dict[str, Any], folder: Path) -> None:
+    """Make the files of a specification's policies absolute, where they are in a folder."""
+    if "controllers" in data:
+        names = _controllers(data["controllers"])
+        data["controllers"] = [anchored_policy(name, folder) for name in names]
 
 
 def spec_from_data(data: Mapping[str, Any]) -> Spec:

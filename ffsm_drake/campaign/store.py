@@ -108,6 +108,9 @@ class Store:
             raise self._damaged(f"its {cases[0]} cases are not the {self.spec.cases} specified")
         if (stored := self.num_results()) > self.runs:
             raise self._damaged(f"it holds {stored} results of {self.runs} runs")
+        view = "SELECT sql FROM sqlite_master WHERE name = 'runs'"
+        if [sql for (sql,) in self.query(view)] != [_view(self.spec)]:
+            raise self._damaged("its view runs is not a campaign's")
         self._check_cells()
 
     def _check_columns(self) -> None:
@@ -387,6 +390,7 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         )
         if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
             raise CampaignError(f"{path}: is not a campaign's database")
+        _check_schema(connection, path)
         problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if problem != "ok":
             raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
@@ -420,6 +424,34 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
                     connection.execute("PRAGMA journal_mode = DELETE")
 
 
+def _check_schema(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise CampaignError for a database whose reading runs more than a campaign's: a view may
+    never end, and a trigger writes.
+    """
+    connection.execute("PRAGMA trusted_schema = OFF")
+    found = connection.execute("SELECT name, type, sql FROM sqlite_master").fetchall()
+    kinds = {name: (kind, sql or "") for name, kind, sql in found}
+    plain = all(
+        kinds[name][0] == "table" and kinds[name][1].startswith("CREATE TABLE")
+        for name in ("campaign", "cases", "software", "results")
+        if name in kinds
+    )
+    if not plain or any(kind == "trigger" for kind, _ in kinds.values()):
+        raise CampaignError(f"{path}: is damaged: its tables are not a campaign's")
+
+
+def _view(spec: Spec) -> str:
+    """The statement that makes the view ``runs``."""
+    values = [_quoted(name) for name in spec.names]
+    shown = [f"cases.{name}" for name in values]
+    shown += [f"results.{name}" for name in result_columns(spec)]
+    return (
+        "CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, "
+        f"{', '.join(shown)}, software.versions AS software FROM results JOIN cases USING "
+        "(case_index) JOIN software ON software.id = results.software"
+    )
+
+
 def _fill(
     connection: sqlite3.Connection,
     spec: Spec,
@@ -431,7 +463,6 @@ def _fill(
     values = [_quoted(name) for name in spec.names]
     columns = result_columns(spec)
     results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in columns]
-    shown = [*(f"cases.{name}" for name in values), *(f"results.{name}" for name in columns)]
     with connection:
         connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
         connection.execute("CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT)")
@@ -445,11 +476,7 @@ def _fill(
             f"{', '.join(results)}, software INTEGER REFERENCES software, PRIMARY KEY (case_index, "
             "controller)) WITHOUT ROWID"
         )
-        connection.execute(
-            "CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, "
-            f"{', '.join(shown)}, software.versions AS software FROM results JOIN cases USING "
-            "(case_index) JOIN software ON software.id = results.software"
-        )
+        connection.execute(_view(spec))
         notes = {
             "format": str(FORMAT),
             "specification": spec.to_json(folder),

@@ -90,10 +90,10 @@ def _controllers() -> str:
 
 def _meshcat() -> str:
     from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
-    from ffsm_drake.show.meshcat.door import Door
+    from ffsm_drake.show.meshcat.door import MeshcatDoor
 
     with quiet_drake():
-        door = Door(start_meshcat())
+        door = MeshcatDoor(start_meshcat())
     try:
         return f"serves {door.url}, to this machine only"
     finally:

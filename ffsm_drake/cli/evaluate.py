@@ -202,7 +202,7 @@ def design(
     missions = list[tuple["Scenario", "Verdict"]]()
 
     def predict_mission(candidate: "Scenario") -> str:
-        mission = verdict(candidate)
+        mission = verdict(candidate, advises=False)
         missions.append((candidate, mission))
         return mission.warnings[0] if mission.is_alarm else ""
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -42,8 +42,9 @@ _report = click.option(
 _require = click.option(
     "--require",
     type=click.Choice(["settled"]),
-    help="Exit with 3 unless every run has settled: over its last second every tracked error is "
-    "within 'tolerance'.",
+    help="Exit with 3 unless every run has settled as planned: over its last second every tracked "
+    "error is within 'tolerance', no parts came too near, and no limit was exceeded that nothing "
+    "enforces.",
 )
 
 
@@ -86,7 +87,7 @@ def run(
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.runs.record import RunRecord, record_stamp
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
@@ -95,6 +96,7 @@ def run(
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
     check_writable(directory)  # before the slow run
+    before = record_stamp(directory)
     if report or meshcat or controls or foxglove:
         check_pictures(scenario.model)
     if controls:
@@ -112,9 +114,9 @@ def run(
 
         record = watch_in_foxglove(scenario, tell=partial(click.echo, err=True))
     else:
-        with _kept(directory):
+        with _kept(directory, before):
             record = _simulate(scenario)
-    record.save(directory)
+    directory = _saved(record, directory, before)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
     if first is not None:
         same = first.dataset.identical(record.dataset)
@@ -150,6 +152,7 @@ def compare(
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/both
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.runs.record import record_stamp
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
@@ -171,11 +174,12 @@ def compare(
     _warn_replaced(
         zip([directory / folder for folder in folders], scenarios, strict=True), directory
     )
+    before = [record_stamp(directory / folder) for folder in folders]
     records: list[RunRecord] = []
-    for chosen, folder in zip(scenarios, folders, strict=True):
-        with located_errors(scenario, overrides), _kept(directory / folder):
+    for chosen, folder, old in zip(scenarios, folders, before, strict=True):
+        with located_errors(scenario, overrides), _kept(directory / folder, old):
             record = _simulate(chosen)
-        record.save(directory / folder)
+        _saved(record, directory / folder, old)
         records.append(record)
         if record.outcome.status == "interrupted":
             break
@@ -263,8 +267,17 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
     return [RunRecord.load(folder) for folder in saved]
 
 
+def _saved(record: "RunRecord", directory: Path, before: Any) -> Path:
+    """Save a record; where it is if another one came into the folder during the run."""
+    place = record.save(directory, replacing=before)
+    if place != directory:
+        line = f"{directory} holds another run by now, which stays; this one is in {place}"
+        click.echo(f"warning: {line}", err=True)
+    return place
+
+
 @contextmanager
-def _kept(directory: Path) -> Iterator[None]:
+def _kept(directory: Path, before: Any) -> Iterator[None]:
     """Save the record of a run in which a user-supplied block fails, up to then."""
     from ffsm_drake.common.errors import BlockError
     from ffsm_drake.runs.reading import REPORT_FILE
@@ -273,7 +286,7 @@ def _kept(directory: Path) -> Iterator[None]:
         yield
     except BlockError as error:
         if error.record is not None:
-            error.record.save(directory)
+            directory = _saved(error.record, directory, before)
             (directory / REPORT_FILE).unlink(missing_ok=True)  # of an earlier run
             end = error.record.outcome.time
             click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)
@@ -312,15 +325,15 @@ def _finish(
 ) -> int:
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.preflight.verdict import saturation_remark
-    from ffsm_drake.runs.limits import run_clearance, run_remarks
+    from ffsm_drake.preflight.verdict import helpful_remarks
+    from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
     said: dict[str, list[str]] = {}  # remark -> controllers
     for record in records:
-        for remark in filter(None, (*run_remarks(record), saturation_remark(record))):
+        for remark in (*run_remarks(record), *helpful_remarks(record)):
             said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
@@ -342,13 +355,16 @@ def _finish(
         click.echo(
             f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else "")
         )
-    for record in records:
+    broken = [broken_limits(record.scenario, record.dataset) for record in records]
+    for record, beyond in zip(records, broken, strict=True):
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        click.echo(f"{name}{record.ending.sentence}", err=as_json)
+        end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
+        click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)
     if any(record.outcome.status == "interrupted" for record in records):
         return exit_code()
     failed = any(
-        record.ending.is_failure or (require is not None and not record.ending.is_settled)
-        for record in records
+        record.ending.is_failure
+        or (require is not None and bool(beyond or not record.ending.is_settled))
+        for record, beyond in zip(records, broken, strict=True)
     )
     return EXIT_UNSTABLE if failed else EXIT_GOOD

@@ -3,14 +3,24 @@
 A reader never sees half a file or half a set of files; a failed write keeps the old ones.
 """
 
+import errno
+import fcntl
+import itertools
 import os
+import shutil
 import stat
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 
-from ffsm_drake.common.errors import RecordError, one_line
+from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.interrupts import undisturbed, unfinished, unused
+
+_SERIAL = itertools.count()
+_PATIENCE = 2.0  # s to wait for another program that exchanges a folder's files
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -29,7 +39,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     Creates missing folders, and removes them where it fails. Raises RecordError when the place
     cannot be written.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{_partial()}{path.suffix}")
     try:
         with made_folder(path.absolute().parent), unfinished(temporary):
             yield temporary
@@ -38,34 +48,133 @@ def written_whole(path: Path) -> Iterator[Path]:
         raise _unwritten(path, error, temporary) from error
 
 
+def stamp(path: Path) -> tuple[int, ...] | None:
+    """What changes when a file is written anew; None: it is not there."""
+    try:
+        info = path.stat()
+    except (OSError, ValueError):
+        return None
+    return info.st_ino, info.st_mtime_ns, info.st_size
+
+
 @contextmanager
-def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path]:
+def published(
+    directory: Path,
+    *,
+    outdated: Iterable[str] = (),
+    is_taken: Callable[[], bool] = lambda: False,
+    elsewhere: list[Path] | None = None,
+) -> Iterator[Path]:
     """Yield a new folder for files, which replace those of ``directory`` when the block succeeds.
 
     If ``directory`` does not exist, the new folder is renamed to it. An existing one stays (it may
     be somebody's current folder, and hold other files): its files of the same names and the
-    ``outdated`` ones are replaced, or all restored.
+    ``outdated`` ones are replaced, or all restored; ``read_together`` sees no mixture.
+
+    Args:
+      is_taken: asked before files of ``directory`` are replaced: whether they are another's that
+        must stay. The new folder is then renamed to the next free NAME_2, NAME_3, ...
+      elsewhere: gets that folder.
 
     Raises:
       RecordError: the place cannot be written.
     """
     place = directory.absolute()
-    exists = os.path.isdir(place)
-    partial = f"{os.getpid()}.partial"
-    new = place / f".{partial}" if exists else place.with_name(f".{place.name}.{partial}")
+    inside = os.path.isdir(place)
+    new = place / f".{_partial()}" if inside else place.with_name(f".{place.name}.{_partial()}")
     try:
         with made_folder(new.parent), unfinished(new):
             new.mkdir(exist_ok=True)
             yield new
             with undisturbed():
-                if exists:
-                    _exchange(new, place, outdated)
-                else:
-                    new.rename(place)
+                if not _renamed(new, place):  # it is there, or has appeared meanwhile
+                    with _alone(place):
+                        if is_taken():
+                            found = _next_free(new, place.resolve())
+                            if elsewhere is not None:
+                                is_named = directory.is_absolute()
+                                elsewhere.append(
+                                    found if is_named else Path(os.path.relpath(found))
+                                )
+                        else:
+                            _exchange(new, place, outdated)
     except OSError as error:
         raise _unwritten(directory, error, new) from error
     except RecordError as error:  # of a file in the new folder, which has gone
         raise RecordError(str(error).replace(str(new), str(directory))) from error
+
+
+def read_together(paths: Sequence[Path], read: Callable[[], Result]) -> Result:
+    """What a function reads of files of one folder, all old or all new while others are
+    ``published`` there. Raises what it raises of files that stay.
+    """
+    while True:
+        before = [stamp(path) for path in paths]
+        try:
+            found = read()
+        except FfsmError:
+            until = time.monotonic() + _PATIENCE
+            while before == [stamp(path) for path in paths]:
+                if time.monotonic() > until or not any(paths[0].parent.glob(".*.partial")):
+                    raise
+                time.sleep(0.01)
+        else:
+            if before == [stamp(path) for path in paths]:
+                return found
+
+
+def _partial() -> str:
+    """The name of what is not finished yet; another one each time."""
+    return f"{os.getpid()}.{next(_SERIAL)}.partial"
+
+
+def _renamed(new: Path, place: Path) -> bool:
+    """Rename a folder, unless there is one with files, or a file, of that name."""
+    if new.parent == place:
+        return False
+    try:
+        new.rename(place)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR) and place.is_dir():
+            return False
+        raise
+    return True
+
+
+def _next_free(new: Path, place: Path) -> Path:
+    for number in itertools.count(2):
+        found = place.with_name(f"{place.name}_{number}")
+        if os.path.lexists(found):
+            continue
+        try:
+            new.rename(found)
+        except OSError as error:  # it has appeared meanwhile
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise
+            continue
+        return found
+    raise AssertionError
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """A block in which no other program exchanges a folder's files, if that can be had in time:
+    some file systems have no locks, and who holds one may be stopped.
+    """
+    folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        until = time.monotonic() + _PATIENCE
+        while True:
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError as error:
+                if error.errno != errno.EWOULDBLOCK or time.monotonic() > until:
+                    break
+                time.sleep(0.01)
+        yield
+    finally:
+        os.close(folder)
 
 
 def _unwritten(place: Path, error: OSError, temporary: Path) -> RecordError:
@@ -75,27 +184,33 @@ def _unwritten(place: Path, error: OSError, temporary: Path) -> RecordError:
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
-    """Move a subfolder's files up into ``directory``; replaced and ``outdated`` files go."""
+    """Replace a folder's files by those of a new one, each at once; ``outdated`` files go."""
     names = [path.name for path in new.iterdir()]
     for name in names:
         if (directory / name).is_dir():
             raise IsADirectoryError(f"{directory / name} is a folder; move it away")
     old = new / "old"
     old.mkdir()
-    moves = [
-        (directory / name, old / name)
-        for name in (*names, *outdated)
-        if os.path.lexists(directory / name)
-    ]
-    moves += [(new / name, directory / name) for name in names]
-    done: list[tuple[Path, Path]] = []
+    there = [name for name in (*names, *outdated) if os.path.lexists(directory / name)]
+    for name in there:
+        try:
+            os.link(directory / name, old / name, follow_symlinks=False)
+        except OSError:  # some file systems have no links
+            shutil.copy2(directory / name, old / name, follow_symlinks=False)
+    done: list[str] = []
     try:
-        for before, after in moves:
-            before.rename(after)
-            done.append((before, after))
+        for name in names:
+            (new / name).replace(directory / name)
+            done.append(name)
+        for name in set(there).difference(names):
+            (directory / name).unlink()
+            done.append(name)
     except BaseException:
-        for before, after in reversed(done):
-            after.rename(before)
+        for name in done:
+            if name in there:
+                (old / name).replace(directory / name)
+            else:
+                (directory / name).unlink()
         raise
 
 

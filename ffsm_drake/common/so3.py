@@ -6,8 +6,11 @@ Sola et al. 2018, "A micro Lie theory for state estimation in robotics".
 """
 
 import math
+from typing import Any
 
 import numpy as np
+
+_VANISHES = 1e-15  # part of a unit quaternion that is only rounding
 
 
 def quaternion_of(vector: np.ndarray) -> np.ndarray:
@@ -29,8 +32,44 @@ def turned_by(vector: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 def turning_matrix(vector: np.ndarray) -> np.ndarray:
     """Matrix (4, 4) that turns quaternions by a rotation vector (3), rad."""
-    w, x, y, z = quaternion_of(vector)
+    return product_matrix(quaternion_of(vector))
+
+
+def product_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """Matrix (4, 4) of the products q (.) with a quaternion q (4)."""
+    w, x, y, z = quaternion.tolist()
     return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def matrix_of(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any norm; of one with plain floats,
+    because control updates need it, with the bits that it has among others.
+    """
+    if quaternion.ndim == 1 and quaternion.any():
+        return np.array(_rotation_matrix(*quaternion.tolist()))
+    rows = _rotation_matrix(*np.moveaxis(quaternion, -1, 0))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rotation_matrix(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:
+    """The rows of a rotation matrix, from numbers or arrays."""
+    twice = 2.0 / (w * w + x * x + y * y + z * z)
+    xx, yy, zz = twice * x * x, twice * y * y, twice * z * z
+    xy, xz, yz = twice * x * y, twice * x * z, twice * y * z
+    wx, wy, wz = twice * w * x, twice * w * y, twice * w * z
+    return (
+        (1.0 - (yy + zz), xy - wz, xz + wy),
+        (xy + wz, 1.0 - (xx + zz), yz - wx),
+        (xz - wy, yz + wx, 1.0 - (xx + yy)),
+    )
+
+
+def skew(vector: np.ndarray) -> np.ndarray:
+    """Matrices (..., 3, 3) of a x (.)."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
@@ -256,6 +295,28 @@ def rpy_motion(
         cr2 * cp2 * sy2 - sr2 * sp2 * cy2,
     )
     return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
+
+
+def rpy_of(quaternions: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (..., 3), rad, of quaternions (..., 4) of any norm, as in ``rpy_motion``.
+
+    Half the sum and half the difference of yaw and roll are the angles of two vectors, of which one
+    vanishes at a pitch of +-90 degrees: then only the other counts, and this one's is zero.
+    """
+    unit = quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    w, x, y, z = np.moveaxis(unit, -1, 0)
+    of_sum, of_difference = (x + z, w - y), (z - x, w + y)
+    lengths = [np.hypot(*each) for each in (of_sum, of_difference)]
+    half_sum, half_difference = (
+        np.where(length < _VANISHES, 0.0, np.arctan2(*each))
+        for length, each in zip(lengths, (of_sum, of_difference), strict=True)
+    )
+    pitch = 2.0 * np.arctan2(lengths[1], lengths[0]) - 0.5 * np.pi
+    roll, yaw = half_sum - half_difference, half_sum + half_difference
+    turns = 2.0 * np.pi
+    return np.stack(
+        [roll - turns * np.round(roll / turns), pitch, yaw - turns * np.round(yaw / turns)], axis=-1
+    )
 
 
 def in_body_axes(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:

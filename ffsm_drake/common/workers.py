@@ -13,12 +13,15 @@ WorkerLost.
 import contextlib
 import dataclasses
 import importlib
+import json
 import logging
 import os
 import re
 import signal
 import socket
+import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import (
@@ -30,10 +33,12 @@ from concurrent.futures import (
     wait,
 )
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from tempfile import gettempdir
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
+from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.interrupts import SIGNALS, Interrupts, current
 
 ATTEMPTS = 3
@@ -51,6 +56,9 @@ ONE_THREAD = dict.fromkeys(
 )
 # Of a cluster's workers: one ends after a time, and another begins with fresh memory.
 _RENEWED = {"lifetime": "30m", "lifetime_stagger": "5m", "lifetime_restart": True}
+_IDLE = "10m"  # after which a scheduler without tasks ends
+_MAX_ADDRESS = 100_000  # bytes of the file that holds a scheduler's
+_SILENCE = 5.0  # s of waiting, after which it is said
 _POLL = 0.5  # s between checks for a request to stop
 
 Task = TypeVar("Task")
@@ -154,10 +162,23 @@ def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
     Raises:
       WorkersError: it is no Slurm step of three tasks or more, or as ``cluster_workers``.
     """
-    tasks = os.environ.get("SLURM_NTASKS", "")
-    if "SLURM_PROCID" not in os.environ or not tasks.isdecimal() or int(tasks) < 3:
+    number = {
+        name: os.environ.get(f"SLURM_{name}", default)
+        for name, default in {
+            "NTASKS": "", "PROCID": "", "JOB_ID": "", "STEP_ID": "0", "RESTART_COUNT": "0",
+        }.items()
+    }  # fmt: skip
+    if number["NTASKS"] in ("", "1", "2") or not (number["PROCID"] and number["JOB_ID"]):
         raise WorkersError(
             "--slurm: is for a step of three tasks or more: srun --ntasks=9 ffsm campaign ..."
+        )
+    for name, text in number.items():
+        if not re.fullmatch("[0-9]{1,10}", text):
+            raise WorkersError(f"--slurm: SLURM_{name} must be a number, not {text!r:.80}")
+    if not int(number["PROCID"]) < int(number["NTASKS"]) or int(number["NTASKS"]) < 3:
+        raise WorkersError(
+            f"--slurm: SLURM_PROCID must be below SLURM_NTASKS, 3 or more, not {number['PROCID']} "
+            f"and {number['NTASKS']}"
         )
     try:
         jobqueue: Any = importlib.import_module("dask_jobqueue.slurm")
@@ -166,19 +187,47 @@ def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
             "--slurm: needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
         ) from None
     # a job that was put back in the queue keeps its number
-    turn = [os.environ.get(f"SLURM_{name}", "0") for name in ("STEP_ID", "RESTART_COUNT")]
-    file = "scheduler-{job_id}-" + "-".join(turn) + ".json"
+    file = f"scheduler-{'-'.join(number[n] for n in ('JOB_ID', 'STEP_ID', 'RESTART_COUNT'))}.json"
+    if int(number["PROCID"]) > 0:
+        _await_scheduler(Path(file), patience)
     os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "critical")  # of processes that it starts
     with _quiet_dask():
         runner = jobqueue.SLURMRunner(
             scheduler_file=file,
-            scheduler_options={"dashboard": False},
+            scheduler_options={"dashboard": False, "idle_timeout": _IDLE},
             worker_class="distributed.Nanny",
-            worker_options={"nthreads": 1, "local_directory": gettempdir(), **_RENEWED},
+            worker_options={
+                "nthreads": 1,
+                "local_directory": gettempdir(),
+                "death_timeout": patience,
+                **_RENEWED,
+            },
         )
     signal.signal(signal.SIGINT, signal.default_int_handler)  # the runner has one of its own
     with runner, cluster_workers(runner.scheduler_address, patience=patience) as workers:
         yield workers
+
+
+def _await_scheduler(file: Path, patience: float) -> None:
+    """Wait until a step's scheduler has written its address. Raises WorkersError: it has not."""
+    begun, is_told = time.monotonic(), False
+    while True:
+        try:
+            check_regular(file, limit=_MAX_ADDRESS)
+            if isinstance(json.loads(file.read_text())["address"], str):
+                return
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            pass  # not there yet, or half written
+        waited = time.monotonic() - begun
+        if waited > patience:
+            problem = f"task 0 of the step has not written {file} within {patience:g} s"
+            raise WorkersError(f"--slurm: no scheduler: {problem}; are all tasks in one folder?")
+        if waited > _SILENCE and not is_told:
+            is_told = True
+            print(
+                f"waiting for the scheduler, task 0 of the step, to write {file}", file=sys.stderr
+            )
+        time.sleep(0.1)
 
 
 @contextlib.contextmanager

@@ -28,7 +28,15 @@ from ffsm_drake.control_design.first_motion import (
 )
 from ffsm_drake.control_design.rounding import rounded
 from ffsm_drake.control_design.stability import Margins, stability
-from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios, write_yaml
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.scenario import (
+    Disturbance,
+    Scenario,
+    from_grasp,
+    scenario_from_dict,
+    shipped_scenarios,
+    write_yaml,
+)
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures
@@ -52,6 +60,7 @@ _SIDE = 1.0  # m, of the shipped target
 _SAMPLE_TIME = 0.01  # s
 _HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
 _APPROACH = 20.0  # s
+_INSTANTS = 201  # of the planned motion, at which its force is looked at
 _SHRINK, _TRIES = 0.7, 6  # of the natural frequencies, until the margins are comfortable
 _MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
 
@@ -282,8 +291,12 @@ def _make(
         else:
             fitting = Fitting(data, asked, true.coordinates, str(file))
             fitting.fit(motion)
-            motion = dataclasses.replace(motion, duration=data["reference"]["duration"])
             remarks += fitting.remarks
+        motion = dataclasses.replace(
+            motion,
+            duration=data["reference"]["duration"],
+            peak_force=_peak_force(scenario_from_dict(data, source=str(file))),
+        )
     except FfsmError as error:
         # The line numbers in Drake's messages are those of the copy, not of the user's file.
         told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
@@ -310,6 +323,17 @@ def _make(
         margins=margins,
         remarks=tuple(remarks),
     )
+
+
+def _peak_force(scenario: Scenario) -> dict[str, float]:
+    """The largest force by coordinate for perfect tracking of the planned motion, of a capture from
+    the grasp on, without disturbance; N m or N.
+    """
+    still = dataclasses.replace(scenario, disturbance=Disturbance())
+    planned = PlannedDynamics(from_grasp(still))
+    _, force = planned.perfect_tracking(np.linspace(0.0, planned.motion.end, _INSTANTS))
+    peaks = np.abs(force).max(axis=0).tolist()
+    return dict(zip(planned.coordinates.names, peaks, strict=True))
 
 
 def _write_models(

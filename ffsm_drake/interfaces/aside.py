@@ -1,9 +1,17 @@
-"""Work in a thread of its own that asks another thread for an answer now and then."""
+"""Work in a thread of its own that asks another thread for an answer now and then.
 
+A thread that the end of the interpreter finds within Drake ends the process with an abort. So the
+work has an owner: it ends with the owner, or at the interpreter's exit, whichever is first.
+"""
+
+import atexit
 import queue
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any
+
+from ffsm_drake.common.errors import FfsmError
 
 
 class StoppedError(Exception):
@@ -23,25 +31,39 @@ class Aside:
         """Whether the work has begun, and its end was not taken yet."""
         return self._thread is not None
 
-    def start(self, work: Callable[[], Any], release: Callable[[], None] = lambda: None) -> None:
-        """Begin the work; ``release`` follows it in any case."""
+    def start(
+        self, work: Callable[[], Any], release: Callable[[], None] = lambda: None, *, owner: object
+    ) -> None:
+        """Begin the work; ``release`` follows it in any case.
+
+        Args:
+          owner: the work ends with it, and must not refer to it.
+
+        Raises: FfsmError, while the interpreter ends.
+        """
+        if not threading.main_thread().is_alive():
+            raise FfsmError("no run can begin while the interpreter ends")
 
         def run() -> None:
             try:
-                self._asked.put((False, work()))
-            except Exception as error:  # whatever it is, it is the other thread's
-                self._asked.put((False, error))
-            finally:
+                found = False, work()
+            except BaseException as error:  # whatever it is, it is the other thread's
+                found = False, error
+            try:
                 release()
+            finally:
+                self._asked.put(found)
 
         self._thread = threading.Thread(target=run, daemon=True)
         self._thread.start()
+        self._ending = weakref.finalize(owner, self.stop)  # called at the interpreter's exit, too
 
     def ask(self, question: Any) -> Any:
         """The answer to a question; within the work. Raises StoppedError."""
         self._asked.put((True, question))
         answer = self._answers.get()
         if answer is None:
+            self._answers.put(None)  # also for whoever asks again
             raise StoppedError
         return answer
 
@@ -51,20 +73,34 @@ class Aside:
 
     def take(self) -> Any:
         """Wait for the next question, or for the result, after which nothing goes on. Raises what
-        the work raised.
+        the work raised, and FfsmError if it was stopped.
         """
-        is_question, found = self._asked.get()
+        if self._thread is None:
+            raise FfsmError("the run has ended")
+        try:
+            is_question, found = self._asked.get()
+        except (
+            BaseException
+        ):  # Ctrl-C: what is asked meanwhile would be taken for the next question
+            self.stop()
+            raise
         if not is_question:
-            assert self._thread is not None
-            self._thread.join()
-            self._thread = None
-            if isinstance(found, Exception):
+            self._join()
+            if isinstance(found, BaseException):
                 raise found
         return found
 
     def stop(self) -> None:
-        """End the work at its question, if it goes on."""
+        """End the work at its next question, if it goes on."""
         if self._thread is not None:
             self._answers.put(None)
+            self._join()
+
+    def _join(self) -> None:
+        assert self._thread is not None
+        self._ending.detach()
+        if self._thread is threading.current_thread():  # it happens to collect the owner
+            atexit.register(self._thread.join)
+        else:
             self._thread.join()
-            self._thread = None
+        self._thread = None

@@ -6,6 +6,7 @@ the measurement of the same sample. Needs ``pip install 'ffsm-drake[fmu]'``; the
 Python of its host, which must have this package.
 """
 
+import abc
 import dataclasses
 import tempfile
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import check_writable, written_whole
 from ffsm_drake.interfaces.aside import Aside
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -79,7 +80,7 @@ def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
     if part == "controller" and getattr(factory, "tracks_frame", False):
         raise FfsmError(f"controller: {scenario.controller} tracks a frame; cannot be an FMU")
     check_writable(path.parent)
-    with tempfile.TemporaryDirectory() as name:
+    with written_whole(path) as temporary, tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         script, text = folder / f"ffsm_{part}.py", folder / _SCENARIO_FILE
         base = {"plant": "PlantSlave", "controller": "ControllerSlave"}[part]
@@ -87,8 +88,7 @@ def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
         text.write_text(scenario_to_yaml(scenario))
         options = {"canHandleVariableCommunicationStepSize": "false"}
         built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text], **options)
-        with written_whole(path) as temporary:
-            temporary.write_bytes(built.read_bytes())
+        temporary.write_bytes(built.read_bytes())
 
 
 class _Slave(Fmi3Slave):
@@ -103,7 +103,7 @@ class _Slave(Fmi3Slave):
         self.default_experiment = DefaultExperiment(
             start_time=0.0, stop_time=self.scenario.duration, step_size=self.scenario.sample_time
         )
-        self.time = 0.0
+        self.time, self._steps = 0.0, 0
         self.register_variable(
             Float64(
                 "time",
@@ -132,11 +132,31 @@ class _Slave(Fmi3Slave):
                 nested=False,
             )
 
-    def check_step(self, step_size: float) -> None:
-        """Raises: FfsmError, if a step is not one control sample."""
-        if abs(step_size - self.scenario.sample_time) > 1e-9:
-            expected = self.scenario.sample_time
-            raise FfsmError(f"a step must be one control sample, {expected:g} s, not {step_size:g}")
+    @abc.abstractmethod
+    def advance(self) -> bool:
+        """One control sample. False where the run ended."""
+
+    def do_step(self, current_time: float, step_size: float) -> Any:
+        """One control sample, from where the last ended; any other is an error, and changes
+        nothing.
+        """
+        try:
+            self._check_step(current_time, step_size)
+            goes_on = self.advance()
+        except Exception as error:  # raised, it would end the host when it calls again
+            self.log(one_line(error), Fmi3Status.error)
+            return Fmi3StepResult(status=Fmi3Status.error)
+        self._steps += 1
+        return Fmi3StepResult(status=Fmi3Status.ok, terminateSimulation=not goes_on)
+
+    def _check_step(self, current_time: float, step_size: float) -> None:
+        period = self.scenario.sample_time
+        if not abs(step_size - period) <= 1e-9:  # also for NaN
+            problem = f"must be one control sample, {period:g} s, not {step_size:g}"
+            raise FfsmError(f"a step {problem}")
+        begin = self._steps * period
+        if not abs(current_time - begin) <= 1e-3 * period:
+            raise FfsmError(f"this step must begin at t = {begin:g} s, not {current_time:g}")
 
 
 class _Outside(ControlLaw):
@@ -147,6 +167,29 @@ class _Outside(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         return self._ask(sample), state
+
+
+class _Course:
+    """The run of a plant; it outlives no slave, and refers to none."""
+
+    def __init__(self) -> None:
+        self.aside = Aside()
+        self.loop: tuple[ClosedLoop, Context] | None = None
+
+    def begin(self, loop: ClosedLoop, context: Context) -> None:
+        """Keep the diagram of a run that begins."""
+        self.loop = loop, context
+
+    def make_law(self, setup: BlockSetup) -> ControlLaw:
+        """The law whose force the master gives."""
+        return _Outside(self._ask)
+
+    def _ask(self, sample: Sample) -> np.ndarray:
+        """The force at a sample; within the run's thread."""
+        assert self.loop is not None
+        loop, context = self.loop
+        force: np.ndarray = self.aside.ask((sample, loop.whole_states(context)[0].copy()))
+        return force
 
 
 class PlantSlave(_Slave):
@@ -169,34 +212,25 @@ class PlantSlave(_Slave):
         self.add("velocity", velocities, Fmi3Causality.output)
         for group, names in self.groups.items():
             self.add(group, names, Fmi3Causality.output)
-        self._run = Aside()
-        self._loop: tuple[ClosedLoop, Context] | None = None
-        self.log: RunLog | None = None
+        self._course = _Course()
 
     def exit_initialization_mode(self) -> None:
         """Begin the run; outputs are those of the first sample."""
         changed = (f"payload.truth.mass={self.payload_mass!r}", f"random_seed={self.seed}")
         scenario = load_scenario(self.file, changed)
-        rollout = Rollout(scenario, blocks={"controller": lambda setup: _Outside(self._ask)})
+        course = self._course
+        rollout = Rollout(scenario, blocks={"controller": course.make_law})
 
-        def begin(loop: ClosedLoop, context: Context) -> None:
-            self._loop = loop, context
+        def run() -> RunLog:
+            return rollout.run(leg=Leg(begin=course.begin))
 
-        self._run.start(lambda: rollout.run(leg=Leg(begin=begin)), rollout.release)
+        course.aside.start(run, rollout.release, owner=self)
         self._take()
-
-    def _ask(self, sample: Sample) -> np.ndarray:
-        """The force at a sample; within the run's thread."""
-        assert self._loop is not None
-        loop, context = self._loop
-        force: np.ndarray = self._run.ask((sample, loop.whole_states(context)[0].copy()))
-        return force
 
     def _take(self) -> bool:
         """Wait for the run's next sample, or its end; false there."""
-        found = self._run.take()
+        found = self._course.aside.take()
         if isinstance(found, RunLog):
-            self.log = found
             self._show(found.whole_states[-1])
             return False
         sample, state = found
@@ -209,21 +243,20 @@ class PlantSlave(_Slave):
 
     def _show(self, state: np.ndarray) -> None:
         """Output the true state, without flexible coordinates."""
-        assert self._loop is not None
-        shown = self._loop[0].split.known_part(state)
+        assert self._course.loop is not None
+        shown = self._course.loop[0].split.known_part(state)
         size = self.values["position"].size
         self.values["position"][:] = shown[:size]
         self.values["velocity"][:] = shown[size:]
 
-    def do_step(self, current_time: float, step_size: float) -> Any:
-        self.check_step(step_size)
-        if not self._run.goes_on:
-            raise FfsmError(f"the run ended before t = {current_time:g} s")
-        self._run.answer(self.values["force"].copy())
-        return Fmi3StepResult(status=Fmi3Status.ok, terminateSimulation=not self._take())
+    def advance(self) -> bool:
+        if not self._course.aside.goes_on:
+            raise FfsmError("the run has ended")
+        self._course.aside.answer(self.values["force"].copy())
+        return self._take()
 
     def terminate(self) -> None:
-        self._run.stop()
+        self._course.aside.stop()
 
 
 class ControllerSlave(_Slave):
@@ -251,16 +284,18 @@ class ControllerSlave(_Slave):
             raise FfsmError(f"{scenario.controller}: must be a control law")
         self._law, self._state, self._is_first = made[-1], made[-1].initial_state(), True
 
-    def do_step(self, current_time: float, step_size: float) -> Any:
-        self.check_step(step_size)
+    def advance(self) -> bool:
         read = {name: self.values[of].copy() for name, of in (_POSITIONS | _VELOCITIES).items()}
         new = np.concatenate([self.values["is_new_position"], self.values["is_new_velocity"]])
         sample = Sample(
             **read, is_first=self._is_first, is_new=None if new.all() else new.astype(bool)
         )
-        force, self._state = self._law.step(sample, self._state)
-        self._is_first = False
+        force, state = self._law.step(sample, self._state)
         force = np.array(force)
         force[~self.coordinates.is_driven] = 0.0
+        if not np.isfinite(force).all():
+            worst = self.coordinates.names[int(np.argmin(np.isfinite(force)))]
+            raise FfsmError(f"the force on {worst} is no number")
+        self._state, self._is_first = state, False
         self.values["force"][:] = force
-        return Fmi3StepResult(status=Fmi3Status.ok)
+        return True

@@ -9,8 +9,12 @@ its name, as JSON. The scenario and the URDFs are attached.
 import copy
 import dataclasses
 import importlib
+import json
+import logging
+import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +24,9 @@ from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Mesh, Rgba, Role
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
+from websockets.http11 import Request
 
+from ffsm_drake.common.door import HOST, BadFrame, Door, random_loopback
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.preflight.simulate import simulate
@@ -49,15 +55,19 @@ _AS_IT_IS = np.array([1.0, 0.0, 0.0, 0.0])  # scale of the disturbance, and no p
 def write(record: RunRecord, path: Path) -> None:
     """Write a run to a file.
 
-    Raises: FfsmError, if the library is missing.
+    Raises: FfsmError, if the library is missing; OSError, if the file cannot be written.
     """
     foxglove = _library()
     context = foxglove.Context()
-    with foxglove.open_mcap(str(path), context=context, allow_overwrite=True) as writer:
-        for name, text in _attached(record):
-            media = "application/xml" if name.endswith("urdf") else "application/yaml"
-            writer.attach(log_time=0, create_time=0, name=name, media_type=media, data=text)
-        _Messages(foxglove, context, record).write()
+    messages = _Messages(foxglove, context, record)
+    try:
+        with foxglove.open_mcap(str(path), context=context, allow_overwrite=True) as writer:
+            for name, text in _attached(record):
+                media = "application/xml" if name.endswith("urdf") else "application/yaml"
+                writer.attach(log_time=0, create_time=0, name=name, media_type=media, data=text)
+            messages.write()
+    except RuntimeError as error:  # the library's for a full disk, too
+        raise OSError(f"not to its end, as on a full disk: {one_line(error)}") from error
 
 
 def watch(
@@ -70,6 +80,9 @@ def watch(
     """Run a scenario at real time, or its ``target_realtime_rate``, and serve ``/tf`` and
     ``/scene`` to Foxglove on 127.0.0.1 meanwhile.
 
+    The library's server obeys every page, so it is behind a door (``common.door``): who connects
+    must know the address that is told, which ends in a secret.
+
     Args: the scenario; the port, 0: any; called with a line that says where; called to let wall
     time pass, with seconds.
 
@@ -79,14 +92,11 @@ def watch(
     """
     foxglove = _library()
     context = foxglove.Context()
+    server, address = _started(foxglove, context)
+    door = None
     try:
-        server = foxglove.start_server(
-            name="ffsm_drake", host="127.0.0.1", port=port, context=context
-        )
-    except (OSError, RuntimeError) as error:
-        raise FfsmError(f"Foxglove: port {port} cannot be served: {one_line(error)}") from error
-    try:
-        tell(f"In Foxglove open the connection ws://127.0.0.1:{server.port}")
+        door = FoxgloveDoor(f"ws://{address}:{server.port}", port)
+        tell(f"In Foxglove open the connection {door.url}")
         live = _Live(_Scene(foxglove, context, scenario), scenario, wait)
         config = copy.deepcopy(scenario.simulator_config)
         config.target_realtime_rate = 0.0  # ``live`` sets the pace
@@ -94,7 +104,48 @@ def watch(
         record = simulate(alone, blocks={"forces.disturbance": live.make})
         return dataclasses.replace(record, scenario=complete_gains(scenario))
     finally:
+        if door is not None:
+            door.close()
         server.stop()
+
+
+def _started(foxglove: Any, context: Any) -> tuple[Any, str]:
+    """A server and its address: any of this machine, 127.0.0.1 where the system has no other."""
+    # pages that go are not the terminal's business
+    logging.getLogger("foxglove").setLevel(logging.CRITICAL)
+    for host in (random_loopback(), HOST):
+        with suppress(OSError, RuntimeError):
+            server = foxglove.start_server(name="ffsm_drake", host=host, port=0, context=context)
+            return server, host
+    raise FfsmError("Foxglove cannot start: no port of this machine is free for it")
+
+
+class FoxgloveDoor(Door):
+    """The door before a Foxglove server; ``url`` is the address to tell."""
+
+    largest = 2**20
+    subprotocol = "foxglove.sdk.v1"
+
+    def __init__(self, socket: str, port: int) -> None:
+        """Raises FfsmError if the port is not free."""
+        self._path = f"/{secrets.token_urlsafe(16)}"
+        super().__init__(socket, [port], called="Foxglove")
+        self.url = f"ws://{HOST}:{self.port}{self._path}"
+
+    def refusal(self, request: Request, host: str) -> str | None:
+        """Foxglove's own pages have many origins, so the path counts, which only the user knows."""
+        known = secrets.compare_digest(request.path.encode(), self._path.encode())
+        return None if known else "the address is not the one that was told\n"
+
+    def passed(self, frame: str | bytes) -> str | None:
+        """Which topics a page wants; it can ask for nothing else."""
+        try:
+            message = json.loads(frame) if isinstance(frame, str) else None
+        except (ValueError, RecursionError) as error:
+            raise BadFrame from error
+        if not isinstance(message, dict):
+            raise BadFrame
+        return frame if message.get("op") in ("subscribe", "unsubscribe") else None  # type: ignore[return-value]
 
 
 def _library() -> Any:

@@ -7,6 +7,7 @@ action at each step. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
 
 import dataclasses
+import functools
 import json
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -14,7 +15,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.interfaces.aside import Aside
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
@@ -67,22 +68,35 @@ class Exchange:
         # of several copies of the spacecraft: those that begin anew, and those whose episode lasts
         self.fresh: np.ndarray | None = None
         self.lasts: np.ndarray | None = None
+        # of each copy that an action which is no number ended: the sample, and the coordinate in v
+        self.lost = dict[int, tuple[int, int]]()
         self.first: State = {}  # the law's memory at the start
         self._count, self._action = 0, np.zeros(0)
         self._since = list[tuple[Any, ...]]()  # what was told since the last step
 
     def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
-        """The action at a sample, of which a law sees this. Raises StoppedError."""
+        """The action at a sample, of which a law sees this; zero for a copy of the spacecraft whose
+        action is no number. Raises StoppedError.
+        """
         if self._count % self._every == 0:
             self.sample = sample
             self._action = self.run.ask((seen, self.spent()))
         self._count += 1
-        return self._action
+        return self._action if self.lasts is None else np.nan_to_num(self._action)
 
-    def told(self, error: np.ndarray, force: np.ndarray) -> None:
-        """Keep what the law saw and commanded at a sample."""
-        lasts = np.ones(error.shape[:-1], bool) if self.lasts is None else self.lasts.copy()
-        self._since.append((error, force, lasts))
+    def told(self, error: np.ndarray, force: np.ndarray, acts: np.ndarray) -> None:
+        """Keep what the law saw and commanded at a sample; ``acts`` are the actions' indices. A
+        copy ends whose action is no number.
+        """
+        if self.lasts is None:
+            self._since.append((error, force, np.ones((), bool)))
+            return
+        unknown = np.isnan(self._action)
+        force[:, acts] = np.where(unknown, np.nan, force[:, acts])
+        self._since.append((error, force, self.lasts.copy()))
+        for copy in np.flatnonzero(unknown.any(axis=-1) & self.lasts).tolist():
+            self.lost[copy] = self._count - 1, int(acts[np.argmax(unknown[copy])])
+            self.lasts[copy] = False
 
     def spent(self) -> list[np.ndarray]:
         """Errors, forces and whether the episode lasted since the last step, a row each."""
@@ -101,7 +115,7 @@ class _Steered(ActingLaw):
         return self.exchange.ask(seen, sample), {}
 
     def told(self, error: np.ndarray, force: np.ndarray) -> None:
-        self.exchange.told(error, force)
+        self.exchange.told(error, force, self.acts)
 
     def inner_step(
         self, inner: ControlLaw, sample: Sample, state: State
@@ -118,6 +132,31 @@ class _Steered(ActingLaw):
             name: np.where(fresh.reshape(-1, *[1] * (rows.ndim - 1)), anew[name], rows)
             for name, rows in after.items()
         }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Steering:
+    """How actions become the law of a run; without the environment, which may end before it."""
+
+    kind: str  # one of ACTIONS
+    law: str  # that actions change
+    acts: np.ndarray  # (na) indices in v
+    scale: np.ndarray  # (na)
+    tracks_frame: bool
+
+    def __call__(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
+        """The law of a run, which takes its actions there; of several runs if not ``alone``."""
+        inner = None if self.kind == "force" else inner_law(self.law, setup)
+        if not (inner is None or alone or is_wide(inner)):
+            raise BlockError(f"{self.law}: is no wide law; vectorization_mode must be sync")
+        return _Steered(
+            exchange=exchange,
+            kind=self.kind,
+            acts=self.acts,
+            scale=self.scale,
+            inner=inner,
+            task=TaskSpace.from_setup(setup) if self.tracks_frame else None,
+        )
 
 
 class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -169,22 +208,27 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario, overrides)
-        self._kind, self._law = action, law or scenario.controller
-        self.scenario = scenario.replace(controller=self._law)
+        law = law or scenario.controller
+        self.scenario = scenario.replace(controller=law)
         self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
         self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
-        self._scale = self._scales(scale)[coordinates.driven]
         self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
-        factory = find_factory("controller", self._law, python_path=scenario.python_path)
-        self._tracks_frame = bool(getattr(factory, "tracks_frame", False))
-        of_frame = {"tracks_frame": self._tracks_frame}
+        factory = find_factory("controller", law, python_path=scenario.python_path)
+        self.steering = Steering(
+            kind=action,
+            law=law,
+            acts=coordinates.driven,
+            scale=self._scales(scale, action)[coordinates.driven],
+            tracks_frame=bool(getattr(factory, "tracks_frame", False)),
+        )
+        of_frame = {"tracks_frame": self.steering.tracks_frame}
         errors = error_names(self.scenario, coordinates, **of_frame)
         self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
         self._counted = coordinates.is_driven.copy()
-        if self._tracks_frame:  # its pose counts in place of the joints
+        if self.steering.tracks_frame:  # its pose counts in place of the joints
             if action == "setpoint":
-                raise FfsmError(f"action: {self._law} tracks a frame; must be force or residual")
+                raise FfsmError(f"action: {law} tracks a frame; must be force or residual")
             self._counted &= np.array([group != "joints" for group in coordinates.group_of])
         of_errors = len(errors) - self._counted.size
         self._counted = np.append(self._counted, np.ones(of_errors, dtype=bool))
@@ -195,32 +239,18 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
         self.log: RunLog | None = None  # of the last complete episode
 
-    def _scales(self, given: Mapping[str, float] | float | None) -> np.ndarray:
+    def _scales(self, given: Mapping[str, float] | float | None, action: str) -> np.ndarray:
         if given is not None:
             by_name = given if isinstance(given, Mapping) else {"all": given}
             return self.coordinates.vector(by_name, key="scale", default=0.0)
-        if self._kind == "setpoint":
+        if action == "setpoint":
             return np.full(len(self.coordinates.names), 0.1)
-        return self._limit * (0.1 if self._kind == "residual" else 1.0)
+        return self._limit * (0.1 if action == "residual" else 1.0)
 
     @property
     def sample(self) -> Sample | None:
         """What a law sees at this step; None before the first."""
         return None if self._exchange is None else self._exchange.sample
-
-    def steered(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
-        """The law of a run, which takes its actions there; of several runs if not ``alone``."""
-        inner = None if self._kind == "force" else inner_law(self._law, setup)
-        if not (inner is None or alone or is_wide(inner)):
-            raise BlockError(f"{self._law}: is no wide law; vectorization_mode must be sync")
-        return _Steered(
-            exchange=exchange,
-            kind=self._kind,
-            acts=self.coordinates.driven,
-            scale=self._scale,
-            inner=inner,
-            task=TaskSpace.from_setup(setup) if self._tracks_frame else None,
-        )
 
     def policy_metadata(self) -> dict[str, str]:
         """What an ONNX file of a policy for this environment says in its metadata, to be a control
@@ -229,9 +259,9 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return {
             "observation_names": json.dumps(self.observation_names),
             "action_names": json.dumps(self.action_names),
-            "scale": json.dumps(self._scale.tolist()),
-            "action": self._kind,
-            "law": "" if self._kind == "force" else self._law,
+            "scale": json.dumps(self.steering.scale.tolist()),
+            "action": self.steering.kind,
+            "law": "" if self.steering.kind == "force" else self.steering.law,
             "samples_per_step": str(self.samples_per_step),
         }
 
@@ -244,11 +274,9 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         drawn = int(self.np_random.integers(2**31)) if seed is None else seed
         scenario = self.scenario.replace(random_seed=drawn)
         self._exchange = exchange = Exchange(self.samples_per_step)
-        rollout = make_rollout(
-            scenario, blocks={"controller": lambda setup: self.steered(setup, exchange)}
-        )
-
-        exchange.run.start(rollout.run, rollout.release)
+        law = functools.partial(self.steering, exchange=exchange)
+        rollout = make_rollout(scenario, blocks={"controller": law})
+        exchange.run.start(rollout.run, rollout.release, owner=self)
         self._take()
         return self._seen.copy(), {}
 
@@ -256,7 +284,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """As Gymnasium's."""
         if self._exchange is None:
             raise FfsmError("the episode is over, or did not begin: call reset")
-        self._exchange.run.answer(clipped(action))
+        self._exchange.run.answer(clipped(action, self.action_space.shape))
         log, spent = self._take()
         terms = {name: float(value) for name, value in self.reward_terms(spent).items()}
         info: dict[str, Any] = {"reward_terms": terms}
@@ -276,7 +304,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return {"tracking": 0.0, "effort": 0.0}
         errors, forces, lasts = spent
         excess, effort = (
-            np.minimum(np.abs(each) / size, 1e3)
+            np.fmin(np.abs(each) / size, 1e3)  # also for NaN
             for each, size in ((errors, self._tolerance), (forces, self._limit))
         )
         sizes = {"tracking": excess[..., self._counted], "effort": effort**2}
@@ -317,9 +345,15 @@ def _finite(limit: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(limit) & (limit > 0.0), limit, _UNLIMITED)
 
 
-def clipped(action: np.ndarray) -> np.ndarray:
-    """An action within its bounds, float64."""
-    return np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+def clipped(action: Any, shape: tuple[int, ...] | None) -> np.ndarray:
+    """An action within its bounds, float64. Raises FfsmError: it is no array of that shape."""
+    try:
+        given = np.asarray(action, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise FfsmError(f"action: must be numbers: {one_line(error)}") from error
+    if given.shape != shape:
+        raise FfsmError(f"action: must have the shape {shape}, not {given.shape}")
+    return np.clip(given, -1.0, 1.0)
 
 
 def _box(size: int, most: float, dtype: type) -> gymnasium.spaces.Box:

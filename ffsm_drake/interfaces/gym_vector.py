@@ -6,6 +6,7 @@ that then is. When the mission's time is over all are truncated, and begin again
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,16 +25,16 @@ from ffsm_drake.runs.batches import batches_of
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.policy import observation
-from ffsm_drake.systems.setup import BlockSetup
 
 
 class _Flight:
     """A run of all copies, in a thread of its own."""
 
-    def __init__(self, env: MissionEnv, loop: ClosedLoop, exchange: Exchange) -> None:
-        self.env, self.loop, self.exchange = env, loop, exchange
+    def __init__(self, loop: ClosedLoop, exchange: Exchange, samples_per_step: int) -> None:
+        self.loop, self.exchange, self._every = loop, exchange, samples_per_step
         number = len(loop.scenarios)
         self.exchange.lasts = np.ones(number, bool)
         self.anew = np.zeros(number, bool)  # copies that begin anew at the next step
@@ -44,11 +45,6 @@ class _Flight:
             if name in loop.sources and (name != "desired_frame" or loop.tracks_frame)
         ]  # fmt: skip
         self._series = {name: list[np.ndarray]() for name in self._names}
-        exchange.run.start(self._fly)
-
-    def stop(self) -> None:
-        """End the run, wherever it is."""
-        self.exchange.run.stop()
 
     def log(self, copy: int) -> RunLog:
         """The episode of a copy up to now; it has diverged unless it lasts."""
@@ -63,8 +59,13 @@ class _Flight:
         outcome = Outcome(status=COMPLETED, time=end, message=f"completed {end:g} s")
         if not self.exchange.lasts[copy]:
             monitor = Monitor(dataclasses.replace(loop, scenario=scenario), None)
-            last = int(np.argmax(~monitor.bounded(series["state"])))
-            monitor.judge(float(time[last]), series["state"][last])
+            if copy in self.exchange.lost:
+                sample, coordinate = self.exchange.lost[copy]
+                last = sample - began
+                monitor.judge_force(float(time[last]), _but_one(loop.coordinates, coordinate))
+            else:
+                last = int(np.argmax(~monitor.bounded(series["state"])))
+                monitor.judge(float(time[last]), series["state"][last])
             time, series = time[: last + 1], {key: each[: last + 1] for key, each in series.items()}
             outcome = Outcome(
                 status=DIVERGED,
@@ -83,7 +84,7 @@ class _Flight:
             wall_time={},
         )
 
-    def _fly(self) -> list[np.ndarray]:
+    def fly(self) -> list[np.ndarray]:
         """What was spent since the last step, at the end of the mission's time."""
         loop, exchange, scenario = self.loop, self.exchange, self.loop.scenario
         assert exchange.lasts is not None
@@ -119,10 +120,12 @@ class _Flight:
         placed = self._leaving | (beyond & ~(exchange.lasts & np.isfinite(speed)))
         exchange.lasts &= ~placed
         self._leaving = beyond & ~placed
-        if sample % self.env.samples_per_step == 0 and self.anew.any():
+        if sample % self._every == 0 and self.anew.any():
             placed |= self.anew
             exchange.lasts |= self.anew
             self.began[self.anew] = sample
+            for copy in np.flatnonzero(self.anew).tolist():
+                exchange.lost.pop(copy, None)
             self._leaving &= ~self.anew
             self.anew = np.zeros_like(self.anew)
         exchange.fresh = placed
@@ -142,6 +145,11 @@ class _Flight:
             if name != "controller" and hasattr(block, "park"):
                 for copy in np.flatnonzero(placed).tolist():
                     block.park(block.GetMyMutableContextFromRoot(context), copy)
+
+
+def _but_one(coordinates: Coordinates, index: int) -> np.ndarray:
+    """Forces (nv), of which one is no number."""
+    return np.where(np.arange(len(coordinates.names)) == index, np.nan, 0.0)
 
 
 class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -200,7 +208,8 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """As Gymnasium's."""
+        """As Gymnasium's. A copy ends whose action is no number, as a MissionEnv does."""
+        given = clipped(actions, self.action_space.shape)
         anew, none = self._ended, np.zeros(self.num_envs, bool)
         if anew.all():  # the mission's time was over
             self._begin(None)
@@ -209,7 +218,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if flight is None:
             raise FfsmError("no episode began: call reset")
         flight.anew = anew
-        exchange.run.answer(np.where(anew[:, None], 0.0, clipped(actions)))
+        exchange.run.answer(np.where(anew[:, None], 0.0, given))
         before, (spent, over) = self._seen, self._take()
         assert exchange.lasts is not None
         terminated = ~exchange.lasts & ~anew
@@ -235,20 +244,19 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def close_extras(self, **settings: Any) -> None:
         """End the run, and free its diagram."""
-        if self._flight is not None:
-            self._flight.stop()
+        self._exchange.run.stop()
         if self._loop is not None:
             untie(self._loop.diagram)
         self._flight = self._loop = None
 
     def _begin(self, seeds: list[int] | None) -> None:
-        if self._flight is not None:
-            self._flight.stop()
+        self._exchange.run.stop()
         drawn = seeds or [int(draw.integers(2**31)) for draw in self._draws]
         scenarios = [self._one.scenario.replace(random_seed=each) for each in drawn]
         self._exchange.begin()
         self._loop = self._looped(scenarios)
-        self._flight = _Flight(self._one, self._loop, self._exchange)
+        self._flight = _Flight(self._loop, self._exchange, self._one.samples_per_step)
+        self._exchange.run.start(self._flight.fly, owner=self)
         self._ended = np.zeros(self.num_envs, bool)
         self._take()
 
@@ -258,10 +266,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return dataclasses.replace(
                 self._loop, scenario=scenarios[0], scenarios=tuple(scenarios)
             )
-
-        def law(setup: BlockSetup) -> ControlLaw:
-            return self._one.steered(setup, self._exchange, alone=False)
-
+        law = functools.partial(self._one.steering, exchange=self._exchange, alone=False)
         return make_closed_loop(scenarios, blocks={"controller": law})
 
     def _take(self) -> tuple[list[np.ndarray], bool]:

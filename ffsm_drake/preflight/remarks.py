@@ -6,19 +6,21 @@ Nothing enforces the URDF's limits; ``actuation.limit`` is what saturates the fo
 import dataclasses
 import functools
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.momentum import momentum_budget, storage_remark
 from ffsm_drake.runs.limits import (
     INSTANTS,
     Closest,
-    clearance_remarks,
     closest_of,
     remarks_on,
+    too_near,
 )
 from ffsm_drake.scenario import Scenario, planned_part
 from ffsm_drake.spacecraft.capture import (
@@ -59,44 +61,68 @@ class LimitWarning(UserWarning):
 def plan_remarks(scenario: Scenario) -> list[str]:
     """A line for each limit that a scenario exceeds, or value of its model that it overrides.
 
-    Evaluates the postures and, unless a user-supplied block replaces it, the planned motion:
-    clearance, rates, and the force for perfect tracking with the true payload, without
-    disturbances.
-
     Raises:
       ModelError, ScenarioError: the model or a posture cannot be used.
     """
     model = make_true_plant(scenario)
-    limits = joint_limits(scenario, model.plant)
     remarks = [
         *_cut_short(scenario),
+        *_stops_nothing(scenario),
         *_overridden_mass(scenario, model.plant),
         *_coarse_steps(scenario),
         *_fast_disturbances(scenario),
         *(uneven_remarks(scenario) if scenario.blocks.actuation is None else ()),
     ]
+    if scenario.blocks.reference is None:
+        motion = make_motion(scenario, model.coordinates)
+        remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
+        try:
+            plan_clearance(scenario)
+        except ModelError as error:
+            remarks.append(f"clearance is not evaluated: {error}")
+        remarks += _momentum(scenario)
+    return [*remarks, *plan_limits(scenario)]
+
+
+def plan_limits(scenario: Scenario) -> list[str]:
+    """A line for each limit that a scenario's postures and plan exceed.
+
+    Evaluates the postures and, unless a user-supplied block replaces it, the planned motion:
+    clearance, rates, and the force for perfect tracking with the true payload, without
+    disturbances.
+
+    Raises: as ``plan_remarks``.
+    """
+    model = make_true_plant(scenario)
+    limits, found = joint_limits(scenario, model.plant), list[str]()
     for name, posture in scenario.postures.items():
         held = {POSITION: configuration(model.plant, posture, key=name)[None, 1:]}
-        remarks += remarks_on(limits, held, lambda _: "", who=(f"{name}.joints", ""))
+        found += remarks_on(limits, held, lambda _: "", who=(f"{name}.joints", ""))
     if scenario.blocks.reference is not None:
-        return remarks
+        return found
     motion = make_motion(scenario, model.coordinates)
-    remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
-    remarks += clearance_remarks(
-        lambda: plan_clearance(scenario), scenario.clearance, "the planned motion"
-    )
-    remarks += _momentum(scenario)
+    with suppress(ModelError):  # shapes without a distance
+        found += too_near(plan_clearance(scenario), scenario.clearance, "the planned motion")
     drives = None
     if scenario.drives is not None:
         drives = DriveSet(scenario.drives, scenario.actuation.limit, model.coordinates)
     if scenario.blocks.actuation is None:
         limits.append(actuation_limit(scenario, model.coordinates))
     part = functools.partial(_motion_remarks, model, motion, limits, drives)
-    remarks += part(begin=motion.begin, end=min(motion.end, scenario.duration))
+    found += part(begin=motion.begin, end=min(motion.end, scenario.duration))
     if motion.begin > 0.0:
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
-        remarks += part(begin=0.0, end=motion.begin - scenario.sample_time)
-    return remarks
+        found += part(begin=0.0, end=motion.begin - scenario.sample_time)
+    return found
+
+
+def _stops_nothing(scenario: Scenario) -> Iterator[str]:
+    """A line if the reference is to stop a spacecraft that does not move."""
+    if scenario.stops_from_start and not any(scenario.initial_velocity.values()):
+        yield (
+            "reference.goal: stop has no velocity to stop, so that initial_posture is held; give "
+            "initial_velocity, or a capture"
+        )
 
 
 def _motion_remarks(

@@ -2,13 +2,15 @@
 
 Linear: the wired loop of every leg, moving as planned, without limits and without noise. Load: the
 force that a capture asks for, against its limits. Rehearsed: a run of the mission as it is, with
-its limits, its noise and its grasp; for actuators that saturate or quantise, also the linearised
-loop under them with several noises. Where they disagree, that is the finding.
+its limits, its noise and its grasp; for actuators that saturate or quantise, and limits of force
+that the run comes near, also the linearised loop under them with several noises. Where they
+disagree, that is the finding.
 """
 
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -17,18 +19,29 @@ from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
+from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.load import advice, predicted_load, saturated_shares
 from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
-from ffsm_drake.control_design.stability.rehearsal import SEEDS, Rehearsal, rehearse
+from ffsm_drake.control_design.stability.rehearsal import (
+    MANY,
+    Rehearsal,
+    is_near_limits,
+    rehearse,
+)
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.preflight.remarks import plan_limits
+from ffsm_drake.preflight.remedies import remedies
 from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
-from ffsm_drake.runs.limits import limits_left
+from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, checked, from_grasp
 from ffsm_drake.systems.part import Advice
 
+_RARE = 0.02  # share of noises; the linearised loop tells no smaller chance of a run that diverges
 _FAR = 100.0  # tolerances; a run that ends further off did not do what it was for
 
 
@@ -38,16 +51,24 @@ class RehearsedRun:
 
     ending: Ending
     limits: dict[str, float]  # limits that it exceeded -> when first, s
+    broken: tuple[str, ...] = ()  # ``broken_limits``: those that nothing enforces
+
+    @property
+    def fails(self) -> bool:
+        """Whether it failed, ended off its plan, or far from where it should."""
+        far = self.ending.status == NOT_SETTLED and self.ending.excess > _FAR
+        return self.ending.is_failure or far or self.ending.gave_up
 
     @property
     def is_alarm(self) -> bool:
-        """Whether it failed, or ended far from where it should."""
-        far = self.ending.status == NOT_SETTLED and self.ending.excess > _FAR
-        return self.ending.is_failure or far
+        """Whether it fails, or breaks a limit that nothing enforces."""
+        return self.fails or bool(self.broken) or CLEARANCE in self.limits
 
     @property
     def sentence(self) -> str:
         """The run's ending and the first limit that it exceeded."""
+        if self.broken:
+            return f"{self.ending.sentence} Beyond its limits: {'; '.join(self.broken)}."
         if not self.limits:
             return self.ending.sentence
         first = min(self.limits, key=lambda name: self.limits[name])
@@ -64,26 +85,44 @@ class Verdict:
     linear: LinearVerdict | None
     not_linear: str  # why there is no linear verdict; empty where there is one
     load: float | None  # of a capture: largest force as a fraction of its limit
-    noises: Rehearsal | None  # the linearised loop under actuators that saturate, several noises
+    # the linearised loop under actuators or limits that saturate, several noises
+    noises: Rehearsal | None
     run: RehearsedRun | None
+    planned: tuple[str, ...] = ()  # without a run: ``plan_limits``
     margins: Margins | None = None
     not_margins: str = ""  # why there are no margins; empty where there are, or none were asked for
     adaptation: str = ""  # ``adaptation_remark``
     advice: tuple[Advice, ...] = ()  # what helps where actuators of the base saturate
+    remedies: tuple[Advice, ...] = ()  # what helps where it is not expected to go as planned
 
     @property
     def is_alarm(self) -> bool:
         """Whether the mission is not expected to go as planned.
 
         A run of the mission as it is outweighs the linear verdict, which is an alarm beside it only
-        where the run, too, ends without settling, and the load, which is one only without a run.
+        where the run, too, ends without settling, and the load and the plan, which are one only
+        without a run.
         """
-        if self.noises is not None and self.noises.share_diverged > 0.0:
+        if self.planned or self._diverges_by_noise:
             return True
         if self.run is None:
             return self.is_linearly_unstable or self._overloaded
         unstable = self.is_linearly_unstable and not self.run.ending.is_settled
         return self.run.is_alarm or unstable
+
+    @property
+    def _diverges_by_noise(self) -> bool:
+        if self.noises is None or self._noises_are_contradicted:
+            return False
+        return self.noises.share_diverged > _RARE
+
+    @property
+    def _noises_are_contradicted(self) -> bool:
+        """Whether the linearised loop diverges whatever the noise, and the run settles: it is too
+        far from its plan for a linearised loop.
+        """
+        settles = self.run is not None and self.run.ending.is_settled
+        return self.noises is not None and self.noises.share_diverged == 1.0 and settles
 
     @property
     def is_linearly_unstable(self) -> bool:
@@ -116,19 +155,32 @@ class Verdict:
             yield f"margins: cannot say: {self.not_margins}"
         if self.margins is not None:
             yield f"margins (from the grasp on): {self.margins.verdict}"
-        elif self.noises is not None:
-            yield f"actuators ({SEEDS} noises, linearised loop): {self.noises}"
+        if self.noises is not None and not self._is_in_margins:
+            yield f"limits ({self.noises.noises} noises, linearised loop): {self.noises}"
+        for each in self.planned:
+            yield f"plan: {each}"
         if self.run is not None:
             yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
             if self.is_linearly_unstable and self.run.ending.is_settled:
                 yield "they disagree: the linear loop is unstable, yet the run settles"
-            if self._linear_is_known and not self.is_linearly_unstable and self.run.is_alarm:
+            if self._noises_are_contradicted:
+                yield (
+                    "they disagree: under its limits the linearised loop diverges with every "
+                    "noise, yet the run settles"
+                )
+            if self._linear_is_known and not self.is_linearly_unstable and self.run.fails:
                 yield (
                     "they disagree: the linear loop is stable, so limits, noise or the transient "
                     "at the start are the cause"
                 )
         if self.advice:
             yield helps(self.advice)
+        if self.remedies:
+            yield helps_alone(self.remedies)
+
+    @property
+    def _is_in_margins(self) -> bool:
+        return self.margins is not None and self.noises is self.margins.rehearsal
 
     @property
     def conclusion(self) -> str:
@@ -138,8 +190,9 @@ class Verdict:
             for name, part in (
                 ("every leg, moving, without limits", self._linear_is_known or None),
                 ("the load after the grasp", self.load),
-                (f"{SEEDS} noises under the actuators", self.noises),
+                (f"{self.noises and self.noises.noises} noises under the limits", self.noises),
                 ("one run with limits and noise", self.run),
+                ("the plan's limits", self.planned or None),
             )
             if part is not None
         ]
@@ -152,14 +205,16 @@ class Verdict:
             return f"the run settles, though the linear loop is unstable{scope}"
         if self.run is not None and not self.run.ending.is_settled:
             return f"expected to stay bounded, not to settle{scope}"
+        if self.run is not None and self.run.limits:
+            return f"expected to settle, not as planned: commands exceed the limits{scope}"
         return f"expected to go as planned{scope}"
 
     @property
     def warnings(self) -> list[str]:
         """A line where the mission is not expected to go as planned, and one on adaptation."""
-        found = [self.adaptation] if self.adaptation else []
-        if self.is_alarm:
-            found.insert(0, f"not expected to go as planned: {'; '.join(self._reasons())}")
+        found, reasons = [self.adaptation] if self.adaptation else [], list(self._reasons())
+        if self.is_alarm and reasons:  # limits that a plan exceeds are remarks of their own
+            found.insert(0, f"not expected to go as planned: {'; '.join(reasons)}")
         return found
 
     def as_data(self) -> dict[str, Any]:
@@ -172,6 +227,8 @@ class Verdict:
             "linear": None if linear is None else [dataclasses.asdict(leg) for leg in linear.legs],
             "load": self.load,
             "advice": [dict(each.changes) for each in self.advice],
+            "remedies": [dict(each.changes) for each in self.remedies],
+            "beyond": [*self.planned, *(() if self.run is None else self.run.broken)],
             "share_diverged": None if self.noises is None else self.noises.share_diverged,
             "run": None
             if run is None
@@ -184,27 +241,31 @@ class Verdict:
         if self._overloaded:
             share = f"{number(100.0 * (self.load or 0.0), 3)} %"
             yield f"after the grasp it asks for {share} of the force's limit"
-        if self.noises is not None and self.noises.share_diverged > 0.0:
-            yield f"with its actuators: {self.noises}"
+        if self.noises is not None and self._diverges_by_noise:
+            yield f"under its limits: {self.noises}"
         if self.run is not None and self.run.is_alarm:
             yield f"rehearsed: {self.run.sentence}"
 
 
 @guarded
-def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False) -> Verdict:
+def verdict(
+    scenario: Scenario, *, rehearsal: bool = True, margins: bool = False, advises: bool = True
+) -> Verdict:
     """The verdict on a mission.
 
     Args:
       scenario: the mission.
       rehearsal: run it, in the time of a run; otherwise only what is found without a run.
       margins: find those from the grasp on, too; a loop without them says why.
+      advises: with a rehearsal, look for what helps a mission that fails (``remedies``): seconds.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: with ``rehearsal``, a user-supplied block fails.
     """
     scenario = checked(scenario)
-    found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises"))
+    found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises", "run"))
+    saturated = dict[str, float]()
     try:
         with Linearizer(scenario) as linearizer:
             _without_a_run(found, scenario, linearizer, margins=margins)
@@ -214,13 +275,25 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False
             found["not_margins"] = found["not_linear"]
         if isinstance(error, NotLinear) and found["linear"] is None:
             found["linear"] = linear_verdict(scenario)  # which says so of its leg
-    found["run"], saturated = _rehearsed(scenario) if rehearsal else (None, {})
+    if rehearsal:
+        log = _rehearsed(found, saturated, scenario)
+        with suppress(BlockError, np.linalg.LinAlgError):
+            _under_limits(found, scenario, log)
+    else:
+        found["planned"] = tuple(plan_limits(scenario))
     expected = Verdict(**{"not_linear": "", **found})
     if expected.noises is not None:
         for name, shares in expected.noises.saturated.items():
             saturated[name] = max(saturated.get(name, 0.0), float(np.median(shares)))
     settles = not expected.is_alarm and (expected.run is None or expected.run.ending.is_settled)
-    return dataclasses.replace(expected, advice=advice(scenario, saturated, settles=settles))
+    fails = expected._diverges_by_noise or (expected.run is not None and expected.run.fails)
+    return dataclasses.replace(
+        expected,
+        advice=advice(scenario, saturated, settles=settles),
+        remedies=remedies(scenario, fails=fails)
+        if advises and rehearsal and expected.is_alarm
+        else (),
+    )
 
 
 def helps(found: Iterable[Advice]) -> str:
@@ -228,14 +301,22 @@ def helps(found: Iterable[Advice]) -> str:
     return f"what helps: {'; '.join(map(str, found))}"
 
 
-def saturation_remark(record: RunRecord) -> str:
-    """A line where actuators of the base saturated in a run, with what helps; else empty."""
-    scenario = record.scenario
+def helps_alone(found: Iterable[Advice]) -> str:
+    """Changes of which each helps alone, in one line."""
+    return f"what helps, each alone: {'; '.join(map(str, found))}"
+
+
+def helpful_remarks(record: RunRecord) -> list[str]:
+    """Lines with what helps where actuators of the base saturated in a run, and where it failed."""
+    scenario, told = record.scenario, list[str]()
     values = {str(name): each.values for name, each in record.dataset.data_vars.items()}
     saturated = saturated_shares(scenario, values)
-    found = advice(scenario, saturated, settles=record.ending.is_settled)
-    told = ", ".join(f"{name} in {percent(share)}" for name, share in saturated.items() if share)
-    return f"saturated: {told} of the samples; {helps(found)}" if found else ""
+    if found := advice(scenario, saturated, settles=record.ending.is_settled):
+        shares = (f"{name} in {percent(share)}" for name, share in saturated.items() if share)
+        told.append(f"saturated: {', '.join(shares)} of the samples; {helps(found)}")
+    if record.ending.is_failure and (found := remedies(scenario, fails=True)):
+        told.append(helps_alone(found))
+    return told
 
 
 def _without_a_run(
@@ -250,15 +331,36 @@ def _without_a_run(
         found["margins"] = stability(scenario, linearizer=linearizer)
         found["noises"] = found["margins"].rehearsal
     elif is_rehearsed(from_grasp(scenario)) and not linear.is_alarm:
-        found["noises"] = rehearse(scenario, seeds=SEEDS)
+        found["noises"] = rehearse(scenario)
 
 
-def _rehearsed(scenario: Scenario) -> tuple[RehearsedRun, dict[str, float]]:
-    """A run, and the shares of its samples in which actuators saturated."""
+def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Scenario) -> RunLog:
+    """Run the mission, and note how, and the shares of samples in which actuators saturated."""
     rollout = make_rollout(scenario)
     try:
         log = rollout.run()
     finally:
         rollout.release()
-    run = RehearsedRun(ending=log.ending, limits=limits_left(log))
-    return run, saturated_shares(scenario, log)
+    saturated |= saturated_shares(scenario, log)
+    found["run"] = RehearsedRun(
+        ending=log.ending,
+        limits=limits_left(log),
+        broken=tuple(broken_limits(scenario, make_table(log))),
+    )
+    return log
+
+
+def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
+    """Rehearse more noises where a run that has not failed came so near to ``actuation.limit`` that
+    other noise may exceed it.
+    """
+    linear = found["linear"]
+    if found["noises"] is not None or linear is None or linear.status != "stable":
+        return
+    force = log.generalized_force[log.time >= scenario.grasp_time]
+    if found["run"].fails or not is_near_limits(scenario, log.coordinates, force):
+        return
+    with Linearizer(scenario) as linearizer:
+        held = expected_gains(linearizer)
+        mean = linearizer.follow(held=held)
+    found["noises"] = rehearse(scenario, seeds=MANY, held=held, mean=mean)

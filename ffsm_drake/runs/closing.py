@@ -15,6 +15,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.numbers import number
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED, Outcome
@@ -26,7 +27,6 @@ from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Closing, Compliance, Retreat
 from ffsm_drake.spacecraft.capture import coast, target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.free_body import matrix_of
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
 from ffsm_drake.systems.approach import (

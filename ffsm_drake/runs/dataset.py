@@ -19,7 +19,7 @@ from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
-from ffsm_drake.spacecraft.plant import find_body, find_frame
+from ffsm_drake.spacecraft.plant import base_rpy, find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_of, with_role
 
@@ -104,8 +104,8 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
         **own,
         "end_effector_position": frame_poses(model, q, frame)[:, 4:],
         "desired_end_effector_position": frame_poses(model, desired, frame)[:, 4:],
-        "base_rpy": _base_rpy(found["position"]),
-        "desired_base_rpy": _base_rpy(found["desired_position"]),
+        "base_rpy": base_rpy(found["position"]),
+        "desired_base_rpy": base_rpy(found["desired_position"]),
         "linear_momentum": momentum[:, 3:],
         "angular_momentum": momentum[:, :3],
         "kinetic_energy": energy,
@@ -228,19 +228,3 @@ def _with_phases(
     phase = grasp.phases + ["stop"] * (len(states) - count)
     names = ["w", "x", "y", "z"]
     return table.assign_coords({"phase": ("time", phase), "quaternion": ("quaternion", names)})
-
-
-def _base_rpy(positions: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as
-    ``plant.base_rpy``.
-    """
-    w, x, y, z = positions[:, :4].T / np.linalg.norm(positions[:, :4], axis=1)
-    cosines = np.hypot(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))  # of the pitch
-    return np.stack(
-        [
-            np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-            np.arctan2(2.0 * (w * y - x * z), cosines),
-            np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),
-        ],
-        axis=1,
-    )

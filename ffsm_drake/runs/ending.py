@@ -4,12 +4,15 @@ slipped, bounced, diverged, interrupted, failed.
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from ffsm_drake.common.numbers import number
+from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.part import Signals
 
 # Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
@@ -52,6 +55,7 @@ class Ending:
     coordinate: str = ""  # the one furthest beyond its tolerance, or that diverged
     # largest error over the last second, in tolerances; NaN where the run did not complete
     excess: float = float("nan")
+    gave_up: bool = False  # it ended off its plan, its rates damped or on a retreat
 
     @property
     def is_settled(self) -> bool:
@@ -64,11 +68,21 @@ class Ending:
 
 
 def ending_of(
-    outcome: Outcome, scenario: Scenario, time: np.ndarray, tracked: Callable[[], Tracked]
+    outcome: Outcome,
+    scenario: Scenario,
+    time: np.ndarray,
+    tracked: Callable[[], Tracked],
+    signals: Signals,
 ) -> Ending:
-    """The ending of a run with an outcome; other arguments as for ``ending_of_completed``."""
+    """The ending of a run with an outcome and its parts' signals; other arguments as for
+    ``ending_of_completed``.
+    """
     if outcome.completed:
-        return ending_of_completed(scenario, time, tracked())
+        given_up = ""
+        with suppress(KeyError):  # a record that lacks a signal
+            told = (part.given_up(signals) for part in section_parts(scenario).values())
+            given_up = next(filter(None, told), "")
+        return ending_of_completed(scenario, time, tracked(), given_up=given_up)
     message = outcome.message
     if outcome.status == INTERRUPTED:
         count = time.size or "no"
@@ -82,7 +96,9 @@ def ending_of(
     )
 
 
-def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) -> Ending:
+def ending_of_completed(
+    scenario: Scenario, time: np.ndarray, tracked: Tracked, *, given_up: str = ""
+) -> Ending:
     """The ending of a run that was completed.
 
     Settled: over the last second every tracked error is within its tolerance. Growing: from each of
@@ -94,6 +110,8 @@ def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) 
       scenario: what was run: its tolerances and the end of its planned motion.
       time: control samples (n,), s.
       tracked: the errors that count.
+      given_up: what it does at its end in place of its plan, in words; such a run has not settled,
+        however small its errors are.
     """
     tolerance = np.array([
         scenario.tolerance_of(name, group)
@@ -115,6 +133,8 @@ def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) 
                 f"{reached}, tolerance {tolerance[i]:g}."
             ),
         )
+    elif given_up:
+        status, sentence = NOT_SETTLED, f"Completed {end:g} s but not settled: {given_up}."
     elif moves:
         status, sentence = (
             NOT_SETTLED,
@@ -132,7 +152,11 @@ def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) 
             ),
         )
     return Ending(
-        status=status, sentence=sentence, coordinate=tracked.names[i], excess=float(last.max())
+        status=status,
+        sentence=sentence,
+        coordinate=tracked.names[i],
+        excess=float(last.max()),
+        gave_up=bool(given_up),
     )
 
 

@@ -6,6 +6,8 @@ says how often.
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +24,9 @@ from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, ti
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import joint_limits, limits_of
 
+if TYPE_CHECKING:
+    from ffsm_drake.runs.table import Labelled
+
 CLEARANCE = "clearance"  # its name among the exceeded limits
 INSTANTS = 51  # at which the clearance of a plan is evaluated; twice as many for a run
 
@@ -33,21 +38,13 @@ def run_remarks(record: RunRecord) -> list[str]:
     Raises:
       ModelError: the scenario's model does not load any more.
     """
-    data, time = record.dataset, record.dataset["time"].values
+    time = record.dataset["time"].values
     if time.size == 0:
         return []
-
-    def at(sample: int) -> str:
-        return f" at t = {time[sample]:.2f} s"
-
-    motion = {
-        POSITION: data["position"].values[:, 1:],
-        RATE: data["velocity"].values,
-        FORCE: data["applied_force"].values,
-    }
-    plant = make_plant(record.scenario.model)
-    limits, remarks = joint_limits(record.scenario, plant), list[str]()
-    faults = settle_faults(record.scenario, coordinates_of(plant)).faults
+    remarks = list[str]()
+    faults = settle_faults(
+        record.scenario, coordinates_of(make_plant(record.scenario.model))
+    ).faults
     noticed = dict(record.metrics.get("faults", {}).get("noticed") or {})
     for fault in () if faults is None else faults.events.values():
         if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
@@ -55,14 +52,44 @@ def run_remarks(record: RunRecord) -> list[str]:
             told = "".join(f", noticed at {noticed.pop(name):.2f} s" for name in found[:1])
             remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on{told}")
     remarks += [f"{name}: noticed at {at:.2f} s, and works" for name, at in noticed.items()]
-    remarks += list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
-    remarks += clearance_remarks(
-        lambda: run_clearance(record), record.scenario.clearance, "the run"
-    )
+    remarks += broken_limits(record.scenario, record.dataset)
+    try:
+        run_clearance(record)
+    except ModelError as error:
+        remarks.append(f"clearance is not evaluated: {error}")
     shares = [f"{name} in {percent(share)}" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
     return [*remarks, *integration_remarks(record)]
+
+
+def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
+    """A line for each kind of limit that a run exceeded and nothing enforces: positions, rates and
+    applied forces of the joints, limits of parts, clearance. A run that breaks one does not go as
+    planned, settled or not.
+
+    Raises:
+      ModelError: the scenario's model does not load any more.
+    """
+    time = data["time"].values
+    if time.size == 0:
+        return []
+    limits = joint_limits(scenario, make_plant(scenario.model))
+    motion = {
+        POSITION: data["position"].values[:, 1:],
+        RATE: data["velocity"].values,
+        FORCE: data["applied_force"].values,
+    }
+    own = {each.quantity for each in limits if each.quantity in data} - {*motion}
+    motion |= {name: data[name].values.reshape(time.size, -1) for name in own}
+
+    def at(sample: int) -> str:
+        return f" at t = {time[sample]:.2f} s"
+
+    found = list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
+    with suppress(ModelError):  # shapes without a distance
+        found += too_near(_clearance_in(scenario, data), scenario.clearance, "the run")
+    return found
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -88,7 +115,11 @@ def run_clearance(record: RunRecord) -> list[Closest]:
 
     Raises ModelError: as ``plan_clearance``.
     """
-    data = record.dataset
+    return _clearance_in(record.scenario, record.dataset)
+
+
+def _clearance_in(scenario: Scenario, data: "Labelled") -> list[Closest]:
+    """``run_clearance`` of a run's labelled time series."""
     found: list[Closest] = []
     phases = data["phase"].values if "phase" in data.coords else np.full(data.sizes["time"], "stop")
     for phase in dict.fromkeys(phases.tolist()):
@@ -101,7 +132,7 @@ def run_clearance(record: RunRecord) -> list[Closest]:
         if phase != "stop":
             target = np.hstack([part["target_quaternion"].values, part["target_position"].values])
         found += closest_of(
-            record.scenario,
+            scenario,
             part["time"].values,
             part["position"].values,
             target=target,
@@ -132,15 +163,8 @@ def closest_of(
         )  # fmt: skip
 
 
-def clearance_remarks(
-    find: Callable[[], list[Closest]], threshold: float, what: str
-) -> Iterator[str]:
+def too_near(found: Iterable[Closest], threshold: float, what: str) -> Iterator[str]:
     """A line for each distance below a threshold, m."""
-    try:
-        found = find()
-    except ModelError as error:
-        yield f"clearance is not evaluated: {error}"
-        return
     for closest in found:
         if closest.distance >= threshold:
             continue

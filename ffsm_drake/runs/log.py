@@ -232,7 +232,7 @@ class RunLog:
     @functools.cached_property
     def ending(self) -> Ending:
         """How the run ended: settled, not settled, growing, not captured, diverged, interrupted."""
-        return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked)
+        return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked, self)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:

@@ -74,13 +74,15 @@ class Monitor:
         """True if the controller's force is finite; otherwise as ``check``."""
         diagram = self.loop.diagram
         force = diagram.GetOutputPort("generalized_force").Eval(context)
+        return self.judge_force(context.get_time(), force)
+
+    def judge_force(self, time: float, force: np.ndarray) -> bool:
+        """As ``check_force``, of a force (nv) at a time, s."""
         if np.isfinite(force).all():
             return True
         worst = int(np.argmin(np.isfinite(force)))
         self._note(
-            context.get_time(),
-            worst,
-            f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}",
+            time, worst, f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}"
         )
         return False
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
-from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.files import check_regular, read_together
 from ffsm_drake.common.numbers import LARGEST, usable
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.loop.blocks import section_parts
@@ -87,6 +87,13 @@ def read_record(directory: Path) -> tuple[str, dict[str, Any]]:
     Raises:
       RecordError: a file is missing, was changed, or does not hold what a run writes.
     """
+    paths = [directory / name for name in (MANIFEST_FILE, DATASET_FILE, METRICS_FILE)]
+    digest, fields = read_together(paths, lambda: _read_record(directory))
+    _check_reports(directory, digest)
+    return digest, fields
+
+
+def _read_record(directory: Path) -> tuple[str, dict[str, Any]]:
     identifier, fields = _read_manifest(directory / MANIFEST_FILE)
     path = directory / DATASET_FILE
     try:
@@ -103,7 +110,6 @@ def read_record(directory: Path) -> tuple[str, dict[str, Any]]:
         )
     fields["dataset"] = _read_dataset(path, fields)
     _check_metrics(directory / METRICS_FILE, digest)
-    _check_reports(directory, digest)
     return digest, fields
 
 

@@ -1,5 +1,6 @@
 """The record of a run: labelled time series, metrics, and a manifest of how it was made."""
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.errors import one_line
-from ffsm_drake.common.files import published
+from ffsm_drake.common.files import published, stamp
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.reading import (
@@ -27,7 +28,7 @@ from ffsm_drake.runs.reading import (
     read_record,
     seal_of,
 )
-from ffsm_drake.runs.table import Table
+from ffsm_drake.runs.table import Table, Values
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
@@ -128,7 +129,8 @@ class RunRecord:
         if self.outcome.completed and "error" not in data:
             sentence = f"Completed {self.outcome.time:g} s; the record holds no errors."
             return Ending(status=NOT_SETTLED, sentence=sentence)
-        return ending_of(self.outcome, self.scenario, data["time"].values, lambda: tracked_of(data))
+        time = data["time"].values
+        return ending_of(self.outcome, self.scenario, time, lambda: tracked_of(data), Values(data))
 
     @property
     def realtime_factor(self) -> float:
@@ -139,16 +141,25 @@ class RunRecord:
             else math.inf
         )
 
-    def save(self, directory: str | Path) -> Path:
+    def save(self, directory: str | Path, *, replacing: Any = Ellipsis) -> Path:
         """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the
         directory.
 
         Removes the files that a report or an analysis of an earlier run left there (``OUTPUTS``).
+        A record that was not there at the start stays: this one is then written to the next free
+        DIRECTORY_2, DIRECTORY_3, ...
+
+        Args:
+          replacing: the record that may be replaced (``record_stamp``); default: the one that is
+            there now.
 
         Raises:
           RecordError: the directory cannot be written.
         """
-        directory = Path(directory)
+        from xarray.backends.netCDF4_ import NETCDF4_PYTHON_LOCK, NetCDF4DataStore
+
+        directory, elsewhere = Path(directory), list[Path]()
+        replaced = record_stamp(directory) if replacing is Ellipsis else replacing
         # Character arrays rather than netCDF strings: every MATLAB reads them.
         encoding: dict[str, dict[str, Any]] = {
             str(name): {"dtype": "S1"}
@@ -177,11 +188,18 @@ class RunRecord:
             manifest["grasp"] = self.grasp
         if self.parts:
             manifest["parts"] = [dataclasses.asdict(part) for part in self.parts]
-        with published(directory, outdated=OUTPUTS) as folder:
+        with published(
+            directory,
+            outdated=OUTPUTS,
+            is_taken=lambda: record_stamp(directory) != replaced,
+            elsewhere=elsewhere,
+        ) as folder:
             try:
-                self.dataset.to_netcdf(
-                    folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding
-                )
+                # As ``to_netcdf``, which would load Dask's ``distributed`` where that is installed.
+                open_store: Any = NetCDF4DataStore.open  # without types
+                store = open_store(folder / DATASET_FILE, mode="w", lock=NETCDF4_PYTHON_LOCK)
+                with contextlib.closing(store):
+                    self.dataset.dump_to_store(store, encoding=encoding)
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
             identifier = digest_of(folder / DATASET_FILE)
@@ -192,7 +210,7 @@ class RunRecord:
             ):  # fmt: skip
                 (folder / name).write_text(to_json(data), encoding="utf-8")
         object.__setattr__(self, "identifier", identifier)
-        return directory
+        return elsewhere[0] if elsewhere else directory
 
     @classmethod
     def load(cls, directory: str | Path) -> "RunRecord":
@@ -208,6 +226,11 @@ class RunRecord:
         record = cls(**fields)
         object.__setattr__(record, "identifier", identifier)
         return record
+
+
+def record_stamp(directory: Path) -> tuple[int, ...] | None:
+    """What tells the record in a folder from a later one; None: there is none."""
+    return stamp(directory / MANIFEST_FILE)
 
 
 def software_versions() -> dict[str, str]:

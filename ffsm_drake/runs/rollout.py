@@ -531,10 +531,13 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
     rest.
     """
     neutral = Scenario()
+    changes = {name: getattr(neutral, name) for name in _OF_THE_CONTEXT}
+    if scenario.stops_from_start:
+        del changes["initial_velocity"]
     return scenario_to_dict(
         dataclasses.replace(
             scenario,
             payload=dataclasses.replace(scenario.payload, truth=neutral.payload.truth),
-            **{name: getattr(neutral, name) for name in _OF_THE_CONTEXT},
+            **changes,
         )
     )

@@ -116,6 +116,18 @@ class Table:
         return xr.Dataset(self.variables, coords=self.coords, attrs=self.attrs)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Values:
+    """The values of labelled time series by name, as the ``Signals`` of a part."""
+
+    data: "Labelled"
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The values of a variable."""
+        values: np.ndarray = self.data[name].values
+        return values
+
+
 def with_role(dataset: "Labelled", role: str) -> list[str]:
     """The variables that have a role in the balances of momentum and energy (``part.ROLES``)."""
     return [name for name in str(dataset.attrs.get(role, "")).split() if name in dataset]

@@ -14,16 +14,18 @@ from ffsm_drake.scenario.actuation import (
 from ffsm_drake.scenario.blocks import Block, Blocks
 from ffsm_drake.scenario.capture import CAPTURE_AXES, Approach, Capture
 from ffsm_drake.scenario.faults import Detection, Fault, Faults
-from ffsm_drake.scenario.fields import PerCoordinate
+from ffsm_drake.scenario.fields import PerCoordinate, policy_parts
 from ffsm_drake.scenario.forces import Disturbance, Environment, Harmonic, SolarPressure
 from ffsm_drake.scenario.layers import (
     MANIFEST_FILE,
     Override,
     anchor_paths,
+    anchored_policy,
     find_scenario,
     flatten,
     is_overridden,
     relate_paths,
+    related_policy,
     shipped_scenarios,
 )
 from ffsm_drake.scenario.loading import (
@@ -57,7 +59,6 @@ from ffsm_drake.scenario.reference import (
 )
 from ffsm_drake.scenario.resolving import as_dict, build_settings, schema_fields, shown
 from ffsm_drake.scenario.schema import (
-    POLICY,
     Scenario,
     controller_key,
     from_grasp,
@@ -77,6 +78,8 @@ __all__ = [
     "differing_keys",
     "flatten",
     "relate_paths",
+    "anchored_policy",
+    "related_policy",
     "BASE_ROTATIONS",
     "CAPTURE_AXES",
     "ESTIMATOR_KINDS",
@@ -130,7 +133,7 @@ __all__ = [
     "load_scenario",
     "override_scenario",
     "portable_scenario",
-    "POLICY",
+    "policy_parts",
     "controller_key",
     "scenario_from_dict",
     "scenario_from_yaml",

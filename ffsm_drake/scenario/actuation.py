@@ -187,14 +187,15 @@ class Wheels:
     units: dict[str, Wheel] = unitless({}, "wheels, by name", size=(0, 24))
     desaturate_above: float = unitless(
         0.8,
-        "share of a wheel's speed_limit above which thrusters unload the wheels",
+        "share of a wheel's speed_limit above which motors take out what wheels hold against each "
+        "other, and thrusters what is left above it",
         above=0,
         most=1,
     )
     desaturate_below: float = unitless(
-        0.2, "share of every wheel's speed_limit at which unloading ends", least=0
+        0.2, "share of every wheel's speed_limit at which either ends", least=0
     )
-    desaturation_time: float = setting(20.0, "s", "time constant of unloading", above=0)
+    desaturation_time: float = setting(20.0, "s", "time constant of both", above=0)
     assist_above: float | None = unitless(
         None,
         "multiple of the motors' torque limit above which thrusters give the rest of the wanted "

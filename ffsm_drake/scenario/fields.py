@@ -8,7 +8,10 @@ from ffsm_drake.common.errors import did_you_mean
 from ffsm_drake.common.settings import Problems, setting
 
 PerCoordinate = dict[str, float]
-_NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
+_ADDRESS = r"[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*"  # module:attribute
+_NAME = re.compile(rf"[^\W\d]\w*|{_ADDRESS}")
+POLICY = "policy:"  # begins the controller of an ONNX file
+_POLICY = re.compile(rf"{POLICY}(?P<file>.+?)(@(?P<law>[^\W\d]\w*|{_ADDRESS}))?")
 ORIGIN, X_AXIS = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]
 ZERO = {"all": 0.0}
 
@@ -37,6 +40,22 @@ def name_problems(name: str, key: str) -> Problems:
     """What is wrong with the name of a system."""
     if not _NAME.fullmatch(name):
         yield key, f"'{name}' must be a name or module:attribute"
+
+
+def policy_parts(controller: str) -> tuple[str, str] | None:
+    """The file of ``policy:FILE@LAW`` and the law that it changes, empty where the file names it;
+    None for another controller.
+    """
+    found = _POLICY.fullmatch(controller)
+    return found and (found["file"], found["law"] or "")
+
+
+def controller_problems(name: str, key: str) -> Problems:
+    """What is wrong with the name of a controller."""
+    if not name.startswith(POLICY):
+        yield from name_problems(name, key)
+    elif policy_parts(name) is None or not name.isprintable():
+        yield key, f"'{name}' must be policy:FILE, such as policy:sub/reach.onnx"
 
 
 def identifier_problems(key: str, names: Iterable[str], whose: str) -> Problems:

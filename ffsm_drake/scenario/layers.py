@@ -10,6 +10,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.settings import require_valid
+from ffsm_drake.scenario.fields import POLICY, policy_parts
 from ffsm_drake.scenario.resolving import (
     apply_override,
     as_dict,
@@ -229,11 +230,36 @@ def relate_paths(data: dict[str, Any], folder: Path) -> None:
     stay.
     """
     _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
+    if "controller" in data:
+        data["controller"] = related_policy(data["controller"], folder)
 
 
 def anchor_paths(data: dict[str, Any], folder: Path) -> None:
     """Make the paths of a scenario in plain data absolute, relative ones from a folder."""
     _map_paths(data, lambda path: str((folder / path).resolve()))
+    if "controller" in data:
+        data["controller"] = anchored_policy(data["controller"], folder)
+
+
+def related_policy(controller: str, folder: Path) -> str:
+    """A controller with the file of a policy relative to a folder, unless it is searched for."""
+    file, law = policy_parts(controller) or ("", "")
+    if not Path(file).is_absolute():
+        return controller
+    return _policy(os.path.relpath(file, folder.resolve()), law)
+
+
+def anchored_policy(controller: str, folder: Path) -> str:
+    """A controller with the absolute file of a policy, if that is in a folder; elsewhere it is
+    searched for.
+    """
+    file, law = policy_parts(controller) or ("", "")
+    path = (folder / file).resolve()
+    return _policy(str(path), law) if file and path.is_file() else controller
+
+
+def _policy(file: str, law: str) -> str:
+    return f"{POLICY}{file}{law and f'@{law}'}"
 
 
 def _at_fault(schema: Any, layers: Sequence[Layer], error: ScenarioError) -> str:

@@ -146,7 +146,7 @@ class Reference:
     goal: str = choice_of(
         "target_posture",
         'where it ends: "target_posture", or "stop", the cheapest place to stop from the velocity '
-        "at the start",
+        "after the grasp; without a capture from initial_velocity, with which it then begins",
         *GOALS,
     )
     base_rotation: str = choice_of(
@@ -166,7 +166,17 @@ class Reference:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """A plan where it is followed."""
+        """A plan where it is followed; a rotation that can begin with a velocity."""
+        turning = scenario.stops_from_start and any(
+            number and (name == "all" or name.startswith("base_rotation"))
+            for name, number in scenario.initial_velocity.items()
+        )
+        if turning and self.base_rotation == "rpy":
+            yield (
+                f"{key}.base_rotation",
+                "must be eigenaxis: roll, pitch and yaw begin at rest (goal: stop, with an "
+                "initial_velocity of the base's rotation)",
+            )
         if self.kind == "optimal" and not self.plan:
             yield (
                 f"{key}.plan",

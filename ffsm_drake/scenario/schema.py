@@ -7,6 +7,7 @@ specific key wins, and a bare number stands for ``{all: number}``.
 """
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -18,7 +19,13 @@ from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Capture
 from ffsm_drake.scenario.faults import Faults
-from ffsm_drake.scenario.fields import ZERO, PerCoordinate, name_problems, unitless
+from ffsm_drake.scenario.fields import (
+    ZERO,
+    PerCoordinate,
+    controller_problems,
+    policy_parts,
+    unitless,
+)
 from ffsm_drake.scenario.forces import Disturbance, Environment
 from ffsm_drake.scenario.layers import Layer, assembled, override_layers
 from ffsm_drake.scenario.model import MassProperties, Model, Payload, Posture
@@ -30,7 +37,6 @@ from ffsm_drake.scenario.supervisor import Supervisor
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
-POLICY = "policy:"  # begins the controller of an ONNX file
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
 
@@ -78,8 +84,8 @@ class Scenario:
         ZERO,
         "rad/s or m/s",
         "at the start; base_rotation is the angular velocity in world axes. The reference starts "
-        "at rest; with capture, at the velocity after a grasp of the nominal payload, and this is "
-        "added to the true velocity.",
+        "at rest, with reference.goal: stop at this; with capture, at the velocity after a grasp "
+        "of the nominal payload, and this is added to the true velocity.",
     )
     capture: Capture | None = unitless(
         None, "the grasp of a moving target; null: the target is held and at rest at the start"
@@ -94,8 +100,8 @@ class Scenario:
     )
     controller: str = unitless(
         "tde_aismc",
-        "name of a shipped controller (`ffsm doctor` lists them) or of an installed one, or "
-        "module:attribute",
+        "name of a shipped controller (`ffsm doctor` lists them) or of an installed one, "
+        "module:attribute, or policy:FILE",
     )
     controllers: dict[str, dict[str, PerCoordinate | None]] = unitless(
         {},
@@ -157,7 +163,7 @@ class Scenario:
                     f"initial_velocity.{name}",
                     f"must be within divergence_speed ({self.divergence_speed:g}), not {number}",
                 )
-        yield from name_problems(self.controller, "controller")
+        yield from controller_problems(self.controller, "controller")
 
     def __repr__(self) -> str:
         title = f"'{self.description}', " if self.description else ""
@@ -210,6 +216,13 @@ class Scenario:
     def drives(self) -> Drives | None:
         """The drives of the scenario's own actuators."""
         return None if self.blocks.actuation else self.actuation.drives
+
+    @property
+    def stops_from_start(self) -> bool:
+        """Whether the reference begins at ``initial_velocity``, which it brings to rest."""
+        reference = self.reference
+        is_polynomial = reference.kind != "optimal"
+        return self.capture is None and reference.goal == "stop" and is_polynomial
 
     @property
     def grasp_time(self) -> float:
@@ -276,12 +289,17 @@ def planned_part(scenario: Scenario) -> Scenario:
         truth.center_of_mass = scenario.payload.truth.center_of_mass
     payload = replace(scenario.payload, truth=truth)
     changes = {name: getattr(plain, name) for name in _OF_THE_RUN}
+    if scenario.stops_from_start:
+        del changes["initial_velocity"]
     return replace(scenario, payload=payload, **changes)
 
 
 def controller_key(controller: str) -> str:
     """The key in ``controllers`` of a controller: its name, or what follows the colon of
-    ``module:attribute``; of ``policy:FILE`` the file's name without its ending.
+    ``module:attribute``; of ``policy:FILE`` the file's name without its ending, an underscore for
+    what is no letter, digit or dash.
     """
-    name = controller.rpartition(":")[2]
-    return PurePath(name).stem if controller.startswith(POLICY) else name
+    policy = policy_parts(controller)
+    if policy is None:
+        return controller.rpartition(":")[2]
+    return re.sub(r"[^\w-]", "_", PurePath(policy[0]).stem)

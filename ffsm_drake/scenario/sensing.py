@@ -25,7 +25,8 @@ class Estimator:
         {"base_position": 1e-3, "base_rotation": 1e-3, "joints": 1e-2},
         "rad/s^2 or m/s^2 per sqrt(s)",
         "kalman, and coupled for the base's position: N's random walk, its standard deviation "
-        "after one second",
+        "after one second; what differs between the base's three axes is in the base's axes, as "
+        "for the noises below",
         above=0,
     )
     force_walk: PerCoordinate = setting(
@@ -52,8 +53,8 @@ class Estimator:
     velocity_bias_walk: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s per sqrt(s)",
-        "kalman only: random walk of a bias of the velocities that it estimates with N, its "
-        "standard deviation after one second; 0: no bias is estimated",
+        "not for one_sample: random walk of a bias of the velocities that it estimates with N (of "
+        "the base in its axes), its standard deviation after one second; 0: none is estimated",
         least=0,
     )
     delay: int | None = in_samples(
@@ -78,13 +79,16 @@ class CommandFilter:
 
 @dataclass
 class Sensing:
-    """The sensors' errors, in this order: bias, noise, quantisation, sampling and delay."""
+    """The sensors' errors, in this order: bias, noise, quantisation, sampling and delay.
+
+    Those of the base's sensors are in the base's axes, which they turn with.
+    """
 
     velocity_noise: PerCoordinate = setting(
         {"all": 1e-6},
         "rad/s or m/s",
         "standard deviation of the velocities' noise, independent for each coordinate and control "
-        "sample",
+        "sample; errors of the base's sensors are in the base's axes, here and below",
         least=0,
     )
     position_noise: PerCoordinate = setting(
@@ -94,24 +98,30 @@ class Sensing:
         "rotations",
         least=0,
     )
-    velocity_bias: PerCoordinate = setting(ZERO, "rad/s or m/s", "constant error of the velocities")
+    velocity_bias: PerCoordinate = setting(
+        ZERO,
+        "rad/s or m/s",
+        "constant error of the velocities; of the base's in the base's axes: base_rotation_z is "
+        "that of the gyro about z",
+    )
     position_bias: PerCoordinate = setting(
         ZERO,
         "rad or m",
-        "constant error of the positions; base rotations: a rotation vector in the world frame",
+        "constant error of the positions; of the base's in the base's axes, base rotations: a "
+        "rotation vector",
     )
     velocity_bias_walk: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s per sqrt(s)",
-        "random walk of the velocities' bias (a gyro's rate random walk), its standard deviation "
-        "after one second",
+        "random walk of the velocities' bias (a gyro's rate random walk; of the base in its axes), "
+        "its standard deviation after one second",
         least=0,
     )
     velocity_correlated_noise: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s",
         "standard deviation of the velocities' noise that is correlated in time, beside the white "
-        "noise",
+        "noise (of the base in its axes)",
         least=0,
     )
     position_correlated_noise: PerCoordinate = setting(
@@ -124,24 +134,27 @@ class Sensing:
         {"all": 1.0}, "s", "time constant of the correlated noise, first order", above=0
     )
     velocity_quantization: PerCoordinate = setting(
-        ZERO, "rad/s or m/s", "step of the velocities; 0: none", least=0
+        ZERO, "rad/s or m/s", "step of the velocities (of the base in its axes); 0: none", least=0
     )
     position_quantization: PerCoordinate = setting(
-        ZERO, "rad or m", "step of the positions, not for base rotations; 0: none", least=0
+        ZERO,
+        "rad or m",
+        "step of the positions (of the base in its axes), not for base rotations; 0: none",
+        least=0,
     )
     velocity_period: dict[str, int] = in_samples(
-        {"all": 1}, "between two measurements of the velocities", least=1
+        {"all": 1},
+        "between two measurements of the velocities; the same for the base's three rotations, and "
+        "for its three positions, as for the three keys below",
+        least=1,
     )
     position_period: dict[str, int] = in_samples(
-        {"all": 1},
-        "between two measurements of the positions; the same for the three base rotations",
-        least=1,
+        {"all": 1}, "between two measurements of the positions", least=1
     )
     delay: int = in_samples(0, "age of a measurement when the controller first reads it")
     velocity_delay: dict[str, int] = in_samples(
         {"all": 0}, "further age of the velocities, beyond delay"
     )
     position_delay: dict[str, int] = in_samples(
-        {"all": 0},
-        "further age of the positions, beyond delay; the same for the three base rotations",
+        {"all": 0}, "further age of the positions, beyond delay"
     )

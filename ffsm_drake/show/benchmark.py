@@ -53,8 +53,12 @@ def _cell(name: str, value: float | None) -> str:
 
 
 def _bounds(board: Board) -> str:
-    """The lower bounds of a mission in one line."""
-    said = {"momentum": "by the momentum over the limits", "planner": "by the plan"}
+    """The least times of a mission in one line."""
+    said = {
+        "momentum": "in any attitude and posture (bound)",
+        "held": "in those of the start",
+        "planner": "by the plan",
+    }
     parts = [f"{time:.3g} s {said[name]}" for name, time in board.bounds.items()]
     propellant = ""
     if board.propellant is not None:
@@ -62,12 +66,13 @@ def _bounds(board: Board) -> str:
     if math.isnan(board.motion):
         return "No motion within the limits."
     if board.ratio is None:
+        least = f" Least time: {', '.join(parts)}." if parts else ""
         return (
             f"Motion of {board.motion:.3g} s; no lower bound: no momentum to take out, or no limit."
-            f"{propellant}"
+            f"{least}{propellant}"
         )
     return (
-        f"Motion of {board.motion:.3g} s, {board.ratio:.3g} times the least that momentum allows. "
+        f"Motion of {board.motion:.3g} s, at most {board.ratio:.3g} times the least that there is. "
         f"Least time: {', '.join(parts)}.{propellant}"
     )
 

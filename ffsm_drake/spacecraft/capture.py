@@ -6,18 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import LogVectorOutput
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import quaternion_of
-from ffsm_drake.scenario import Capture, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario import Capture, MassProperties, Scenario
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
+from ffsm_drake.spacecraft.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
     Grasp,
@@ -25,7 +21,6 @@ from ffsm_drake.spacecraft.grasp import (
     plastic_grasp,
     shift_moment,
 )
-from ffsm_drake.spacecraft.mass_properties import spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
@@ -281,67 +276,20 @@ def coast(
     """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given pose
     and velocity, or ``onward`` from there; in the orbit of ``environment``, if there is one.
 
-    Free motion is reversible: before it is simulated from that pose with the velocity reversed.
-
     Args:
       scenario: with the target's true mass properties and the sample time.
       X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last; onward, at the first.
       time: of that pose, s.
       samples: how many.
     """
-    sample_time, properties = scenario.sample_time, scenario.payload.truth
-    builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("target", MultibodyPlant(time_step=0.0))
-    body = plant.AddRigidBody("target", spatial_inertia(properties))
-    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
-    plant.Finalize()
-    if scenario.environment is not None:
-        pull = builder.AddNamedSystem(
-            "orbit", _OrbitalPull(Orbit(scenario.environment), properties, time, onward=onward)
-        )
-        builder.Connect(plant.get_state_output_port(), pull.get_input_port())
-        builder.Connect(pull.get_output_port(), plant.get_applied_generalized_force_input_port())
-    logger = LogVectorOutput(plant.get_state_output_port(), builder, sample_time)
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    config = SimulatorConfig(
-        integration_scheme="runge_kutta3", max_step_size=sample_time, use_error_control=False
+    motion = np.concatenate([X_WP.rotation().ToQuaternion().wxyz(), X_WP.translation(), twist])
+    target = Target.from_motion(motion, scenario.payload.truth)
+    found = path_of(
+        target,
+        time,
+        period=scenario.sample_time if onward else -scenario.sample_time,
+        samples=samples if onward else samples + 1,
+        orbit=None if scenario.environment is None else Orbit(scenario.environment),
+        turn=FINE_TURN,
     )
-    ApplySimulatorConfig(config, simulator)
-    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    plant.SetFreeBodyPose(context, body, X_WP)
-    plant.SetVelocities(context, twist if onward else -twist)
-    simulator.AdvanceTo(samples * sample_time)
-    states: np.ndarray = logger.FindLog(simulator.get_context()).data().T
-    if onward:
-        return states[:samples].copy()
-    states = states[samples:0:-1].copy()
-    states[:, 7:] *= -1.0
-    return states
-
-
-class _OrbitalPull(LeafSystem):
-    """Tide and gravity gradient on a free body: its state (13) -> generalized force (6), N m and N.
-
-    Time runs on from a given one (s), or back.
-    """
-
-    def __init__(
-        self, orbit: Orbit, properties: MassProperties, time: float, *, onward: bool
-    ) -> None:
-        super().__init__()
-        self._orbit, self._properties, self._time = orbit, properties, time
-        self._sign = 1.0 if onward else -1.0
-        self._inertia = inertia_matrix(properties)
-        self.DeclareVectorInputPort("state", 13)
-        self.DeclareVectorOutputPort("generalized_force", 6, weak_callback(self._calc))
-        untie(self)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        state = self.get_input_port().Eval(context)
-        time = self._time + self._sign * context.get_time()
-        R = RotationMatrix(Quaternion(state[:4] / np.linalg.norm(state[:4]))).matrix()
-        arm = R @ self._properties.center_of_mass
-        force = self._properties.mass * self._orbit.tide(state[4:7] + arm, time)
-        torque = R @ self._orbit.gradient(R, self._inertia, time)
-        output.SetFromVector(np.concatenate([torque + np.cross(arm, force), force]))
+    return found if onward else found[:0:-1]

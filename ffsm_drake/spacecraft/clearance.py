@@ -3,8 +3,10 @@
 The shapes are collision geometry, or visual geometry of a model (servicer, target) that has none; a
 mesh counts by its convex hull. Left out are parts fixed to each other (the target and the gripper),
 parts connected by a joint, and parts with few joints between them that are always near each other,
-as the links of a wrist. Before a grasp the target is a separate body, which over the last decimetre
-and 20 degrees may touch the gripper and what is left out once it is held. A flexible panel counts
+as the links of a wrist. What is held, from another model than the base's, counts against the base
+in any case, and against every part that it overlaps deeply at every joint angle. Before a grasp the
+target is a separate body, which over the last decimetre and 20 degrees may touch the gripper and
+what is left out once it is held. A flexible panel counts
 by its plates, with their deflections, but not against the body that carries it; what the model
 draws of it on that body counts where it is at rest.
 """
@@ -47,6 +49,7 @@ from ffsm_drake.spacecraft.plant import (
 # Bodies with few joints between them that are near at every joint angle are left out.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _TRIALS = 40  # joint configurations tested
+_DEEP = 0.1  # m; no wrist's shapes overlap what it holds by more at every joint angle
 
 # Nearer to the grasp, and turned less from it, the gripper may touch the target: m, rad.
 _REACH, _TURN = 0.1, 0.35
@@ -204,7 +207,7 @@ class Clearance:
                 continue
             for here, there in (ends, ends[::-1]):
                 joints_at.setdefault(here, []).append((there, joint))
-        pairs = []
+        pairs, bases = [], {part_of[body] for body in plant.GetFloatingBaseBodies()}
         shaped = [body for body in self._bodies[1:] if self._shapes_of[body.index()]]
         for first, second in itertools.combinations(shaped, 2):
             start, end = part_of[first.index()], part_of[second.index()]
@@ -217,9 +220,18 @@ class Clearance:
             }
             if frozenset((first.index(), second.index())) in connected:
                 continue
-            if not 0 < len(joints) <= _NEIGHBOURS or not self._always_near(first, second, joints):
+            if (
+                not 0 < len(joints) <= _NEIGHBOURS
+                or (self._is_held(first, second) and not bases.isdisjoint((start, end)))
+                or not self._always_near(first, second, joints)
+            ):
                 pairs.append((first, second))
         return pairs
+
+    @staticmethod
+    def _is_held(first: RigidBody, second: RigidBody) -> bool:
+        """Whether two bodies are of different models, a servicer and what it holds."""
+        return first.model_instance() != second.model_instance()
 
     @staticmethod
     def _between(
@@ -236,12 +248,14 @@ class Clearance:
         return ways.get(end, ())
 
     def _always_near(self, first: RigidBody, second: RigidBody, joints: tuple[Joint, ...]) -> bool:
-        """True if two bodies are nearer than _NEAR at every angle of the joints between them."""
+        """True if two bodies are nearer than _NEAR at every angle of the joints between them, and
+        what is held does not overlap by more than _DEEP at all of them.
+        """
         q = self.plant.GetPositions(self.plant_context)  # with unit quaternions
         shapes = list(
             itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()])
         )
-        generator = np.random.default_rng(0)
+        generator, least = np.random.default_rng(0), -np.inf
         for _ in range(_TRIALS):
             for joint in joints:
                 limits = [*joint.position_lower_limits(), *joint.position_upper_limits()]
@@ -250,12 +264,13 @@ class Clearance:
                 q[joint.position_start()] = generator.uniform(*limits)
             self.plant.SetPositions(self.plant_context, q)
             query = self._query.Eval(self._shapes)
-            if all(
-                query.ComputeSignedDistancePairClosestPoints(*pair).distance > _NEAR
-                for pair in shapes
-            ):
+            distance = min(
+                query.ComputeSignedDistancePairClosestPoints(*pair).distance for pair in shapes
+            )
+            if distance > _NEAR:
                 return False
-        return True
+            least = max(least, distance)
+        return least > -_DEEP or not self._is_held(first, second)
 
 
 def _is_known(joint: Joint) -> bool:

@@ -1,4 +1,5 @@
-"""A free rigid target: its motion, exact but for the integration, and how errors of it grow.
+"""A free rigid target: its motion, exact but for the integration, and how errors of it grow. The
+approach, the filter of a measured target and the closing gripper all move it by ``Target.after``.
 
 The target's frame is P, C its centre of mass. Its numbers are the attitude R_WP; the rate w = w_WP
 and the arm p_PC in P's axes; p_WC and v_WC in the world's; and the shape s (5) of the inertia.
@@ -7,10 +8,10 @@ matrices, stands for the inverse inertia over a third of its trace. Then
 
     R' = R [w]x,   w' = G (G^-1 w x w),   p_WC'' = 0,
 
-with the tide and the gravity gradient of a circular orbit beside it. The error is (rotation d in
-P's axes, R = R_est exp([d]x); rate; p_WP; velocity; arm; shape), 20 numbers: of what poses tell
-directly, since errors of the momentum and of p_WC bend with those of shape and arm. Arrays may have
-any leading dimensions.
+with the tide and the gravity gradient of a circular orbit, and what a gripper does, beside it. The
+error is (rotation d in P's axes, R = R_est exp([d]x); rate; p_WP; velocity; arm; shape), 20
+numbers: of what poses tell directly, since errors of the momentum and of p_WC bend with those of
+shape and arm. Arrays may have any leading dimensions.
 """
 
 import dataclasses
@@ -19,7 +20,7 @@ import math
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import quaternion_of
+from ffsm_drake.common.so3 import matrix_of, quaternion_of, skew
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.orbit import Orbit
 
@@ -28,8 +29,10 @@ ROTATION, RATE, POSITION, VELOCITY, ARM = (slice(3 * i, 3 * i + 3) for i in rang
 SHAPE = slice(15, SIZE)
 _SIZES = np.cumsum([4, 3, 3, 3, 3])  # of ``Target.as_row``
 _STEP, _TURN = 0.25, 0.1  # s and rad; of the integration, at most
+FINE_TURN = 0.02  # rad; likewise, for a run's own target: off by some 1e-9 in 10 turns
 _THINNEST = 0.02  # least eigenvalue of G
 _FASTEST = 5.0  # rad/s; of an estimate, whose integration then takes a step of 0.02 s
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
 _SMALL = 0.01  # of a deviation, for second derivatives
 _DIAGONAL, _OFF = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]), ((0, 1), (0, 2), (1, 2))
 
@@ -65,21 +68,6 @@ def shape_spread(shape: np.ndarray) -> np.ndarray:
     changes = root @ np.concatenate([BASIS, math.sqrt(2.0 / 3.0) * np.eye(3)[None]]) @ root
     changes -= np.trace(changes, axis1=1, axis2=2)[:, None, None] * G / 3.0
     return 0.5 * np.einsum("kij,lij->kl", BASIS, changes)
-
-
-def skew(vector: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of a x (.)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def matrix_of(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any norm."""
-    unit = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    cross = skew(unit[..., 1:])
-    return np.eye(3) + 2.0 * (unit[..., :1, None] * cross + cross @ cross)
 
 
 def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -168,22 +156,36 @@ class Target:
         )
 
     def after(
-        self, step: float, time: float | np.ndarray = 0.0, orbit: Orbit | None = None
+        self,
+        step: float,
+        time: float | np.ndarray = 0.0,
+        orbit: Orbit | None = None,
+        pushed: np.ndarray | None = None,
     ) -> "Target":
-        """After a step (s) from a time (..., s) on, by ``runge_kutta4``."""
+        """After a step (s) from a time (..., s) on, by ``runge_kutta4``.
+
+        Args: ``pushed`` (..., 6): torque about C times a third of the trace of the inverse inertia,
+        rad/s^2, and force over mass, m/s^2; held, in world axes.
+        """
         G = inverse_inertia(self.shape)
         J = np.linalg.inv(G)
         row = np.concatenate([self.quaternion, self.rate, self.center, self.velocity], axis=-1)
-        still = np.zeros_like(self.rate[..., :1])
 
         def slope(row: np.ndarray, time: float | np.ndarray) -> np.ndarray:
-            quaternion, w, center, velocity = np.split(row, _SIZES[:3], axis=-1)
-            turning = 0.5 * composed(quaternion, np.concatenate([still, w], axis=-1))
-            torque, tide = np.cross(times(J, w), w), np.zeros_like(w)
+            u, w, velocity = row[..., 1:4], row[..., 4:7], row[..., 10:]
+            vector = row[..., :1] * w + _cross(u, w)  # of 2 q'
+            scalar = -(u * w).sum(axis=-1, keepdims=True)
+            torque, pull = _cross(times(J, w), w), np.zeros_like(w)
+            if orbit is not None or pushed is not None:
+                R = matrix_of(row[..., :4])
             if orbit is not None:
-                torque += orbit.gradient(matrix_of(quaternion), J, time)
-                tide = orbit.tide(center, time)
-            return np.concatenate([turning, times(G, torque), velocity, tide], axis=-1)
+                torque += orbit.gradient(R, J, time)
+                pull = orbit.tide(row[..., 7:10], time)
+            if pushed is not None:
+                torque += times(np.swapaxes(R, -1, -2), pushed[..., :3])
+                pull = pull + pushed[..., 3:]
+            both = 0.5 * scalar, 0.5 * vector
+            return np.concatenate([*both, times(G, torque), velocity, pull], axis=-1)
 
         a = slope(row, time)
         b = slope(row + 0.5 * step * a, time + 0.5 * step)
@@ -258,6 +260,12 @@ class Target:
         return found
 
 
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b (..., 3); several times as fast as NumPy's."""
+    found: np.ndarray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+    return found
+
+
 def _within(vector: np.ndarray, most: float) -> np.ndarray:
     """Vectors (..., 3) shortened to a length."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
@@ -271,23 +279,35 @@ def _possible(shape: np.ndarray) -> np.ndarray:
     return shape * np.minimum(share, 1.0)
 
 
-def steps_between(target: Target, first: float, last: float) -> list[tuple[float, float]]:
-    """Begin and length of the steps of an integration, s."""
-    most = _longest_step(target)
+def steps_between(
+    target: Target, first: float, last: float, *, turn: float = _TURN
+) -> list[tuple[float, float]]:
+    """Begin and length of the steps of an integration, s, in which it turns by ``turn`` (rad) at
+    most.
+    """
+    most = _longest_step(target, turn)
     count = max(1, math.ceil(abs(last - first) / most - 1e-9)) if last != first else 0
     step = (last - first) / max(count, 1)
     return [(first + i * step, step) for i in range(count)]
 
 
 def path_of(
-    target: Target, time: float, *, period: float, samples: int, orbit: Orbit | None = None
+    target: Target,
+    time: float,
+    *,
+    period: float,
+    samples: int,
+    orbit: Orbit | None = None,
+    turn: float = _TURN,
 ) -> np.ndarray:
-    """The motion (samples, 13) of one target at a time (s) and every ``period`` (s) after it."""
-    each = max(1, math.floor(_longest_step(target) / period + 1e-9))  # samples a step
+    """The motion (samples, 13) of one target at a time (s) and every ``period`` (s) after it, or
+    before it where that is negative; as ``steps_between``.
+    """
+    each = max(1, math.floor(_longest_step(target, turn) / abs(period) + 1e-9))  # samples a step
     rows, times_of = [target.as_row()], [time]
     while len(rows) * each < samples:
         last = time + len(times_of) * each * period
-        for begin, step in steps_between(target, times_of[-1], last):
+        for begin, step in steps_between(target, times_of[-1], last, turn=turn):
             target = target.after(step, begin, orbit)
         rows.append(target.as_row())
         times_of.append(last)
@@ -298,7 +318,7 @@ def path_of(
     return found[:samples]
 
 
-def _longest_step(target: Target) -> float:
+def _longest_step(target: Target, turn: float) -> float:
     """Of an integration, s."""
     fastest = float(np.linalg.norm(target.rate, axis=-1).max())
-    return min(_STEP, _TURN / max(fastest, 1e-9))
+    return min(_STEP, turn / max(fastest, 1e-9))

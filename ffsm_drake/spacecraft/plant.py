@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role, SceneGraph
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
@@ -17,6 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
+from ffsm_drake.common.so3 import rpy_of
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
@@ -473,8 +473,8 @@ def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.nd
 
 
 def base_rpy(q: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (3) of the base in configuration q, rad."""
-    return RollPitchYaw(Quaternion(q[:4] / np.linalg.norm(q[:4]))).vector()
+    """Roll, pitch, yaw (..., 3) of the base in configurations q (..., nq), rad."""
+    return rpy_of(q[..., :4])
 
 
 def posture_of(q: np.ndarray, coordinates: Coordinates) -> Posture:

@@ -10,8 +10,9 @@ At each sample it holds what was measured against what was told to the actuators
 - of thrusters see ``systems.residuals``.
 
 A lost position is carried on by its velocity, a lost velocity comes from an observer of position
-and told force, a bias is taken off. A lost thruster or wheel leaves the allocation. A joint that
-jams, and what the allocation cannot do without, raises ``abort_request``.
+and told force, a bias is taken off, of the base's sensors in the base's axes. A lost thruster or
+wheel leaves the allocation. A joint that jams, and what the allocation cannot do without, raises
+``abort_request``.
 """
 
 import itertools
@@ -353,6 +354,14 @@ class _Detector(LeafSystem):
         return rotation
 
     @staticmethod
+    def _of_base(R: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """Errors of positions and velocities (2 nv) with the base's vectors turned by R."""
+        turned = off.copy().reshape(2, -1)
+        base = turned[:, :NUM_BASE_VELOCITIES].reshape(2, 2, 3)
+        turned[:, :NUM_BASE_VELOCITIES] = (base @ R.T).reshape(2, -1)
+        return turned.ravel()
+
+    @staticmethod
     def _forget(memory: Memory) -> None:
         """Begin a window with the next block."""
         memory["blocks"][0] = -1.0
@@ -369,7 +378,8 @@ class _Detector(LeafSystem):
         """Write the measured state, without lost sensors and biases, into ``seen`` of the memory;
         ``seen`` is the one before.
         """
-        nq, nv, off = self._nq, self._nv, memory["off"]
+        nq, nv = self._nq, self._nv
+        off = self._of_base(self._turned(seen), memory["off"])
         q, v = _moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
         lost = self._lost(memory["codes"])
         if lost[nv:].any():
@@ -432,7 +442,9 @@ class _Detector(LeafSystem):
             elif prompt and known and entries[0] < nv and not lost[entries + nv].any():
                 size = np.linalg.norm(slip[entries] / np.sqrt(memory["jitter"][entries] + 1e-30))
                 if size > self._settings.threshold + 1.0 and np.linalg.norm(slip[entries]) > _JUMP:
-                    memory["off"][entries] += slip[entries]
+                    found = np.zeros(2 * nv)
+                    found[entries] = slip[entries]
+                    memory["off"] += self._of_base(self._turned(now).T, found)
                     turn = np.zeros(nv)
                     turn[entries] = slip[entries]
                     now[:nq] = _moved(now[:nq], -turn)
@@ -563,7 +575,9 @@ class _Detector(LeafSystem):
             if np.linalg.norm(off[at]) > _SLOPE and (
                 np.linalg.norm(off[at] / (deviation[at] + 1e-30)) > self._settings.threshold + 1.0
             ):
-                memory["off"][entries] -= off[at]
+                found = np.zeros(2 * nv)
+                found[entries] = off[at]
+                memory["off"] -= self._of_base(self._turned(memory["seen"]).T, found)
                 self._lose(memory, name, "biased")
 
     def _look_at_thrusters(

@@ -1,4 +1,8 @@
-"""Sensors that break: frozen, biased or silent."""
+"""Sensors that break: frozen, biased or silent.
+
+A bias of the base's sensors is in the base's axes. What is frozen or silent repeats the last thing
+that the loop heard, in world axes.
+"""
 
 from collections.abc import Mapping
 
@@ -6,9 +10,10 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import turning_matrix
+from ffsm_drake.common.so3 import matrix_of, quaternion_of
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
+from ffsm_drake.spacecraft.free_body import composed
 from ffsm_drake.systems.controllers.estimators import assumed_noise
 from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
 from ffsm_drake.systems.setup import BlockSetup
@@ -55,8 +60,9 @@ class FaultySensors(BreakingPart):
 
 
 class _Stage(LeafSystem):
-    """Input ``state``, output ``estimated_state``; where a sensor falls silent, which says so, also
-    input and output ``measurement_is_new`` (nq + nv each). Discrete state: the last estimate.
+    """Inputs ``state`` and ``true_state``, output ``estimated_state``; where a sensor falls silent,
+    which says so, also input and output ``measurement_is_new`` (nq + nv each). Discrete state: the
+    last estimate.
     """
 
     def __init__(self, setup: BlockSetup) -> None:
@@ -68,6 +74,7 @@ class _Stage(LeafSystem):
             for name, fault in hits(setup.scenario, "sensing")
         ]
         self._input = self.DeclareVectorInputPort("state", size)
+        self._true = self.DeclareVectorInputPort("true_state", size)
         self._held = self.DeclareDiscreteState(size)
         self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc))
         if any(fault.kind == "silent" for _, _, fault, _ in self._hits):
@@ -102,11 +109,14 @@ class _Stage(LeafSystem):
             entries = entries_in_state(self._sensors[name])
             if fault.kind != "biased":
                 state[entries] = held[entries]
-            elif entries.size == 4:
-                turn = turning_matrix(np.full(3, bias / np.sqrt(3.0)))
-                state[entries] = turn @ state[entries]
+                continue
+            off = np.full(min(entries.size, 3), bias / np.sqrt(min(entries.size, 3)))
+            if entries.size == 4:
+                state[entries] = composed(state[entries], quaternion_of(off))
+            elif entries.size == 3:  # of the base
+                state[entries] += matrix_of(self._true.Eval(context)[:4]) @ off
             else:
-                state[entries] += bias / np.sqrt(entries.size)
+                state[entries] += off
         return state
 
     def _calc_new(self, context: Context, output: BasicVector) -> None:

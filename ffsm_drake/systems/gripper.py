@@ -14,13 +14,15 @@ from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
-from ffsm_drake.common.so3 import turned_by
+from ffsm_drake.common.so3 import skew
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.capture import target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.free_body import Target
 from ffsm_drake.spacecraft.gripper import Jaws
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.part import Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
@@ -29,10 +31,7 @@ STEP = 1e-3  # s; of the contact, at most
 AXES = ("rotation_x", "rotation_y", "rotation_z", "position_x", "position_y", "position_z")
 # Discrete state of the contact: its groups and their sizes.
 _MEMORY = {
-    "quaternion": 4,  # of R_WP of the target
-    "center": 3,  # its centre of mass in the world, m
-    "spin": 3,  # angular momentum about it, N m s
-    "momentum": 3,  # N s
+    "target": 21,  # ``Target.as_row``
     "slid": 6,  # of the jaws
     "gripper_offset": 6,
     "contact_force": 6,
@@ -148,6 +147,7 @@ class GripperForce(LeafSystem):
             raise ValueError("capture.closing: there is none")
         self._closing, self._envelope = capture.closing, capture.envelope
         self._compliance = closes
+        self._orbit = None if scenario.environment is None else Orbit(scenario.environment)
         self._model = model = make_flexible_plant(scenario)
         name = scenario.model.end_effector
         self._effector = find_frame(model.plant, name, key="model.end_effector")
@@ -209,12 +209,8 @@ class GripperForce(LeafSystem):
         inertia = inertia_matrix(payload)[np.triu_indices(3)]
         packed = np.concatenate([[payload.mass], payload.center_of_mass, inertia])
         context.get_mutable_numeric_parameter(self._payload).SetFromVector(packed)
-        R = RotationMatrix(Quaternion(target[:4] / np.linalg.norm(target[:4]))).matrix()
-        mass, arm, inertia = self._masses(context, R)
         memory = {name: np.zeros(size) for name, size in _MEMORY.items()}
-        memory["quaternion"], memory["center"] = target[:4], target[4:7] + arm
-        memory["spin"] = inertia @ target[7:10]
-        memory["momentum"] = mass * (target[10:] + np.cross(target[7:10], arm))
+        memory["target"] = Target.from_motion(target, payload).as_row()
         memory["start"] = memory["gripper_offset"] = self._met(context, memory, state).offset
         memory["times"] = np.array([context.get_time(), context.get_time(), math.inf])
         self._keep(context.get_mutable_discrete_state(), memory)
@@ -234,55 +230,30 @@ class GripperForce(LeafSystem):
         for name, index in self._groups.items():
             values.set_value(index, memory[name])
 
-    def _masses(self, context: Context, R_WP: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """The target's mass, its centre of mass from P and its inertia about it; world axes."""
+    def _masses(self, context: Context) -> tuple[float, np.ndarray]:
+        """The target's mass, and the inverse of its inertia in its axes."""
         mass, *rest = context.get_numeric_parameter(self._payload).value()
         xx, xy, xz, yy, yz, zz = rest[3:]
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return float(mass), R_WP @ np.array(rest[:3]), R_WP @ inertia @ R_WP.T
+        return float(mass), np.linalg.inv(inertia)
 
     def _advanced(self, context: Context) -> dict[str, np.ndarray]:
         """The memory at the context's time: the target moves on under the held force."""
-        memory = self._memory(context)
-        now = context.get_time()
-        elapsed = now - memory["times"][1]
-        torque, force = np.split(memory["wrench"], 2)
-        middle = memory["spin"] + 0.5 * elapsed * torque
-        memory["center"] = memory["center"] + elapsed / self._mass(context) * (
-            memory["momentum"] + 0.5 * elapsed * force
-        )
-        # midpoint rule for the attitude: the inertia in world axes turns with it
-        half = memory["quaternion"]
-        for _ in range(3):
-            omega = np.linalg.solve(self._inertia(context, half), middle)
-            half = turned_by(0.5 * elapsed * omega[None], memory["quaternion"])[0]
-        memory["quaternion"] = turned_by(elapsed * omega[None], memory["quaternion"])[0]
-        memory["spin"] = memory["spin"] + elapsed * torque
-        memory["momentum"] = memory["momentum"] + elapsed * force
-        memory["times"][1] = now
+        memory, now = self._memory(context), context.get_time()
+        _, before, _ = memory["times"]
+        if now > before:
+            mass, inverse = self._masses(context)
+            pushed = memory["wrench"] / np.repeat([3.0 / np.trace(inverse), mass], 3)
+            target = Target.from_row(memory["target"])
+            memory["target"] = target.after(now - before, before, self._orbit, pushed).as_row()
+            memory["times"][1] = now
         return memory
-
-    def _mass(self, context: Context) -> float:
-        return float(context.get_numeric_parameter(self._payload).value()[0])
-
-    def _inertia(self, context: Context, quaternion: np.ndarray) -> np.ndarray:
-        R = RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))).matrix()
-        return self._masses(context, R)[2]
-
-    def _motion(self, context: Context, memory: dict[str, np.ndarray]) -> np.ndarray:
-        """(13) [quaternion, p_WP; w_WP, v_WP] of the target in a memory."""
-        quaternion = memory["quaternion"] / np.linalg.norm(memory["quaternion"])
-        R_WP = RotationMatrix(Quaternion(quaternion)).matrix()
-        mass, arm, inertia = self._masses(context, R_WP)
-        w = np.linalg.solve(inertia, memory["spin"])
-        v = memory["momentum"] / mass - np.cross(w, arm)
-        return np.concatenate([quaternion, memory["center"] - arm, w, v])
 
     def _met(self, context: Context, memory: dict[str, np.ndarray], state: np.ndarray) -> Met:
         """``met`` of a memory. Leaves the model in the state."""
         model, world = self._model, self._model.plant.world_frame()
         model.plant.SetPositionsAndVelocities(model.context, state)
-        motion = self._motion(context, memory)
+        motion = Target.from_row(memory["target"]).motion
         R_WP = RotationMatrix(Quaternion(motion[:4]))
         X_WP, (w, v) = RigidTransform(R_WP, motion[4:7]), np.split(motion[7:], 2)
         X_WE = self._effector.CalcPose(model.context, world)
@@ -310,7 +281,7 @@ class GripperForce(LeafSystem):
         met = self._met(context, memory, state)
         sample = context.get_time() / self._scenario.sample_time
         if abs(sample - round(sample)) < 0.1 * self._period:
-            self.motions.append(self._motion(context, memory))
+            self.motions.append(Target.from_row(memory["target"]).motion)
         first, now, left = memory["times"]
         if left == math.inf and self._is_beyond(met.offset):
             memory["times"][2] = left = now
@@ -362,13 +333,12 @@ class GripperForce(LeafSystem):
             model.context, JacobianWrtVariable.kV, self._effector, met.offset[3:], world,
             self._effector,
         )  # fmt: skip
-        mass, _, inertia = self._masses(context, met.X_WP.rotation().matrix())
-        p_CG = X_WE.translation() + R @ met.offset[3:] - memory["center"]
-        x, y, z = p_CG
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        lever = np.block([[R, cross @ R], [np.zeros((3, 3)), R]])  # wrench about C, world axes
+        mass, inverse = self._masses(context)
+        R_WP = met.X_WP.rotation().matrix()
+        p_CG = X_WE.translation() + R @ met.offset[3:] - Target.from_row(memory["target"]).center
+        lever = np.block([[R, skew(p_CG) @ R], [np.zeros((3, 3)), R]])  # wrench about C, world axes
         of_target = np.zeros((6, 6))
-        of_target[:3, :3], of_target[3:, 3:] = np.linalg.inv(inertia), np.eye(3) / mass
+        of_target[:3, :3], of_target[3:, 3:] = R_WP @ inverse @ R_WP.T, np.eye(3) / mass
         of_arm = jacobian @ np.linalg.solve(plant.CalcMassMatrix(model.context), jacobian.T)
         jaws = Jaws(
             closing=self._closing,

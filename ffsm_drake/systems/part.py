@@ -440,6 +440,10 @@ class Part:
         """
         return np.zeros((), dtype=bool)
 
+    def given_up(self, signals: "Signals") -> str:
+        """What a run with these signals does at its end in place of its plan; empty: nothing."""
+        return ""
+
     def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
         """What helps where an actuator of the base saturates."""
         yield from ()

@@ -23,7 +23,7 @@ from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Scenario, planned_part, scenario_to_dict
-from ffsm_drake.spacecraft.capture import NOTHING, planned_contact
+from ffsm_drake.spacecraft.capture import NOTHING, planned_contact, velocity_at_start
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -134,7 +134,8 @@ class _MotionSource(LeafSystem):
 def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     """The planned motion of a scenario.
 
-    With a capture it starts at the velocity after the grasp of the nominal payload. Undriven
+    With a capture it starts at the velocity after the grasp of the nominal payload; without one,
+    with the goal ``stop``, at ``initial_velocity``. Undriven
     coordinates follow by conservation of momentum.
 
     Raises:
@@ -160,6 +161,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         )
 
     velocity = None if contact is None else contact.grasp.velocity
+    if scenario.stops_from_start:
+        velocity = velocity_at_start(scenario, nominal)
     duration = reference.duration
     stop: PlannedMotion
     if reference.kind == "optimal":

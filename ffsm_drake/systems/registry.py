@@ -13,7 +13,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes, where
-from ffsm_drake.scenario import POLICY
+from ffsm_drake.scenario import policy_parts
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
@@ -35,8 +35,8 @@ SHIPPED: dict[str, dict[str, str]] = {
         "task_time_delay": f"{_LAWS}.task_time_delay:TaskTimeDelay",
     },
 }
-# The file of a policy found so far -> the folder that its name is relative to.
-_POLICIES: dict[str, Path] = {}
+# A policy found so far -> the folder that its file's name is relative to, and the file.
+_POLICIES: dict[str, tuple[Path, Path]] = {}
 # Block -> entry point group where installed packages offer further ones.
 ENTRY_POINT_GROUPS = {
     "reference": "ffsm_drake.reference",
@@ -67,7 +67,8 @@ def find_factory(
 
     Args:
       block: "controller", "sensing", ... as in ``ENTRY_POINT_GROUPS``.
-      name: a shipped or installed name, ``module:attribute``, or for a controller ``policy:FILE``.
+      name: a shipped or installed name, ``module:attribute``, or for a controller ``policy:FILE``
+        or ``policy:FILE@LAW``.
       key: the name's place in the scenario, for errors; default: the block.
       python_path: folders to search for the module before Python's own.
 
@@ -78,9 +79,9 @@ def find_factory(
     place = f"{key or block} '{name}'"
     address = SHIPPED.get(block, {}).get(name, name)
     try:
-        if block == "controller" and name.startswith(POLICY):
-            policy: Any = _load("ffsm_drake.systems.controllers.policy:PolicyFile", place, ())
-            factory = policy.at(_policy_file(name, place, python_path))
+        if block == "controller" and (policy := policy_parts(name)):
+            reader: Any = _load("ffsm_drake.systems.controllers.policy:PolicyFile", place, ())
+            factory = reader.at(_policy_file(name, policy[0], place, python_path), law=policy[1])
         elif ":" in address:
             factory = _load(address, place, python_path)
         else:
@@ -150,13 +151,14 @@ def _called(factory: Any, method: str, given: Any, place: str) -> Any:
         ) from error
 
 
-def _policy_file(name: str, place: str, python_path: Sequence[str]) -> Path:
+def _policy_file(name: str, file: str, place: str, python_path: Sequence[str]) -> Path:
     """The file of a policy, from the current folder or one of ``python_path``."""
     for folder in (Path.cwd(), *map(Path, python_path)):
-        if (file := folder / name.removeprefix(POLICY)).is_file():
-            _POLICIES[name] = folder
-            return file
-    raise BlockError(f"{place}: there is no such file in {Path.cwd()} or python_path")
+        if (found := folder / file).is_file():
+            _POLICIES[name] = folder, found
+            return found
+    where = "beside the scenario, in the current folder or in python_path"
+    raise BlockError(f"{place}: there is no such file {where}")
 
 
 def module_file(address: str) -> Path | None:
@@ -164,7 +166,7 @@ def module_file(address: str) -> Path | None:
     package.
     """
     if address in _POLICIES:
-        return _POLICIES[address] / address.removeprefix(POLICY)
+        return _POLICIES[address][1]
     file = getattr(sys.modules.get(address.partition(":")[0]), "__file__", None)
     if ":" not in address or file is None:
         return None
@@ -183,7 +185,7 @@ def _installed_folders() -> tuple[Path, ...]:
 def module_folder(address: str) -> Path | None:
     """Folder to add to Python's path for ``module:attribute``; None as for ``module_file``."""
     if address in _POLICIES:
-        return _POLICIES[address]
+        return _POLICIES[address][0]
     file = module_file(address)
     if file is None:
         return None

@@ -2,6 +2,12 @@
 
 Stages in a row, as user-supplied ones are: bias, white noise, noise with memory, quantisation,
 sampling with delay, in that order.
+
+The base's sensors stand on the base, so their errors live in its axes: with R the true attitude, a
+gyro's error b makes w + R b of w in world axes. Where the base has errors to which axes matter, the
+state goes to its sensors' axes before them and back after them (``_Turning``); the star tracker's
+attitude is there the rotation from the true base. White noise that is alike along the three axes is
+alike in any, and is added in the world's. Joints have axes of their own.
 """
 
 import dataclasses
@@ -37,9 +43,9 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import turning_matrix
+from ffsm_drake.common.so3 import matrix_of, product_matrix, turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 from ffsm_drake.systems.side_by_side import SideBySide
 
@@ -194,7 +200,9 @@ class Sensing(CompositeBlock):
         for stage in stages:
             builder.AddSystem(stage)
         row = wire_stages(builder, stages)
-        builder.ExportInput(row.inputs[0], "state")
+        state = builder.ExportInput(row.inputs[0], "state")
+        for port in row.inputs[1:]:
+            builder.ConnectInput(state, port)
         builder.ExportOutput(row.estimated_state, "estimated_state")
         if row.measurement_is_new is not None:
             builder.ExportOutput(row.measurement_is_new, "measurement_is_new")
@@ -215,15 +223,15 @@ def sensing_of(setup: BlockSetup) -> Sensing:
 
 def wide_sensing_of(setups: Sequence[BlockSetup]) -> Sensing | None:
     """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None where
-    only some sensors are slow, or drift.
+    only some sensors are slow, or drift, or have errors in the base's axes.
     """
     settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
     each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
     kinds = [
-        np.concatenate([*measurement_times(of.settings, coordinates), *(of.drift_gains() > 0.0)])
+        (*measurement_times(of.settings, coordinates), *(of.drift_gains() > 0.0), of.axes_matter())
         for of in each
     ]
-    if any((kind != kinds[0]).any() for kind in kinds):
+    if any((np.concatenate(kind) != np.concatenate(kinds[0])).any() for kind in kinds):
         return None
     return make_sensing(settings, coordinates, sample_time=setups[0].sample_time)
 
@@ -246,7 +254,14 @@ def make_sensing(
     for each in errors:
         each.check_rotation()
     # The white noise comes before the drift, so that its draws of a seed do not depend on it.
-    makers = (_make_bias, _make_white_noise, _make_drift, _make_quantizer, _make_sampling)
+    makers = [_make_bias, _make_white_noise, _make_drift, _make_quantizer]
+    white, others = np.any([each.axes_matter() for each in errors], axis=0)
+    if white or others:
+        makers = [_to_sensors, *makers, _to_world]
+    if others and not white:  # then its draws do not depend on the attitude either
+        makers.remove(_make_white_noise)
+        makers.insert(0, _make_white_noise)
+    makers.append(_make_sampling)
     return Sensing([stage for make in makers if (stage := make(errors)) is not None])
 
 
@@ -276,16 +291,30 @@ class _Errors:
             [_of_state(np.zeros_like(walk), walk), _deviations(*self.pair("correlated_noise"))]
         )
 
+    def axes_matter(self) -> np.ndarray:
+        """Whether it matters in which axes the base's white noise stands, and its other errors
+        (2).
+        """
+        base = slice(0, NUM_BASE_VELOCITIES)
+        white = np.stack(self.pair("noise"))[:, base].reshape(-1, 3)
+        pairs = (self.pair(name) for name in ("bias", "correlated_noise", "quantization"))
+        others = [*itertools.chain(*pairs), self.of("velocity_bias_walk")]
+        return np.array([
+            (white != white[:, :1]).any(), any(each[base].any() for each in others)
+        ])  # fmt: skip
+
+    def check_alike(self, name: str, group: str) -> None:
+        """Raise ScenarioError where a setting differs between a base's three coordinates."""
+        if len(set(self.of(name, 1.0)[self.coordinates.groups[group]].tolist())) > 1:
+            raise ScenarioError(
+                f"sensing.{name}", f"must be the same for the three {group} coordinates"
+            )
+
     def check_rotation(self) -> None:
         """Raise ScenarioError for what cannot be applied to the base's rotation, a quaternion."""
-        rotation = self.coordinates.groups["base_rotation"]
-        for name in ("noise", "correlated_noise", "period", "delay"):
-            if len(set(self.of(f"position_{name}")[rotation])) > 1:
-                raise ScenarioError(
-                    f"sensing.position_{name}",
-                    "must be the same for the three base_rotation coordinates",
-                )
-        if self.of("position_quantization")[rotation].any():
+        for name in ("noise", "correlated_noise"):
+            self.check_alike(f"position_{name}", "base_rotation")
+        if self.of("position_quantization")[self.coordinates.groups["base_rotation"]].any():
             raise ScenarioError(
                 "sensing.position_quantization",
                 "base_rotation has no scale to quantise; leave it out",
@@ -411,8 +440,52 @@ class _Samples(LeafSystem):
         state.get_mutable_discrete_state().set_value(self._value, self._rows[row])
 
 
+class _Turning(LeafSystem):
+    """A stage from world axes to those of the base's sensors, or ``back``; of several copies of the
+    spacecraft each by itself.
+
+    Inputs: ``state`` and ``true_state``. Output: ``estimated_state``, in which p_WB, w_WB and v_WB
+    are turned, and the attitude's quaternion is relative to the true one (nq + nv each).
+    """
+
+    def __init__(self, coordinates: Coordinates, *, copies: int, back: bool) -> None:
+        super().__init__()
+        nv = len(coordinates.names)
+        size, self._copies, self._back = copies * (2 * nv + 1), copies, back
+        self._vectors = np.array([[4], [nv + 1], [nv + 4]]) + np.arange(3)
+        self._inputs = [self.DeclareVectorInputPort(n, size) for n in ("state", "true_state")]
+        read = {self.input_port_ticket(port.get_index()) for port in self._inputs}
+        self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc), read)
+        untie(self)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        state, true = (port.Eval(context).reshape(self._copies, -1) for port in self._inputs)
+        state = state.copy()
+        for row, quaternion in zip(state, true[:, :4], strict=True):
+            turn = product_matrix(quaternion / math.hypot(*quaternion.tolist()))
+            # rows of vectors: R v is v R', R' v is v R
+            R = matrix_of(quaternion)
+            row[:4] = (turn if self._back else turn.T) @ row[:4]
+            row[self._vectors] = row[self._vectors] @ (R.T if self._back else R)
+        output.SetFromVector(state.ravel())
+
+
+def _to_sensors(errors: Sequence[_Errors]) -> _Turning:
+    """Into the axes of the base's sensors."""
+    stage = _Turning(errors[0].coordinates, copies=len(errors), back=False)
+    stage.set_name("to_sensors")
+    return stage
+
+
+def _to_world(errors: Sequence[_Errors]) -> _Turning:
+    """Out of them."""
+    stage = _Turning(errors[0].coordinates, copies=len(errors), back=True)
+    stage.set_name("to_world")
+    return stage
+
+
 def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
-    """Constant errors; that of the attitude turns it by a rotation vector in the world frame."""
+    """Constant errors; that of the attitude turns it by a rotation vector."""
     pairs = [each.pair("bias") for each in errors]
     bias = np.concatenate([_of_state(*pair) for pair in pairs])
     rotations = [position[:3] for position, _ in pairs]
@@ -512,9 +585,13 @@ def measurement_times(
     """Period and delay of the measurements of positions, then velocities (2 nv): whole control
     samples.
 
-    Raises ScenarioError for an unknown coordinate.
+    Raises ScenarioError for an unknown coordinate, and where the base's sensors, each of which
+    measures along three axes at once, do so at different times.
     """
     errors = _Errors(settings, coordinates, 0.0)
+    for name, group in itertools.product(("period", "delay"), ("base_rotation", "base_position")):
+        errors.check_alike(f"position_{name}", group)
+        errors.check_alike(f"velocity_{name}", group)
     period, delay = (
         np.concatenate(errors.pair(name, default)).astype(int)
         for name, default in (("period", 1.0), ("delay", 0.0))

@@ -18,8 +18,6 @@ import enum
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RollPitchYaw
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -32,13 +30,14 @@ from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Posture, Reference, Scenario
+from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
+from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.approach import approach_posture
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
-from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.reference import make_motion
@@ -160,6 +159,14 @@ class SupervisorPart(Part):
             ),
         )
 
+    def given_up(self, signals: Signals) -> str:
+        """Rate damping, or a retreat, that lasts until the end."""
+        modes = np.asarray(signals["mode"]).astype(int).ravel()
+        last = Mode(int(modes[-1])) if modes.size else Mode.HOLD
+        if last not in (Mode.RATE_DAMPING, Mode.RETREAT):
+            return ""
+        return f"its supervisor ended in {last.words}, the plan given up"
+
     def sentence(self, figures: Sequence[Figure]) -> str:
         """The modes with their times."""
         (events,) = (each.value for each in figures if each.key == "supervisor.events")
@@ -205,22 +212,13 @@ class NewPlan:
             goal = approach_posture(scenario)
         return PolynomialMotion(
             coordinates=coordinates,
-            start=_posture(self.q, coordinates),
+            start=posture_of(self.q, coordinates),
             target=goal,
             blend=Blend(Reference(), self.duration),
             base_rotation="eigenaxis",
             sample_time=scenario.sample_time,
             velocity=self.v,
         )
-
-
-def _posture(q: np.ndarray, coordinates: Coordinates) -> Posture:
-    """Generalized positions (nq) as a posture."""
-    return Posture(
-        base_position=q[4:7].tolist(),
-        base_rpy=RollPitchYaw(Quaternion(q[:4] / np.linalg.norm(q[:4]))).vector().tolist(),
-        joints=dict(zip(coordinates.joints, q[7:].tolist(), strict=True)),
-    )
 
 
 class _Supervisor(LeafSystem):

@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import quaternion_of
+from ffsm_drake.common.so3 import matrix_of, quaternion_of
 from ffsm_drake.scenario import TargetSensor, TargetTracker
 from ffsm_drake.spacecraft.free_body import (
     ARM,
@@ -24,7 +24,6 @@ from ffsm_drake.spacecraft.free_body import (
     VELOCITY,
     Target,
     composed,
-    matrix_of,
     path_of,
     shape_spread,
     steps_between,

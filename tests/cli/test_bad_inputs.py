@@ -984,7 +984,7 @@ def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, run, monke
         for name in ("mkdir", "write_text"):
             patched.setattr(Path, name, interrupting(getattr(Path, name)))
         patched.setattr(
-            type(record.dataset), "to_netcdf", interrupting(type(record.dataset).to_netcdf)
+            type(record.dataset), "dump_to_store", interrupting(type(record.dataset).dump_to_store)
         )
         with suppress(KeyboardInterrupt):
             record.save(tmp_path / "run")

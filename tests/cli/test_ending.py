@@ -2,11 +2,11 @@
 
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from children import finished
 
 ROOT = Path(__file__).parents[2]
 # The script ``ffsm`` with an option ``--end``, and with what has to do something at the end.
@@ -59,10 +59,8 @@ def ended(folder: Path, name: str, *words: str, streams="", first="", children=F
     script.write_text(SCRIPT.format(first=first, children=children))
     # the shell closes or redirects streams
     command = ["sh", "-c", f'exec "$@" {streams}', "sh", sys.executable, str(script), *words]
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=60, check=False,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = finished(command, cwd=folder, env=environment, longest=60.0)
     said = re.sub(r"0x[0-9a-f]+", "", done.stderr.replace(str(script), "SCRIPT"))
     lines = said.splitlines()
     left = [line for line in lines if line != "freed"]

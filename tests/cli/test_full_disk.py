@@ -30,13 +30,17 @@ COMMANDS = {
     "plot here": ("plot", "old"),
     "analyze": ("analyze", "old", "--out", "new/a"),
     "replay": ("replay", "old", "--out", "new/a/r.html"),
+    **{
+        f"export {end}": ("export", "old", "--to", f"new/run.{end}")
+        for end in ("mcap", "csv", "parquet", "mat", "fmu")
+    },
     "diagram": ("diagram", "--out", "new/a/d.svg"),
     "new": ("new", "made", "--urdf", SERVICER),
     "campaign": ("campaign", "run", "c.yaml", "--workers", "1", "--database", "new/c.db"),
     "resume": ("campaign", "resume", "part.db", "--workers", "1"),
     "pages": ("campaign", "report", "all.db", "--out", "new/pages"),
 }
-QUICK = ("run", "again", "plot", "plot here", "replay", "campaign", "diagram")
+QUICK = ("run", "again", "plot", "plot here", "replay", "campaign", "diagram", "export mcap")
 
 
 @pytest.fixture(scope="module")

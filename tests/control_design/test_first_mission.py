@@ -20,7 +20,9 @@ from ffsm_drake.control_design.asked import Asked, wheel_units
 from ffsm_drake.control_design.first_scenario import new_scenario
 from ffsm_drake.preflight.remarks import plan_clearance
 from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import base_limits
+from ffsm_drake.systems.reference import make_motion
 
 ALL = {
     "sensors": "flight",
@@ -65,6 +67,26 @@ def assert_settles(new):
     assert all(clear) or told
     ending = make_rollout(scenario).run().ending
     assert ending.is_settled, ending.sentence
+
+
+@pytest.mark.parametrize("mass", [40.0, 400.0])
+def test_peak_forces_are_those_of_the_motion_that_was_written(tmp_path, mass):
+    """A heavy target needs a longer motion than the one that was first planned."""
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(simple_arm())
+    new = new_scenario(
+        urdf, tmp_path / "new", payload_mass=mass, asked=Asked.parsed(thrusters="12x1N")
+    )
+    scenario = load_scenario(new.scenario_file)
+    assert (scenario.reference.duration > 20.0) is (mass > 100.0)
+    model = make_true_plant(scenario)
+    motion = make_motion(scenario, model.coordinates)
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    rows = motion.rows(np.linspace(0.0, motion.end, 101))
+    force = model.calc_inverse_dynamics(*np.split(rows, [nq, nq + nv], axis=1))
+    for name, peak in zip(model.coordinates.names, np.abs(force).max(axis=0), strict=True):
+        assert new.motion.peak_force[name] == pytest.approx(peak, rel=0.02)
+    assert new.motion.duration == scenario.reference.duration
 
 
 SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]

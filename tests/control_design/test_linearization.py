@@ -414,3 +414,22 @@ def test_memory_without_entries_is_no_part_of_the_loop():
         )
     ]
     assert radii[1] == radii[0]
+
+
+def test_noise_of_the_bases_sensors_is_in_its_axes():
+    """In a base that is turned by 90 degrees about x, noise about its z is noise about -y."""
+    still = "{base_rpy: [1.5707963267948966, 0, 0]}"
+    given = ["controller=tdc", f"initial_posture={still}", f"target_posture={still}"]
+    given += [f"{section}.velocity_noise={{all: 1e-5}}" for section in ("estimator", "sensing")]
+    maps = []
+    for more in ((), ("sensing.velocity_noise.base_rotation_z=3e-5",)):
+        with Linearizer(load_scenario("flight_sensors", [*given, *more])) as linearizer:
+            loop = linearizer.at(1.0)
+            maps.append(loop.samples[0].d[:, loop.noise["samples"]])
+    nq = len(loop.coordinates.position_names)
+    alike, turned = (noise[:, nq : nq + 6] for noise in maps)
+    scale = 1e-5 * np.abs(alike).max()
+    assert np.abs(alike[:, :3]).max() > 1e3 * scale
+    assert turned[:, 2] == pytest.approx(-3.0 * alike[:, 1], abs=scale)
+    assert turned[:, 1] == pytest.approx(alike[:, 2], abs=scale)
+    assert turned[:, [0, 3]] == pytest.approx(alike[:, [0, 3]], abs=scale)

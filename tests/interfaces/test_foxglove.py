@@ -1,7 +1,6 @@
 """A run as MCAP, read back by other libraries; a run live."""
 
 import collections
-import socket
 import sys
 
 import numpy as np
@@ -9,6 +8,8 @@ import pytest
 from click.testing import CliRunner
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main
@@ -132,20 +133,22 @@ def test_ros_2_reads_it(run, tmp_path):
 
 
 def heard(address):
-    """The first bytes that a server of Foxglove's protocol tells who connects."""
-    host, port = address.rsplit("//")[1].split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as line:
-        line.sendall(
-            f"GET / HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
-            "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
-            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
-        )
-        said = b""
-        while b"/scene" not in said or b"/tf" not in said:
-            more = line.recv(65536)
-            assert more, said[:500]
-            said += more
-    return said
+    """What a server of Foxglove's protocol tells who connects, up to the topics."""
+    with connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None) as line:
+        said = ""
+        while "/scene" not in said or "/tf" not in said:
+            said += str(line.recv(timeout=10))
+        return said
+
+
+def refused(address, **headers):
+    """The status with which a websocket is refused."""
+    with (
+        pytest.raises(InvalidStatus) as raised,
+        connect(address, subprotocols=["foxglove.sdk.v1"], additional_headers=headers),
+    ):
+        pass
+    return raised.value.response.status_code
 
 
 def test_a_run_is_served_while_it_goes():
@@ -155,11 +158,20 @@ def test_a_run_is_served_while_it_goes():
     def wait(time):
         waits.append(time)
         if len(waits) == 10:
-            answers.append(heard(lines[0].split()[-1]))
+            address = lines[0].split()[-1]
+            answers.append(heard(address))
+            bare, _, _ = address.rpartition("/")
+            answers.extend(
+                refused(bare + path, Origin=origin)
+                for path in ("", "/", "/x", "/" + 22 * "A", "/?token=x")
+                for origin in ("http://evil.example", "null", bare.replace("ws", "http"))
+            )
+            answers.append(refused(address, Host="evil.example"))
 
     record = watch(scenario, port=0, tell=lines.append, wait=wait)
     assert "ws://127.0.0.1:" in lines[0]
-    assert b"ffsm_drake" in answers[0]
+    assert "ffsm_drake" in answers[0]
+    assert answers[1:] == 16 * [403]
     expected = simulate(scenario, check_stability=False)
     np.testing.assert_array_equal(record.dataset.position, expected.dataset.position)
     assert sum(waits) < 0.35

@@ -14,7 +14,7 @@ from ffsm_drake import load_scenario, simulate, simulate_many
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.load import advice, predicted_load
 from ffsm_drake.control_design.stability.rehearsal import rehearse
-from ffsm_drake.preflight.verdict import saturation_remark, verdict
+from ffsm_drake.preflight.verdict import helpful_remarks, verdict
 from ffsm_drake.scenario import override_scenario
 from ffsm_drake.systems.limits import base_limits
 
@@ -135,10 +135,10 @@ def test_nothing_is_said_of_actuators_that_have_room():
 @given(numbers=crafts)
 def test_following_what_helps_makes_a_craft_settle(numbers):
     record = simulate(scenario := craft(**numbers), check_stability=False)
-    remark = saturation_remark(record)
-    if record.ending.is_settled and not remark:
+    remarks = helpful_remarks(record)
+    if record.ending.is_settled and not remarks:
         return
-    assert "what helps: --set " in remark
+    assert "what helps: --set " in remarks[0]
     found = verdict(scenario, rehearsal=False).advice
     if not found:  # predicted to settle, with other noises
         found = advice(scenario, {"wheels": 1.0}, settles=False)

@@ -34,6 +34,7 @@ def log_of(error, *, overrides=(), status="completed", grasp=None):
     return SimpleNamespace(
         scenario=load_scenario("postcapture", overrides),
         time=TIME,
+        coordinates=SimpleNamespace(joints=("joint_1",)),
         tracked=tracked,
         outcome=outcome,
         grasp=grasp,

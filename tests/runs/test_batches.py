@@ -55,6 +55,20 @@ COUPLED = ("estimator.kind=coupled", "estimator.force_walk={all: 1.0}", NOISE)
 WIDE = {
     "bias": ("postcapture", "sensing.position_bias={base_rotation: 1e-4, joints: 1e-5}"),
     "drift": ("postcapture", *DRIFT),
+    "in the base's axes": (
+        "flight_sensors",
+        "sensing.velocity_bias={all: 1e-4}",
+        "sensing.velocity_bias_walk={base_rotation: 1e-6}",
+        "sensing.velocity_noise={all: 1e-5, base_rotation_z: 1e-4}",
+        "sensing.velocity_quantization={base_position: 1e-5}",
+        "estimator.velocity_bias_walk={base_rotation: 1e-6, joints: 1e-6}",
+    ),
+    "coupled biases": (
+        "flight_sensors",
+        "estimator.kind=coupled",
+        "sensing.position_bias={base_position_x: 1e-3}",
+        "estimator.velocity_bias_walk={all: 1e-6}",
+    ),
     "late": ("slow_navigation", "actuation.limit={}"),
     "coupled": ("postcapture", *COUPLED),
     "tvlqr": ("postcapture", "controller=tvlqr"),

@@ -5,6 +5,9 @@ import json
 import netCDF4
 import numpy as np
 import pytest
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake import (
     BlockError,
@@ -252,7 +255,7 @@ def test_a_failed_save_leaves_the_old_files(run, tmp_path, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(type(record.dataset), "to_netcdf", full)
+    monkeypatch.setattr(type(record.dataset), "dump_to_store", full)
     with pytest.raises(RecordError, match=r": cannot be written: .*No space left"):
         record.save(tmp_path)
     assert (tmp_path / "record.nc").read_bytes() == before
@@ -342,11 +345,45 @@ def test_momentum_and_energy_balance(run):
     assert work == pytest.approx(energy[-1] - energy[0], abs=1e-4 * energy.max())
 
 
-def test_base_angles_are_those_of_the_plant(run):
-    data = run("postcapture").dataset
-    for name in ("", "desired_"):
-        expected = [base_rpy(q) for q in data[f"{name}position"].values]
-        assert data[f"{name}base_rpy"].values == pytest.approx(np.array(expected), abs=1e-15)
+def apart(rpy, quaternions):
+    """The largest difference of quaternions, but for their sign and norm."""
+    composed = Rotation.from_euler("xyz", rpy).as_quat(scalar_first=True)
+    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.minimum(np.abs(composed - unit), np.abs(composed + unit)).max()
+
+
+def test_base_angles_are_the_attitude():
+    """At drawn attitudes, and at and beside pitches of 90 degrees, where they are Drake's too."""
+    rng = np.random.default_rng(0)
+    beside = [sign * np.pi / 2 + off for sign in (1, -1) for off in (0.0, 1e-15, -1e-9, 1e-8, 1e-5)]
+    pitches = np.repeat([*beside, *rng.uniform(-1.5, 1.5, 20)], 50)
+    roll, yaw = rng.uniform(-np.pi, np.pi, (2, pitches.size))
+    q = Rotation.from_euler("xyz", np.column_stack([roll, pitches, yaw])).as_quat(scalar_first=True)
+    q *= rng.choice([-1.0, 1.0], (len(q), 1)) * rng.uniform(0.9, 1.1, (len(q), 1))
+    found = base_rpy(np.hstack([q, np.zeros((len(q), 8))]))
+    assert apart(found, q) < 1e-14
+    assert np.abs(found).max() <= np.pi + 1e-15
+    drakes = np.array(
+        [RollPitchYaw(Quaternion(each / np.linalg.norm(each))).vector() for each in q]
+    )
+    away = np.abs(np.abs(pitches) - np.pi / 2) > 0.05
+    assert found[away] == pytest.approx(drakes[away], abs=1e-13)
+
+
+def test_recorded_attitudes_are_the_recorded_quaternions(run):
+    """Through a pitch of 90 degrees: angles, and the error's rotation vector."""
+    start, end = "[0.1, 1.5707963267948966, 0.7]", "[0.3, 1.2, 0.2]"
+    record = run("flight_sensors", "reference.duration=2", "duration=2", "actuation.limit=null",
+                 "reference.base_rotation=eigenaxis", f"initial_posture.base_rpy={start}",
+                 f"target_posture.base_rpy={end}")  # fmt: skip
+    data = record.dataset
+    q, desired = (data[name].values[:, :4] for name in ("position", "desired_position"))
+    assert apart(data["base_rpy"].values, q) < 1e-9
+    assert apart(data["desired_base_rpy"].values, desired) < 1e-9
+    assert data["base_rpy"].values[0, 1] == pytest.approx(np.pi / 2, abs=1e-7)
+    back = Rotation.from_rotvec(data["error"].values[:, :3])
+    back *= Rotation.from_quat(q, scalar_first=True)
+    assert (back.inv() * Rotation.from_quat(desired, scalar_first=True)).magnitude().max() < 1e-9
 
 
 def test_final_posture_is_the_target(run):

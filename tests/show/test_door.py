@@ -21,8 +21,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.sync.client import connect
 
 from ffsm_drake import RunRecord, load_scenario
+from ffsm_drake.common.door import BadFrame
 from ffsm_drake.show.meshcat.controls import CODE, UNLOCK
-from ffsm_drake.show.meshcat.door import BadFrame, live_server, page_event
+from ffsm_drake.show.meshcat.door import live_server, page_event
 from ffsm_drake.show.meshcat.interactive import PAUSE, start_button
 from ffsm_drake.show.meshcat.live import QUIT
 from ffsm_drake.show.meshcat.stage import set_stage

@@ -189,6 +189,7 @@ def test_numbers_as_text():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plain")
 def test_verdicts_in_words(short, diverged):
     assert results_of([short])[0].status == "settled"

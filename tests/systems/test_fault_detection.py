@@ -56,6 +56,21 @@ def test_lost_positions(sensor, kind):
     assert np.abs(error).max() < 6e-3  # of the bias itself one measurement tells, with its noise
 
 
+@pytest.mark.parametrize("sensor", ["base_position", "base_rotation"])
+def test_a_bias_that_is_taken_off_turns_with_the_base(sensor):
+    """It is found before a slew; in the world's axes it would be off by its own size after it."""
+    slew = ("reference.base_rotation=eigenaxis", "reference.duration=3", "actuation.limit={}",
+            "target_posture.base_rpy=[-1.2, 0.7, 1.2]")  # fmt: skip
+    log = run(SENSORS, f"sensing.{sensor}", "biased", *slew, duration=3.5)
+    assert noticed(log) == {f"sensing.{sensor}": "biased"}
+    nq = len(log.coordinates.position_names)
+    measured, state = (log.series[name] for name in ("measurement", "state"))
+    turn = position_error(state[-1, :nq], state[80, :nq])[:3]
+    assert np.linalg.norm(turn) > 1.0
+    error = position_error(measured[-1][:nq], state[-1][:nq])
+    assert np.abs(error[3:6] if sensor == "base_position" else error[:3]).max() < 6e-3
+
+
 @pytest.mark.parametrize("kind", ["frozen", "silent"])
 def test_lost_velocities(kind):
     log = run(SENSORS, "sensing.joint_2_velocity", kind, duration=1.4)

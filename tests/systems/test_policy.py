@@ -1,11 +1,14 @@
 """A trained policy as a control law: a linear one is a PD law, and a bad file has its line."""
 
 import json
+import shutil
+import sys
 
 import numpy as np
 import pytest
 
-from ffsm_drake import BlockError, load_scenario, simulate, stability
+from ffsm_drake import BlockError, ScenarioError, load_scenario, simulate, stability
+from ffsm_drake.campaign.spec import load_spec, spec_from_json
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import make_controller
@@ -114,6 +117,62 @@ def test_the_record_of_a_policy_can_be_repeated(pd, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     again = simulate(run.scenario, check_stability=False)
     np.testing.assert_array_equal(again.dataset.position.values, run.dataset.position.values)
+
+
+@pytest.mark.parametrize(
+    "name", ["reach.onnx", "sub/policy-v2.onnx", "a b/ü (1).onnx", "v1.2@x.onnx"]
+)
+def test_a_policy_stands_beside_the_scenario(name, pd, tmp_path, monkeypatch):
+    """Whatever its name; in the scenario, its record, a campaign, and after a move of all."""
+    there, away = tmp_path / "there", tmp_path / "away"
+    away.mkdir()
+    (there / name).parent.mkdir(parents=True)
+    shutil.copyfile(pd / "pd.onnx", there / name)
+    (there / "s.yaml").write_text(
+        json.dumps({"extends": "postcapture", "duration": 0.1, "controller": f"policy:{name}"})
+    )
+    mass = {"payload.truth.mass": {"distribution": "uniform", "low": 20, "high": 300}}
+    spec = {"scenario": "s.yaml", "controllers": [f"policy:{name}"], "cases": 2}
+    (there / "c.yaml").write_text(json.dumps({**spec, "parameters": mass}))
+    monkeypatch.chdir(away)
+    run = simulate(load_scenario(str(there / "s.yaml")), check_stability=False)
+    run.save(there / "out" / "run")
+    assert load_spec(there / "c.yaml").controllers == (f"policy:{(there / name).resolve()}",)
+    text = load_spec(there / "c.yaml").to_json(there)
+    there.rename(tmp_path / "moved")
+    moved = tmp_path / "moved"
+    assert spec_from_json(text, moved).controllers == (f"policy:{(moved / name).resolve()}",)
+    again = simulate(load_scenario(str(moved / "out" / "run")), check_stability=False)
+    np.testing.assert_array_equal(again.dataset.position.values, run.dataset.position.values)
+
+
+def test_the_law_of_a_file_is_registered_or_named_beside_it(pd, tmp_path, coordinates):
+    """The law by metadata is not imported; the user's word is."""
+    scenario = load_scenario("postcapture", ["duration=0.2"])
+    metadata = metadata_of(scenario, coordinates, action="residual", law="written_pd:Pd")
+    size = len(coordinates.names)
+    linear_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
+    where = [f"python_path=[{tmp_path}, {pd}]", "duration=0.2"]
+    sys.modules.pop("written_pd", None)
+    with pytest.raises(BlockError, match=r"law is one of tdc, .*policy:none.onnx@module:attribute"):
+        simulate(load_scenario("postcapture", [*where, "controller=policy:none.onnx"]))
+    assert "written_pd" not in sys.modules
+    gains = ["controllers={Pd: {k_p: 50}}"]
+    named = load_scenario(
+        "postcapture", [*where, *gains, "controller=policy:none.onnx@written_pd:Pd"]
+    )
+    own = load_scenario("postcapture", [*where, *gains, "controller=written_pd:Pd"])
+    found, wanted = (simulate(each, check_stability=False) for each in (named, own))
+    np.testing.assert_array_equal(found.dataset.position.values, wanted.dataset.position.values)
+
+
+@pytest.mark.parametrize("name", ["policy:", "policy:a\nb.onnx", "policy:\x07.onnx", "policy"])
+def test_a_policy_without_a_file_is_refused(name):
+    if name == "policy":
+        load_scenario("postcapture", [{"controller": name}])  # a name
+        return
+    with pytest.raises(ScenarioError, match="must be policy:FILE"):
+        load_scenario("postcapture", [{"controller": name}])
 
 
 def test_runs_of_a_policy_go_side_by_side(pd):

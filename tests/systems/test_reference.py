@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake import load_scenario, make_closed_loop
+from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, simulate_many
+from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.blend import quintic_blend
@@ -166,3 +167,48 @@ def test_translation_alone_needs_the_known_effort(loop, motion):
     mass = loop.plant.CalcTotalMass(loop.plant.CreateDefaultContext())
     assert mass == pytest.approx(526.0)
     assert np.sum((mass * acceleration) ** 2) * 0.01 == pytest.approx(83.0, abs=0.05)
+
+
+def stopping(velocity, *overrides):
+    given = [f"initial_velocity={velocity}", "reference.goal=stop", "reference.duration=8"]
+    given.append("reference.base_rotation=eigenaxis")
+    return load_scenario("postcapture", [*given, *overrides])
+
+
+DRAWN = np.random.default_rng(0).uniform(-0.02, 0.02, (2, 11)).tolist()
+
+
+@pytest.mark.parametrize("drawn", DRAWN)
+def test_a_stop_without_a_capture_takes_out_the_initial_velocity(loop, drawn):
+    """It begins with it, and ends at rest half a duration further."""
+    names = loop.coordinates.names
+    motion = make_motion(stopping(dict(zip(names, drawn, strict=True))), loop.coordinates)
+    (q, v, a), (q_end, v_end, a_end) = motion.evaluate(0.0), motion.evaluate(8.0)
+    assert v == pytest.approx(drawn, abs=1e-15)
+    assert np.abs(np.concatenate([a, v_end, a_end])).max() < 1e-14
+    assert q_end[4:] - q[4:] == pytest.approx(np.array(drawn[3:]) * 4.0, abs=1e-14)
+    turns = Rotation.from_quat([q[:4], q_end[:4]], scalar_first=True)
+    turned = (turns[1] * turns[0].inv()).as_rotvec()
+    assert turned == pytest.approx(np.array(drawn[:3]) * 4.0, abs=1e-12)
+
+
+def test_runs_that_stop_from_different_velocities_share_no_reference(loop):
+    """Nor a build: each follows its own from the first sample on, alone and side by side."""
+    names = loop.coordinates.names
+    each = [stopping(dict(zip(names, of, strict=True)), "duration=0.5") for of in DRAWN]
+    for batch in (1, 2):
+        for record, drawn in zip(simulate_many(each, batch=batch), DRAWN, strict=True):
+            assert record.dataset["desired_velocity"].values[0] == pytest.approx(drawn, abs=1e-15)
+            assert np.abs(record.dataset["error"].values).max() < 1e-4
+
+
+def test_roll_pitch_and_yaw_cannot_begin_with_a_velocity():
+    with pytest.raises(ScenarioError, match=r"reference\.base_rotation: must be eigenaxis"):
+        stopping({"base_rotation_x": 0.01}, "reference.base_rotation=rpy")
+    assert stopping({"base_rotation_x": 0, "joints": 0.01}, "reference.base_rotation=rpy")
+
+
+def test_a_stop_of_nothing_is_said():
+    (line,) = (of for of in plan_remarks(stopping({"joints": 0})) if of.startswith("reference"))
+    assert "has no velocity to stop" in line
+    assert not [of for of in plan_remarks(stopping({"joint_1": 1e-3})) if "to stop" in of]

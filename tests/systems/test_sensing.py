@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from flight_settings import FLIGHT, NO_NOISE
 from pydrake.common import RandomGenerator
-from pydrake.common.eigen_geometry import AngleAxis, Quaternion
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import position_error
@@ -58,7 +59,7 @@ def test_by_default_there_is_noise_and_nothing_else(name):
     sensing = make_closed_loop(load_scenario(name, [f"sensing.{one}" for one in every])).blocks[
         "sensing"
     ]
-    stages = ["bias", "white_noise", "quantizer", "sampling"]
+    stages = ["white_noise", "to_sensors", "bias", "quantizer", "to_world", "sampling"]
     assert [stage.get_name() for stage in sensing.GetSystems()] == stages
 
 
@@ -71,44 +72,46 @@ def test_without_noise_the_measurement_is_the_state(run):
     assert np.array_equal(v_m, v)
 
 
-def test_bias_is_added_to_positions_and_velocities(run):
-    bias = (
-        "sensing.position_bias={base_position: 1e-3, joint_2: -2e-3}",
-        "sensing.velocity_bias={base_rotation: 1e-4, base_position_z: 3e-4, joints: 2e-4}",
-    )
-    record = run(*SHORT, *NO_NOISE, *bias)
-    q, v, q_m, v_m = values(
-        record, "position", "velocity", "measured_position", "measured_velocity"
-    )
-    offset = np.array([0, 0, 0, 0, 1e-3, 1e-3, 1e-3, 0, -2e-3, 0, 0, 0])
-    assert q_m - q == pytest.approx(np.tile(offset, (len(q), 1)), abs=1e-14)
-    offset = np.array([1e-4] * 3 + [0, 0, 3e-4] + [2e-4] * 5)
-    assert v_m - v == pytest.approx(np.tile(offset, (len(v), 1)), abs=1e-14)
+def in_base(record, name):
+    """A position (n, nq) or velocity (n, nv) with the base's vectors in the base's axes."""
+    found = record.dataset[name].values.copy()
+    turns = Rotation.from_quat(record.dataset["position"].values[:, [1, 2, 3, 0]]).inv()
+    for start in (4,) if name.endswith("position") else (0, 3):
+        found[:, start : start + 3] = turns.apply(found[:, start : start + 3])
+    return found
 
 
-def test_attitude_bias_is_a_rotation_vector_in_the_world(run):
-    """R_measured = exp(bias) R, exactly; on the body's side it would differ by a tenth of the bias
-    here.
-    """
-    bias = np.array([0.02, -0.01, 0.03])
-    record = run(
-        *SHORT,
-        *NO_NOISE,
-        f"sensing.position_bias={dict(zip(ROTATIONS, bias.tolist(), strict=True))}",
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_the_bases_sensors_turn_with_it(run, seed):
+    """Through a drawn slew a bias stays in the axes of its sensor; joints have their own."""
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(0.5, 2.5) * (axis := rng.normal(size=3)) / np.linalg.norm(axis)
+    drawn = {"position": rng.normal(size=11), "velocity": rng.normal(size=11)}
+    names = (
+        *ROTATIONS,
+        *(f"base_position_{axis}" for axis in "xyz"),
+        *(f"joint_{i}" for i in range(1, 6)),
     )
-    q, q_m, v, v_m = values(
-        record, "position", "measured_position", "velocity", "measured_velocity"
+    biases = [
+        f"sensing.{part}_bias={dict(zip(names, (1e-3 * of).tolist(), strict=True))}"
+        for part, of in drawn.items()
+    ]
+    rpy = Rotation.from_rotvec(turn).as_euler("xyz").tolist()
+    record = run(*FLIGHT, *NO_NOISE, *biases, f"target_posture.base_rpy={rpy}",
+                 "reference.base_rotation=eigenaxis", "reference.duration=4", "duration=4",
+                 "actuation.limit={}")  # fmt: skip
+    q, q_m = values(record, "position", "measured_position")
+    slewed = Rotation.from_quat(q[[0, -1]][:, [1, 2, 3, 0]])
+    assert (slewed[0].inv() * slewed[1]).magnitude() > 0.3
+    off = in_base(record, "measured_velocity") - in_base(record, "velocity")
+    assert off == pytest.approx(np.tile(1e-3 * drawn["velocity"], (len(q), 1)), abs=1e-13)
+    off = in_base(record, "measured_position") - in_base(record, "position")
+    assert off[:, 4:] == pytest.approx(
+        np.tile(1e-3 * drawn["position"][3:], (len(q), 1)), abs=1e-13
     )
-    angle = float(np.linalg.norm(bias))
-    turn = RotationMatrix(AngleAxis(angle, bias / angle)).matrix()
-    for true, measured in zip(q, q_m, strict=True):
-        assert rotation(measured[:4]) == pytest.approx(turn @ rotation(true[:4]), abs=1e-13)
-        assert position_error(measured, true)[:3] == pytest.approx(bias, abs=1e-13)
-    assert np.linalg.norm(q_m[:, :4], axis=1) == pytest.approx(np.ones(len(q)), abs=1e-9)
-    body = rotation(q[0, :4]) @ turn
-    assert np.abs(rotation(q_m[0, :4]) - body).max() > 1e-3
-    assert np.array_equal(q_m[:, 4:], q[:, 4:])
-    assert np.array_equal(v_m, v)
+    true, measured = (Rotation.from_quat(each[:, [1, 2, 3, 0]]) for each in (q, q_m))
+    tilt = (true.inv() * measured).as_rotvec()
+    assert tilt == pytest.approx(np.tile(1e-3 * drawn["position"][:3], (len(q), 1)), abs=1e-12)
 
 
 def test_the_spacecraft_goes_where_its_biased_sensors_are_content(run):
@@ -126,6 +129,51 @@ def test_the_spacecraft_goes_where_its_biased_sensors_are_content(run):
     assert record.dataset["error"].values[-1] == pytest.approx(expected, abs=1e-5)
 
 
+KINDS_IN_BASE = {
+    "walk": ["velocity_bias_walk={all: 1e-2}"],
+    "correlated": ["velocity_correlated_noise=1e-2", "position_correlated_noise=1e-2"],
+    "quantised": ["velocity_quantization=0.3", "position_quantization.base_position=0.2"],
+    "noise of one axis": ["velocity_noise={all: 0, base_rotation_z: 0.1, base_position_x: 0.1}"],
+    "bias": ["velocity_bias=0.1", "position_bias={base_rotation_x: 0.2, base_position_y: 1}"],
+    "all, late": ["velocity_bias_walk=1e-2", "velocity_quantization=0.01", "position_bias=0.1",
+                  "velocity_noise.base_rotation_x=0.1", "velocity_delay=2"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS_IN_BASE)
+def test_a_turned_spacecraft_measures_the_same_in_its_axes(kind):
+    """Errors of its sensors turn with it, whatever their kind; the same seed has the same draws."""
+    scenario = load_scenario(
+        "postcapture", [*NO_NOISE, *(f"sensing.{o}" for o in KINDS_IN_BASE[kind])]
+    )
+    coordinates = make_nominal_plant(scenario).coordinates
+    sensing = make_sensing([scenario.sensing], coordinates, sample_time=0.01)
+    rng, nv = np.random.default_rng(1), len(coordinates.names)
+    vectors, joints = rng.normal(size=(3, 3)), rng.normal(size=(2, nv - 6))
+
+    def measured(attitude):
+        """In its axes, after three samples: rotation from the true base, then p, w, v."""
+        p, w, v = attitude.apply(vectors)
+        state = np.concatenate([attitude.as_quat()[[3, 0, 1, 2]], p, joints[0], w, v, joints[1]])
+        context = sensing.CreateDefaultContext()
+        sensing.SetRandomContext(context, RandomGenerator(3))
+        for system in sensing.GetSystems():
+            if hasattr(system, "set_initial_state"):
+                system.set_initial_state(sensing.GetMutableSubsystemContext(system, context), state)
+        sensing.GetInputPort("state").FixValue(context, state)
+        simulator = Simulator(sensing, context)
+        simulator.AdvanceTo(0.035)
+        found = sensing.GetOutputPort("estimated_state").Eval(context)
+        assert not np.allclose(found, state, atol=1e-5)
+        turn = attitude.inv() * Rotation.from_quat(found[[1, 2, 3, 0]])
+        places = np.array([[4], [nv + 1], [nv + 4]]) + np.arange(3)
+        return np.vstack([turn.as_rotvec(), attitude.inv().apply(found[places])])
+
+    expected = measured(Rotation.identity())
+    for seed in range(3):
+        assert measured(Rotation.random(random_state=seed)) == pytest.approx(expected, abs=1e-12)
+
+
 def test_quantization(run):
     """Multiples of the step, and what is rounded away is uniform."""
     steps = (
@@ -133,9 +181,8 @@ def test_quantization(run):
         "sensing.velocity_quantization={base_position: 3e-6, base_rotation: 1e-6, joints: 5e-6}",
     )
     record = run(*FLIGHT, *NO_NOISE, *steps, "reference.duration=10", "duration=10")
-    q, v, q_m, v_m = values(
-        record, "position", "velocity", "measured_position", "measured_velocity"
-    )
+    names = ("position", "velocity", "measured_position", "measured_velocity")
+    q, v, q_m, v_m = (in_base(record, name) for name in names)
     for true, measured, step in (
         (q[:, 4:], q_m[:, 4:], vector(record, base_position=2e-5, joints=1e-5)[3:]),
         (v, v_m, vector(record, base_position=3e-6, base_rotation=1e-6, joints=5e-6)),
@@ -146,7 +193,7 @@ def test_quantization(run):
         moving = lost[50:-150]  # near both ends it is slower than a step per sample
         assert moving.std(axis=0) == pytest.approx(np.full(step.size, 1 / np.sqrt(12)), rel=0.08)
         assert np.abs(moving.mean(axis=0)).max() < 0.05
-    assert np.array_equal(q_m[:, :4], q[:, :4])
+    assert q_m[:, :4] == pytest.approx(q[:, :4], abs=1e-15)
 
 
 @pytest.mark.parametrize("delay", [1, 3])
@@ -321,14 +368,17 @@ def test_order_of_the_stages(run):
     q, v, q_m, v_m = values(
         record, "position", "velocity", "measured_position", "measured_velocity"
     )
+    to_world = Rotation.from_quat(q[:, [1, 2, 3, 0]])  # base's errors are in its axes
     # The same seed gives the same noise.
-    before = v + vector(record, base_position=2e-4, joints=-2e-5) + noise[0]
-    expected = quantize(before, vector(record, base_position=5e-4, joints=5e-5))
-    assert v_m[2:] == pytest.approx(expected[:-2], abs=1e-12)
-    before = q[:, 4:7] + 2e-4 + noise[1][:, 4:7]
-    assert q_m[2:, 4:7] == pytest.approx(quantize(before, np.full(3, 5e-4))[:-2], abs=1e-12)
-    for measured, step in ((v_m[:, 3:6], 5e-4), (v_m[:, 6:], 5e-5), (q_m[2:, 4:7], 5e-4)):
-        assert measured / step == pytest.approx(np.round(measured / step), abs=1e-9)
+    for true, measured, off, columns in (
+        (v + noise[0], v_m, (2e-4, 5e-4), slice(3, 6)),
+        (q + noise[1], q_m, (2e-4, 5e-4), slice(4, 7)),
+    ):
+        before = to_world.inv().apply(true[:, columns]) + off[0]
+        expected = quantize(before, np.full(3, off[1]))
+        assert measured[2:, columns] == pytest.approx(to_world.apply(expected)[:-2], abs=1e-12)
+    expected = quantize(v + vector(record, joints=-2e-5) + noise[0], vector(record, joints=5e-5))
+    assert v_m[2:, 6:] == pytest.approx(expected[:-2, 6:], abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -368,7 +418,11 @@ def test_order_of_the_stages(run):
         ),
         (
             "sensing.position_period.base_rotation_x=2",
-            "sensing.position_period: must be the same for the three",
+            "sensing.position_period: must be the same for the three base_rotation",
+        ),
+        (
+            "sensing.velocity_delay={base_position_z: 2}",
+            "sensing.velocity_delay: must be the same for the three base_position",
         ),
         ("sensing.position_delay.elbow=2", "sensing.position_delay.elbow: unknown coordinate"),
         ("tolerance.elbow=1", "tolerance.elbow: unknown coordinate"),

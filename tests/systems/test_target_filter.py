@@ -7,8 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import (
     Environment,
     MassProperties,
@@ -17,15 +22,18 @@ from ffsm_drake.scenario import (
     TargetTracker,
     inertia_matrix,
 )
+from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.capture import coast
+from ffsm_drake.spacecraft.coordinates import StateSplit
 from ffsm_drake.spacecraft.free_body import (
     SIZE,
     Target,
     inverse_inertia,
-    matrix_of,
     shape_spread,
 )
 from ffsm_drake.spacecraft.orbit import Orbit
+from ffsm_drake.systems.gripper import GripperForce
+from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.target_filter import TargetFilter, observed
 
 BODY = MassProperties(
@@ -159,14 +167,92 @@ def coasted(target, environment=None, samples=101, time=0.0, onward=True, step=0
     return coast(scenario, pose, twist, time=time, samples=samples, onward=onward)
 
 
-@pytest.mark.parametrize("environment", [None, Environment(hill_rpy=[0.3, -0.2, 1.0])])
-def test_moves_as_drake_does(environment):
-    target = Target.from_motion(motion(0.14), BODY)
-    expected = coasted(target, environment)[-1]
-    tracker = TargetFilter(SETTINGS, target, environment and Orbit(environment))
-    found = tracker.moved(target, 0.0, 10.0).motion
-    found[:4] *= np.sign(found[:4] @ expected[:4])
-    np.testing.assert_allclose(found, expected, atol=2e-6)
+def integrated(start, environment, begin, end):
+    """The motion (13) of BODY at a time from that at another, by its angular momentum in the world
+    and SciPy: nothing of the package's.
+    """
+    inertia, arm = inertia_matrix(BODY), np.array(BODY.center_of_mass)
+    n = 0.0 if environment is None else environment.mean_motion
+    hill = np.zeros(3) if environment is None else environment.hill_rpy
+    hill = Rotation.from_euler("xyz", hill).as_matrix()
+
+    def turn_and_rate(row):
+        R = Rotation.from_quat(row[:4], scalar_first=True).as_matrix()
+        return R, R @ np.linalg.solve(inertia, R.T @ row[4:7])
+
+    def slope(time, row):
+        R, w = turn_and_rate(row)
+        up = hill @ [np.cos(n * time), np.sin(n * time), 0.0]
+        turning = 0.5 * np.concatenate([[-w @ row[1:4]], row[0] * w + np.cross(w, row[1:4])])
+        torque = 3.0 * n**2 * np.cross(up, R @ inertia @ R.T @ up)
+        pull = n**2 * (3.0 * up * (up @ row[7:10]) - row[7:10])
+        return np.concatenate([turning, torque, row[10:], pull])
+
+    R = Rotation.from_quat(start[:4], scalar_first=True).as_matrix()
+    w, p_PC = start[7:10], R @ arm
+    momentum = R @ inertia @ R.T @ w
+    first = [start[:4], momentum, start[4:7] + p_PC, start[10:] + np.cross(w, p_PC)]
+    tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
+    row = solve_ivp(slope, (begin, end), np.concatenate(first), **tight).y[:, -1]
+    R, w = turn_and_rate(row)
+    return np.concatenate([row[:4], row[7:10] - R @ arm, w, row[10:] - np.cross(w, R @ arm)])
+
+
+def released(start, environment, begin, end):
+    """The motion (13) of BODY, out of the reach of a gripper that closes on it."""
+    payload = dataclasses.replace(Scenario().payload, truth=BODY)
+    scenario = load_scenario("tumbling_capture", ["capture.closing={}"])
+    scenario = dataclasses.replace(scenario, environment=environment)
+    nominal = make_nominal_plant(scenario)
+    setup = BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=StateSplit())
+    force = GripperForce(setup, closes=Compliance())
+    context = force.CreateDefaultContext()
+    state = np.zeros(2 * len(nominal.coordinates.names) + 1)
+    state[0] = 1.0
+    force.GetInputPort("state").FixValue(context, state)
+    context.SetTime(begin)
+    force.begin(context, payload=payload.truth, target=start, state=state)
+    simulator = Simulator(force, context)
+    simulator.Initialize()
+    simulator.AdvanceTo(end)
+    found = force.met(context, state)
+    assert not force.GetOutputPort("contact_force").Eval(context).any()
+    pose = [*found.X_WP.rotation().ToQuaternion().wxyz(), *found.X_WP.translation()]
+    return np.concatenate([pose, found.twist])
+
+
+def off(found, expected):
+    """The largest difference of two motions (13)."""
+    sign = np.sign(found[:4] @ expected[:4])
+    return max(np.abs(sign * found[:4] - expected[:4]).max(), np.abs(found - expected)[4:].max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_approach_filter_and_gripper_move_it_alike(seed):
+    """A drawn tumble far from the origin of a fast orbit, or in none."""
+    random = np.random.default_rng(seed)
+    attitude = Rotation.random(random_state=seed).as_quat(scalar_first=True)
+    rate = random.uniform(0.05, 0.4) * random.normal(size=3)
+    place, velocity = 20.0 * random.normal(size=3), 0.05 * random.normal(size=3)
+    start = np.concatenate([attitude, place, rate, velocity])
+    hill = random.normal(size=3).tolist()
+    fast = Environment(mean_motion=5e-3, altitude=None, hill_rpy=hill)
+    environment = None if seed == 2 else fast
+    target, orbit = Target.from_motion(start, BODY), environment and Orbit(environment)
+    for lasts, most in ((0.5, 1e-9), (20.0, 1e-7)):
+        end = 5.0 + lasts
+        expected = integrated(start, environment, 5.0, end)
+        samples = round(lasts / 0.01)
+        onward = coasted(target, environment, samples=samples + 1, time=5.0, step=0.01)
+        assert off(onward[-1], expected) < most
+        last = Target.from_motion(expected, BODY)
+        back = coasted(last, environment, samples=samples, time=end, onward=False, step=0.01)
+        assert off(back[0], start) < most
+        tracker = TargetFilter(SETTINGS, target, orbit)
+        assert off(tracker.moved(target, 5.0, end).motion, expected) < 2e-5
+    expected, free = (integrated(start, each, 5.0, 5.5) for each in (environment, None))
+    assert off(released(start, environment, 5.0, 5.5), expected) < 1e-9
+    assert environment is None or off(free, expected) > 1e-5  # what an orbit is for
 
 
 @pytest.mark.parametrize("period", [0.01, 0.07, 1.5])

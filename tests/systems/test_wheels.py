@@ -207,6 +207,61 @@ def test_unloading_has_hysteresis():
     assert wheel_set.unloading_torque(np.array([9.0])) == pytest.approx([0, 0, -0.1])
 
 
+@settings(max_examples=12)
+@given(st.integers(4, 7), st.integers(0, 2**31), st.booleans())
+def test_motors_take_out_what_wheels_hold_against_each_other(count, seed, speeding):
+    """Drawn wheels, some of the momentum opposed: it ends, in bounded time, without a torque on the
+    base beyond the wanted one, and thrusters are asked for nothing unless the rest is too much.
+    """
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(count, 3))
+    units = {
+        str(i): Wheel(axis=axis.tolist(), inertia=0.1, torque_limit=2.0, speed_limit=100.0)
+        for i, axis in enumerate(axes)
+    }
+    given = Wheels(units=units, desaturation_time=0.5)
+    wheel_set = WheelSet(given, sample_time=0.01, alone=False)
+    null = np.linalg.svd(wheel_set.axes)[2][3:]
+    opposed = null.T @ rng.normal(size=count - 3)
+    opposed *= 9.0 / np.abs(opposed).max()
+    net = np.linalg.pinv(wheel_set.axes) @ rng.normal(size=3)
+    net *= rng.uniform(0.0, 0.9) / np.abs(net).max()
+    momentum, turning = opposed + net, 0.1 * rng.normal(size=3)
+    first, was, samples = wheel_set.axes @ momentum, False, 0
+    while (was := bool(wheel_set.rearranges(was, momentum, turning)[0])) and samples < 3000:
+        assert not wheel_set.unloads(False, momentum, turning)
+        wanted = 0.01 * rng.normal(size=3) if speeding else np.zeros(3)
+        alone = wheel_set.give(wanted, momentum, turning)
+        torques = wheel_set.give(
+            wanted, momentum, turning, rearranging=wheel_set.rearranging_torque(momentum)
+        )
+        assert torques.on_base == pytest.approx(alone.on_base, abs=1e-13)
+        assert np.abs(torques.motor).max() <= 2.0
+        momentum, samples = momentum + 0.01 * torques.on_wheels, samples + 1
+    assert 0 < samples < 3000
+    speeds = np.abs(wheel_set.speed(momentum, turning))
+    assert speeds.max() <= 80.0
+    assert not wheel_set.rearranges(False, momentum, turning)
+    assert speeding or wheel_set.axes @ momentum == pytest.approx(first, abs=1e-11)
+
+
+def test_opposed_momentum_is_no_work_for_thrusters(run):
+    """Four wheels at 0.9 of their speed whose momenta cancel."""
+    settings = ("actuation.wheels.desaturation_time=0.5", "actuation.thrusters.layout=12x5N",
+                "duration=3", "reference.duration=60")  # fmt: skip
+    full, empty = (
+        run(*SHORT, wheels((45, -45, 45, -45), torque_limit=60.0), *settings),
+        run(*SHORT, wheels((0, 0, 0, 0), torque_limit=60.0), *settings),
+    )
+    speeds = np.abs(full.dataset["wheel_speed"].values)
+    assert speeds[0].min() > 0.89 * 628.0
+    assert speeds[-1].max() < 0.25 * 628.0
+    for name in ("wheel_unloads", "stored_momentum", "thruster_force", "error"):
+        values = [record.dataset[name].values for record in (full, empty)]
+        assert values[0] == pytest.approx(values[1], abs=1e-9), name
+    assert full.metrics["wheels"]["unloading"] == 0.0
+
+
 def test_wheels_stay_within_their_limits():
     units = {
         name: Wheel(axis=list(map(float, axis)), inertia=0.1, torque_limit=0.5, speed_limit=100.0)
@@ -338,3 +393,17 @@ def test_nearly_coplanar_wheels_are_remarked_on():
     assert "wheels nearly degenerate: along [0, 0, -1]" in remark
     assert "they give 1.41e-05 N m of torque" in remark
     assert not list(uneven_remarks(load_scenario("postcapture", [flat % 1])))
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=15)
+def test_a_lost_wheel_takes_no_part_in_rearranging(seed):
+    rng = np.random.default_rng(seed)
+    units = {str(i): Wheel(axis=rng.normal(size=3).tolist()) for i in range(5)}
+    wheel_set = WheelSet(Wheels(units=units), sample_time=0.01, alone=False, lost=["2"])
+    momentum = rng.uniform(-40.0, 40.0, 5)
+    motor = wheel_set.rearranging_torque(momentum)
+    assert motor[2] == 0.0
+    assert np.abs(motor).max() > 0.0
+    assert wheel_set.axes @ motor == pytest.approx(np.zeros(3), abs=1e-12)
+    assert motor @ momentum < 0.0  # it slows them

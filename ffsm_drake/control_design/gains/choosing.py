@@ -47,7 +47,7 @@ from ffsm_drake.control_design.gains.variation import vary
 from ffsm_drake.control_design.limit import Limit, find_limit
 from ffsm_drake.control_design.stability.adaptation import axis_law, expected_gains
 from ffsm_drake.control_design.stability.boundaries import Boundaries, find_boundaries
-from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer, NotLinear
 from ffsm_drake.control_design.stability.planned_dynamics import Demand, make_demand
 from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_noise
 from ffsm_drake.control_design.stability.rehearsal import rehearse
@@ -397,6 +397,8 @@ class _Search:
                     f"{candidate.controller} tracks a frame; gains are designed for "
                     "errors of coordinates"
                 )
+            if whole:
+                linearizer.refuse_marginal(linearizer.at(linearizer.motion.part(1.0)))
             radii = _radius_by_mass(linearizer, (self._masses[0], self._masses[-1]))
             stable = max(radii.values()) < 1.0
             held = expected_gains(linearizer) if stable or whole else {}
@@ -528,10 +530,13 @@ def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[flo
     """The larger spectral radius at both ends of the plan, by true payload mass (kg)."""
     truths = {mass: with_true_mass(linearizer.given, mass).payload.truth for mass in masses}
     ends = [linearizer.motion.part(share) for share in (0.0, 1.0)]
-    return {
-        mass: max(linearizer.at(time, truth=truth).spectral_radius for time in ends)
-        for mass, truth in truths.items()
-    }
+    try:
+        return {
+            mass: max(linearizer.at(time, truth=truth).spectral_radius for time in ends)
+            for mass, truth in truths.items()
+        }
+    except NotLinear:  # as a user-supplied law that has left its plan
+        return dict.fromkeys(masses, math.inf)
 
 
 def _active_constraint(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 
@@ -54,12 +54,12 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
 
     def radius(changed: Scenario) -> float:
-        return _radius(changed, time)
+        return probed_radius(changed, time)
 
     def largest_mass(names: Collection[str]) -> float:
         return _largest_factor(lambda factor: radius(with_flexible_mass(scenario, names, factor)))
 
-    if radius(scenario) >= 1.0:
+    if _radius(scenario, time) >= 1.0:
         nan = float("nan")
         return Boundaries(
             gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
@@ -90,13 +90,26 @@ def _radius(scenario: Scenario, time: float) -> float:
         return linearizer.at(time).spectral_radius
 
 
+def probed_radius(changed: Scenario, time: float) -> float:
+    """The spectral radius of a trial at a time, s; infinite where its loop, other than that of the
+    scenario itself, cannot be linearised: a user-supplied law may cease to be smooth as it leaves
+    its plan.
+    """
+    try:
+        return _radius(changed, time)
+    except NotLinear:
+        return math.inf
+
+
 def _largest_payload(scenario: Scenario, time: float) -> float:
-    return _largest_factor(lambda factor: _radius(with_nominal_payload(scenario, factor), time))
+    return _largest_factor(
+        lambda factor: probed_radius(with_nominal_payload(scenario, factor), time)
+    )
 
 
 def _first_unstable_delay(scenario: Scenario, time: float) -> float:
     for further in range(1, LARGEST_DELAY + 1):
-        if _radius(with_delay(scenario, scenario.sensing.delay + further), time) >= 1.0:
+        if probed_radius(with_delay(scenario, scenario.sensing.delay + further), time) >= 1.0:
             return float(further)
     return float("inf")
 

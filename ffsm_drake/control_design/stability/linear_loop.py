@@ -12,6 +12,7 @@ import numpy as np
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
+MARGINAL = 1e-6  # distance from the unit circle within which a pole neither grows nor decays
 STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
 
 
@@ -94,6 +95,31 @@ class LinearLoop:
         """
         fast = np.abs(self.poles[self.poles.real < 0.0])
         return float(fast.max(initial=0.0) ** (1.0 / len(self.samples)))
+
+    @property
+    def is_marginal(self) -> bool:
+        """Whether small errors neither grow nor decay."""
+        return abs(self.spectral_radius - 1.0) < MARGINAL
+
+    @property
+    def kept_memory(self) -> tuple[str, ...]:
+        """Names of the controller's memory that neither grows nor decays: without it, fewer poles
+        lie on the unit circle.
+        """
+
+        def marginal(loop: LinearLoop) -> int:
+            return int((np.abs(np.abs(loop.poles) - 1.0) < MARGINAL).sum())
+
+        def without(part: slice) -> LinearLoop:
+            rest = np.delete(np.arange(len(self.a)), part)
+            samples = tuple(
+                SampleMap(a=s.a[np.ix_(rest, rest)], b=s.b[rest], c=s.c[:, rest], d=s.d)
+                for s in self.samples
+            )
+            return dataclasses.replace(self, samples=samples, memory={})
+
+        count = marginal(self)
+        return tuple(name for name, part in self.memory.items() if marginal(without(part)) < count)
 
     def modes(self, count: int = 6) -> list[Mode]:
         """The slowest modes, those that grow first."""

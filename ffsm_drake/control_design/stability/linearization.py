@@ -56,6 +56,7 @@ _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, that is found of user-supplied systems which do not declare
 # it, and the change of their map, relative to its rows, that tells one sample from another.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
+_COARSE = 1e3  # times the step, with which a smooth function has the same derivative
 _ROUNDING = 1e-14  # of numbers in memory, relative to the largest of a group
 # Stretches of samples that are looked at: a transient may hide the period in the first.
 _TRIES = 3
@@ -227,12 +228,12 @@ class Linearizer:
                 samples = tuple(maps[update] for update in updates)
         except FfsmError as error:
             # a user-supplied block may fail because the loop has diverged
-            if not isinstance(error, BlockError) or np.isfinite(self._plant.read()).all():
+            if not isinstance(error, BlockError) or not self._has_diverged(self._plant):
                 raise
             samples = self._unknown()
         except (Exception, SystemExit) as error:
             # Drake refuses some numbers that are not finite by SystemExit
-            if np.isfinite(self._plant.read()).all():
+            if not self._has_diverged(self._plant):
                 reason = f"{type(error).__name__}: {one_line(error)}"
                 named = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
                 suspects = " or ".join([*named, self.scenario.controller])
@@ -250,6 +251,32 @@ class Linearizer:
                 source.get_name(): part
                 for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
             },
+        )
+
+    def _has_diverged(self, plant: PlantState) -> bool:
+        """Whether the plant moves as no motion does, or its state is none: numbers that overflow in
+        a user-supplied block may still be finite here.
+        """
+        velocity = plant.known()[len(self.loop.coordinates.position_names) :]
+        return not np.abs(velocity).max() <= self.scenario.divergence_speed  # true for NaN too
+
+    def refuse_marginal(self, loop: LinearLoop) -> None:
+        """Raise NotLinear where small errors near a loop of this linearizer, at rest, neither grow
+        nor decay, and a user-supplied system may be the cause.
+        """
+        if not (self.user_supplied and loop.is_marginal):
+            return
+        systems = ", ".join(system.get_name() for system in self.user_supplied)
+        if names := loop.kept_memory:
+            held = ", ".join(f'"{name}": None' for name in names)
+            raise NotLinear(
+                f"{systems}: at rest its memory {', '.join(names)} neither grows nor decays, as an "
+                f"adapted gain or estimate; let held() return {{{held}}}, and the loop is "
+                "looked at with it held"
+            )
+        raise NotLinear(
+            f"{systems}: errors neither grow nor decay at rest, as of a block that acts at few "
+            "samples; let it declare its period"
         )
 
     def _unknown(self) -> tuple[SampleMap, ...]:
@@ -325,7 +352,7 @@ class Linearizer:
         try:
             yield
         except BlockError:
-            if np.isfinite(plant.read()).all():
+            if not self._has_diverged(plant):
                 raise
         except (Exception, SystemExit):
             pass
@@ -419,6 +446,12 @@ class Linearizer:
                 index += 2 * _LONGEST_PERIOD
         if self._own_period is None:
             names = ", ".join(system.get_name() for system in self.user_supplied)
+            if self._depends_on_step(index):
+                raise NotLinear(
+                    f"{names}: has no derivative by small errors, as a sign, a root or rounding "
+                    "has none; smooth it, or keep its factor in the law's memory and let held() "
+                    "return it at 0"
+                )
             raise NotLinear(
                 f"{names}: differs from sample to sample, without a period of up to "
                 f"{_LONGEST_PERIOD} samples"
@@ -448,7 +481,14 @@ class Linearizer:
                 return period
         return None
 
-    def _map_of_errors(self, index: int) -> np.ndarray:
+    def _depends_on_step(self, index: int) -> bool:
+        """Whether the derivatives at a control sample depend on the step, as of a function that has
+        none.
+        """
+        fine, coarse = (self._map_of_errors(index, step=k * _STEP) for k in (1.0, _COARSE))
+        return bool((np.abs(fine - coarse) > _DIFFERENT * np.abs(fine).max()).any())
+
+    def _map_of_errors(self, index: int, *, step: float = _STEP) -> np.ndarray:
         """Derivative of the memory after a control sample's update by the plant's state before."""
         state = self._plant.read()
 
@@ -456,7 +496,7 @@ class Linearizer:
             self._plant.write(self._plant.moved(state, change))
             return self._memory.after(index)
 
-        steps = np.full(self._width, _STEP)
+        steps = np.full(self._width, step)
         found = _jacobian(update, [slice(0, self._width)], steps)
         self._plant.write(state)
         return found

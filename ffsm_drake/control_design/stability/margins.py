@@ -235,6 +235,7 @@ def stability(
     if true.split.names:
         locked = np.array([planned.ratios(time, locked=True) for time in times])
     held, loops = dict[str, np.ndarray](), linearizer.along(POSTURES)
+    linearizer.refuse_marginal(loops[-1])
     expected, law, at_bounds, rehearsal = loops, axis_law(linearizer), math.nan, None
     axes = None if law is None else _axis_margins(law, planned, eta, loops[0])
     if axes is not None and axes.forecast_k_s.max() > axes.k_s.max():

@@ -9,11 +9,13 @@ it is unstable there, with the largest K_s expected.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from ffsm_drake.control_design.stability.adaptation import expected_gains
+from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.moving import (
     GROWN,
@@ -27,8 +29,6 @@ from ffsm_drake.systems.controllers.checked import reaching_gain_of
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
 _STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
-# Distance of a spectral radius from 1 within which a user-supplied block may be the cause.
-_MARGINAL = 1e-6
 
 
 def _scope(scenario: Scenario, leg: Leg) -> str:
@@ -128,12 +128,8 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
     if _status(found, leg) != "unstable":
         found, gains = _at_larger_gains(linearizer, leg, found)
     worst, status = found.worst, _status(found, leg)
-    if linearizer.user_supplied and abs(_resting_radius(found, leg) - 1.0) < _MARGINAL:
-        names = ", ".join(system.get_name() for system in linearizer.user_supplied)
-        raise NotLinear(
-            f"{names}: errors neither grow nor decay at rest, as of a block that acts at few "
-            "samples; let it declare its period"
-        )
+    for loop in _resting(found, leg):
+        linearizer.refuse_marginal(loop)
     return LegVerdict(
         leg=leg,
         radius=worst.spectral_radius,
@@ -184,11 +180,15 @@ def _bounds(linearizer: Linearizer) -> np.ndarray:
     return gain.largest
 
 
+def _resting(found: MotionStability, leg: Leg) -> Sequence[LinearLoop]:
+    """The loops where a leg begins or ends at rest."""
+    ends = {"approach": found.loops[:1], "stop": found.loops[-1:]}
+    return ends.get(leg, (found.loops[0], found.loops[-1]))
+
+
 def _resting_radius(found: MotionStability, leg: Leg) -> float:
     """The largest spectral radius where a leg begins or ends at rest."""
-    ends = {"approach": found.loops[:1], "stop": found.loops[-1:]}
-    resting = ends.get(leg, (found.loops[0], found.loops[-1]))
-    return max(loop.spectral_radius for loop in resting)
+    return max(loop.spectral_radius for loop in _resting(found, leg))
 
 
 def _status(found: MotionStability, leg: Leg) -> Status:

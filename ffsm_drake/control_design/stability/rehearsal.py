@@ -31,13 +31,16 @@ from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation import make_actuation, make_base_actuators
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.controllers.law import ControlLaw
-from ffsm_drake.systems.limits import base_limits
+from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 
-SEEDS = 4
+SEEDS, MANY = 16, 64  # noises, under actuators of the base; where they cost little
+_FURTHER = 1.5  # standard deviations, by which the largest of 64 runs exceeds that of one
+_CONFIDENCE = 3.0  # none of n noises diverges: the chance is below 3 / n, at 95 %
+_LIMIT = "actuation.limit"  # among what saturates
 _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
 _SETTLED_AFTER = 5.0  # s, from which on the rms error counts
@@ -63,27 +66,64 @@ class Rehearsal:
 
     def __str__(self) -> str:
         """One line: the actuators' limits, the forces asked of them, and the outcome."""
+        told = f"{self._asked}; {self._saturating}"
+        times = self.diverged[np.isfinite(self.diverged)]
+        if times.size:
+            return f"{told}, and {self.share}, at t = {np.median(times):.1f} s"
+        return f"{told}, and {self.share}" if self.noises > 1 else told
+
+    @property
+    def noises(self) -> int:
+        """Number of noise sequences."""
+        return self.diverged.size
+
+    @property
+    def share(self) -> str:
+        """In how many of the noises it diverges; where in none, what that says of the chance."""
+        count = int(np.isfinite(self.diverged).sum())
+        if self.noises == 1:
+            return "it diverges" if count else "it does not diverge"
+        if count:
+            return f"it diverges in {count} of {self.noises} runs"
+        return (
+            f"it diverges in none of {self.noises} runs (chance below "
+            f"{percent(_CONFIDENCE / self.noises)}, at 95 % confidence)"
+        )
+
+    @property
+    def _saturating(self) -> str:
+        limited = [
+            f"{name} in {percent(float(np.median(share)))}"
+            for name, share in self.saturated.items()
+            if share.any()
+        ]
+        return f"saturated: {', '.join(limited)} of the samples" if limited else "none saturates"
+
+    @property
+    def _asked(self) -> str:
+        """The limits and the forces asked: of the base's actuators or, where there are none, of
+        the group nearest to its limit.
+        """
+        names = [name for name in self.saturated if name != _LIMIT]
+        if not names:
+            limit = actuation_limit(self.scenario, self.coordinates).upper
+            i = int(np.argmax((self.motion_force + 3.0 * self.noise_force) / limit))
+            unit = {"rad": "N m", "m": "N"}[self.coordinates.units[i]]
+            return (
+                f"{_LIMIT} leaves {limit[i]:.3g} {unit} to {self.coordinates.names[i]}; the motion "
+                f"takes up to {self.motion_force[i]:.2g}, sensor noise {self.noise_force[i]:.2g} "
+                "(standard deviation)"
+            )
         groups = self.coordinates.groups
         motion, noise = (
             f"{force[groups['base_rotation']].max():.2g} N m and "
             f"{force[groups['base_position']].max():.2g} N"
             for force in (self.motion_force, self.noise_force)
         )
-        limited = [
-            f"{name} in {percent(float(np.median(share)))}"
-            for name, share in self.saturated.items()
-            if share.any()
-        ]
-        told = (
-            f"{' and '.join(self.saturated)} give {_largest_wrench(self.scenario)}; the motion "
-            f"takes up to {motion}, sensor noise {noise} (standard deviation); "
+        return (
+            f"{' and '.join(names)} give {_largest_wrench(self.scenario)}; the motion takes up to "
+            f"{motion}, sensor noise {noise} (standard deviation)"
         )
-        told += f"saturated: {', '.join(limited)} of the samples" if limited else "none saturates"
-        times = self.diverged[np.isfinite(self.diverged)]
-        if not times.size:
-            return told
-        seeds = f" in {times.size} of {self.diverged.size} runs" if self.diverged.size > 1 else ""
-        return f"{told}, and it diverges{seeds}, at t = {np.median(times):.1f} s"
 
     @property
     def share_diverged(self) -> float:
@@ -98,11 +138,12 @@ def rehearse(
     held: Mapping[str, np.ndarray] | None = None,
     mean: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Rehearsal:
-    """Rehearse a scenario with parts that are ``rehearsed``, from the grasp on.
+    """Rehearse a scenario with parts that are ``rehearsed``, or with ``actuation.limit``, from the
+    grasp on.
 
     Args:
       scenario: the scenario.
-      seeds: number of noise sequences.
+      seeds: number of noise sequences; 64 cost about a second without actuators of the base.
       held: as for ``Linearizer.at``.
       mean: error and force (n, nv) of the run without noise and limits, from
         ``Linearizer.follow``, which takes half a run; default: those of perfect tracking.
@@ -127,10 +168,21 @@ def rehearse(
         ),
         motion_force=np.abs(mean[1]).max(axis=0),
         diverged=diverged,
-        saturated=dict(zip(_actuators(scenario), shares.T, strict=True)),
+        saturated=dict(zip([*_actuators(scenario), _LIMIT], shares.T, strict=True)),
         largest_error=np.median(largest, axis=0),
         rms_error=np.sqrt(square.mean(axis=0)),
     )
+
+
+def is_near_limits(scenario: Scenario, coordinates: Coordinates, force: np.ndarray) -> bool:
+    """Whether another noise may take commands beyond ``actuation.limit``, by those of one run
+    (n, nv; N m or N), whose changes from sample to sample tell the noise.
+    """
+    if scenario.actuation.limit is None or scenario.blocks.actuation is not None or len(force) < 2:
+        return False
+    limit = coordinates.vector(scenario.actuation.limit, key=_LIMIT, default=np.inf)
+    noise = np.diff(force, axis=0).std(axis=0) / math.sqrt(2.0)
+    return bool((np.abs(force).max(axis=0) + _FURTHER * noise > limit).any())
 
 
 class _Runs:
@@ -192,7 +244,7 @@ class _Runs:
         late = [np.zeros((seeds, nv))] * self._scenario.actuation.delay
         own = list(late)
         diverged, samples = np.full(seeds, np.nan), np.full((seeds, 1), times.size)
-        saturated = np.zeros((seeds, len(self._actuators)))
+        saturated = np.zeros((seeds, len(self._actuators) + 1))  # and by actuation.limit
         square, largest = np.zeros((2, seeds, nv))
         settled, at_end = times > _SETTLED_AFTER, times >= times[-1] - _LAST
         motion = zip(times.tolist(), *self._base_motion(times), strict=True)
@@ -208,7 +260,9 @@ class _Runs:
                 s = after[:, self._memory["sliding_variable"]]
                 force = force + products.times(mass, switching * np.sign(s))
                 switching = self._law.switching_gain_after(s, switching)
-            late.append(quantize(np.clip(force, -self._limit, self._limit), self._resolution))
+            bounded = np.clip(force, -self._limit, self._limit)
+            saturated[:, -1] += np.isnan(diverged) & (bounded != force).any(axis=1)
+            late.append(quantize(bounded, self._resolution))
             begins = k % base.frame == 0
             stacked = base.give(
                 late.pop(0), memory, rotation=rotation, turning=turning, begins=begins

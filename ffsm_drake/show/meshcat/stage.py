@@ -28,6 +28,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import Context, DiagramBuilder
 
+from ffsm_drake.common.door import random_loopback
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat.actuators import draw_solids, solids_of
@@ -105,7 +106,7 @@ def start_meshcat() -> Meshcat:
     params.show_stats_plot = False
     for attempt in range(2 * _TRIES):
         if attempt < _TRIES:
-            params.host = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+            params.host = random_loopback()
         else:
             params.host = "127.0.0.1"
         params.port = 10_000 + secrets.randbelow(50_000)

@@ -15,6 +15,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, RecordError, one_lin
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
+from ffsm_drake.preflight.verdict import helpful_remarks
 from ffsm_drake.runs.ending import (
     DIVERGED,
     FAILED,
@@ -25,6 +26,7 @@ from ffsm_drake.runs.ending import (
     SETTLED,
     SETTLED_OVER,
 )
+from ffsm_drake.runs.limits import broken_limits
 from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
@@ -161,6 +163,7 @@ def render_report(
         **_heading(records, title),
         "results": results,
         "summary": _summary(results),
+        "remarks": [_remarks(result) for result in results],
         "settled_rule": _settled_rule(records[0].scenario),
         "table": table(results, distances),
         "table_notes": table_notes(results, distances),
@@ -245,6 +248,19 @@ def _summary(results: Sequence[Result]) -> str:
         status: sum(result.status == status for result in results) for status in _STATUS_TONES
     }
     return f"{len(results)} runs compared: {_tally(counted)}."
+
+
+def _remarks(result: Result) -> Json:
+    """The limits that a run broke, and what helps one that failed or whose actuators saturated."""
+    record = result.record
+    if not record.dataset.sizes.get("time", 0):
+        return {"broken": [], "helps": []}
+    broken, _ = _attempt(
+        "limits", result, functools.partial(broken_limits, record.scenario, record.dataset)
+    )
+    helps, _ = _attempt("advice", result, functools.partial(helpful_remarks, record))
+    said = [f"{remark[:1].upper()}{remark[1:]}." for remark in helps or ()]
+    return {"broken": broken or [], "helps": said}
 
 
 def _tally(counted: Mapping[str, int]) -> str:

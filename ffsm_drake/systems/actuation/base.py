@@ -75,8 +75,8 @@ class BaseActuators(LeafSystem):
     of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
     begins (1), w_WB in the base's axes and the reaction that is missing from the wheels' integrated
     momentum (6); of wheels the impulse of torque that is short (3, world axes, N m s), their
-    momentum (n) and whether they unload; of thrusters the impulse that was asked of them and not
-    fired (6, world axes, N m s and N s), and ThrusterMemory.
+    momentum (n), and whether thrusters unload them and motors rearrange it (2); of thrusters the
+    impulse that was asked of them and not fired (6, world axes, N m s and N s), and ThrusterMemory.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class BaseActuators(LeafSystem):
         initial = list[np.ndarray]()
         self.sizes = {"applied_force": nv}
         if wheels is not None:
-            initial += [np.zeros(3), wheels.initial_momentum, np.zeros(1)]
+            initial += [np.zeros(3), wheels.initial_momentum, np.zeros(2)]
         if thrusters is not None:
             count = len(thrusters.names)
             self.sizes |= {"thruster_force": count, "thruster_open": count, "thruster_given": 1}
@@ -124,7 +124,7 @@ class BaseActuators(LeafSystem):
             self._told = self.DeclareVectorInputPort("isolated", len(self.units))
             self._isolated = self.DeclareDiscreteState(len(self.units))
             self._without = dict[bytes, _Working]()
-        self.initial_memory = memory = np.concatenate(initial)
+        self.initial_memory = memory = np.concatenate([np.empty(0), *initial])
         self.sizes["memory"] = memory.size
         ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
         self._parts = list(itertools.starmap(slice, itertools.pairwise(ends)))
@@ -174,7 +174,8 @@ class BaseActuators(LeafSystem):
         parts, kept, told_units = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
         applied = commanded.copy()
         if wheels is not None:
-            short, momentum, unloads = next(memories), next(memories), next(memories) > 0.0
+            short, momentum, held = next(memories), next(memories), next(memories) > 0.0
+            unloads, rearranges = held[..., :1], held[..., 1:]
             w_WB, missing = turning[..., :3], turning[..., 3:]
             recovered = times(rotation.swapaxes(-1, -2), short)
             wanted[..., 0, :] += recovered / (_RECOVERY * self._sample_time)
@@ -201,7 +202,10 @@ class BaseActuators(LeafSystem):
         elif broken is not None:
             told = applied.copy()
         if wheels is not None:
-            torques = wheels.give(wanted[..., 0, :], momentum, w_WB)
+            rearranges, rearranging = wheels.rearranges(rearranges, momentum, w_WB), None
+            if rearranges.any():
+                rearranging = np.where(rearranges, wheels.rearranging_torque(momentum), 0.0)
+            torques = wheels.give(wanted[..., 0, :], momentum, w_WB, rearranging=rearranging)
             by_wheels = times(rotation, torques.on_base) + missing
             if broken is not None:
                 told[..., :3] = by_wheels + (0.0 if thrusters is None else told[..., :3])
@@ -214,7 +218,8 @@ class BaseActuators(LeafSystem):
             given = told[..., :3] - missing
             left = short + (commanded[..., :3] - given) * self._sample_time
             momentum = momentum + torques.on_wheels * self._sample_time
-            kept = [wheels.bounded(left, _RECOVERY), momentum, unloads * 1.0, *kept]
+            both = np.concatenate([unloads, rearranges], axis=-1) * 1.0
+            kept = [wheels.bounded(left, _RECOVERY), momentum, both, *kept]
         if broken is not None:
             parts += [told, *told_units]
         return np.concatenate([applied, *parts, *kept], axis=-1)

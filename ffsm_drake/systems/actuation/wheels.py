@@ -5,6 +5,10 @@ about the axis, h, with the base's turning in it: dh/dt is the torque u on it ab
 motor and friction, and its speed relative to the base is Omega = h/J - a . w. The base, whose
 inertia then counts the wheel without J a a', feels -d(h a)/dt: -u a in its own axes, and -w x (h
 a).
+
+Of the momenta h of wheels with axes A the part N h, N = 1 - A^+ A, is held by wheels against each
+other: A N = 0, so that the motors alone can take it out without a torque on the base. The rest is
+what thrusters must take (A h).
 """
 
 import dataclasses
@@ -47,6 +51,7 @@ from ffsm_drake.systems.setup import BlockSetup
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
 _LEAST = 1e-12
 _UNLOADING = 0.5  # of the motors' torque, at most
+_REARRANGED = 0.02  # of the speed limit; less that wheels hold against each other is left there
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -93,7 +98,8 @@ class WheelSet:
                 "viscous_friction",
             )
         )
-        used = self.axes * [name not in lost for name in self.names]
+        works = np.array([name not in lost for name in self.names])
+        used = self.axes * works
         self._share = np.linalg.pinv(used, rcond=1e-9)
         left, sizes, _ = np.linalg.svd(used)
         self._lost = left[:, np.count_nonzero(sizes > 1e-9) :].T  # unit axes of no torque
@@ -106,6 +112,7 @@ class WheelSet:
             )
         # Speeds that together give the base nothing.
         self._idle = np.eye(len(self.names)) - self._share @ self.axes
+        self._opposed = np.diag(1.0 * works) - self._share @ used  # N
         self._most_momentum = self.inertia * self._speed
 
     def speed(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
@@ -115,23 +122,34 @@ class WheelSet:
         return momentum / self.inertia - times(self.axes.T, angular_velocity)
 
     def give(
-        self, torque: np.ndarray, momentum: np.ndarray, angular_velocity: np.ndarray
+        self,
+        torque: np.ndarray,
+        momentum: np.ndarray,
+        angular_velocity: np.ndarray,
+        *,
+        rearranging: np.ndarray | None = None,
     ) -> WheelTorques:
         """The torques nearest to a wanted one on the base (..., 3, base's axes) within the wheels'
         limits.
 
-        Above the motors' limits it is scaled; a wheel at its speed limit is not accelerated.
+        Above the motors' limits it is scaled; a wheel at its speed limit is not accelerated. What
+        room is left is for torques of the motors ``rearranging`` (..., n) that the base does not
+        feel.
         """
         motor = -times(self._share, torque)
         motor = motor / np.maximum(1.0, self._loads(motor))
         carried = self.inertia * times(self.axes.T, angular_velocity)
         most = self.inertia * self._speed
-        motor = np.clip(
-            motor,
-            (carried - most - momentum) / self._sample_time,
-            (carried + most - momentum) / self._sample_time,
-        )
-        motor = np.clip(motor, -self._torque, self._torque)
+        lower = (carried - most - momentum) / self._sample_time
+        upper = (carried + most - momentum) / self._sample_time
+        motor = np.clip(np.clip(motor, lower, upper), -self._torque, self._torque)
+        if rearranging is not None:
+            ahead = np.where(
+                rearranging > 0.0, np.minimum(upper, self._torque), np.maximum(lower, -self._torque)
+            )
+            with np.errstate(divide="ignore", invalid="ignore"):
+                room = np.where(rearranging == 0.0, np.inf, (ahead - motor) / rearranging)
+            motor = motor + np.clip(room.min(axis=-1, keepdims=True), 0.0, 1.0) * rearranging
         speed = self.speed(momentum, angular_velocity)
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
@@ -179,7 +197,7 @@ class WheelSet:
         in a base at rest.
 
         Args: in the base's axes (..., 3), N m s. From their initial momentum the motors, which
-        share as ``give`` does, have brought the wheels there.
+        share as ``give`` does and have rearranged nothing, have brought the wheels there.
         """
         share: np.ndarray = (
             np.abs(momentum @ self._share.T + self._idle @ self.initial_momentum)
@@ -233,13 +251,30 @@ class WheelSet:
     def unloads(
         self, was: np.ndarray | bool, momentum: np.ndarray, angular_velocity: np.ndarray
     ) -> np.ndarray:
-        """Whether (..., 1) thrusters are to unload the wheels, with hysteresis; ``was``: whether
-        they were.
+        """Whether (..., 1) thrusters are to unload the wheels, by what they do not hold against
+        each other, with hysteresis; ``was``: whether they were.
         """
-        speeds = np.abs(self.speed(momentum, angular_velocity))
-        fullest: np.ndarray = (speeds / self._speed).max(axis=-1, keepdims=True)
+        fullest = self._fullest(momentum - times(self._opposed, momentum), angular_velocity)
         below, above = self.settings.desaturate_below, self.settings.desaturate_above
         return fullest > np.where(was, below, above)
+
+    def rearranges(
+        self, was: np.ndarray | bool, momentum: np.ndarray, angular_velocity: np.ndarray
+    ) -> np.ndarray:
+        """Whether (..., 1) motors are to take out what wheels hold against each other, likewise: it
+        is over when none is left.
+        """
+        opposed = times(self._opposed, momentum) / self._most_momentum
+        left = np.abs(opposed).max(axis=-1, keepdims=True)
+        below, above = self.settings.desaturate_below, self.settings.desaturate_above
+        full = self._fullest(momentum, angular_velocity) > np.where(was, below, above)
+        return full & (left > np.where(was, 1.0, 2.0) * _REARRANGED)
+
+    def _fullest(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
+        """The largest share (..., 1) of a speed limit."""
+        speeds = np.abs(self.speed(momentum, angular_velocity))
+        fullest: np.ndarray = (speeds / self._speed).max(axis=-1, keepdims=True)
+        return fullest
 
     def unloading_torque(self, momentum: np.ndarray) -> np.ndarray:
         """Torque on the base (..., 3, base's axes) that thrusters are to give so that wheels
@@ -248,6 +283,11 @@ class WheelSet:
         torque = -times(self.axes, momentum) / self.settings.desaturation_time
         largest = self._loads(times(self._share, torque)) / _UNLOADING
         return torque / np.maximum(1.0, largest)
+
+    def rearranging_torque(self, momentum: np.ndarray) -> np.ndarray:
+        """Torques of the motors (..., n) that take out what wheels hold against each other."""
+        motor = -times(self._opposed, momentum) / self.settings.desaturation_time
+        return motor / np.maximum(1.0, self._loads(motor) / _UNLOADING)
 
 
 class Gyroscopic(Diagram):

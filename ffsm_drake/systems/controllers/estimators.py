@@ -21,18 +21,23 @@ state b. It remembers what e and e' were over the delay, compares a measurement 
 time, and corrects all of it, the present included. This equals a filter at the time of measurement
 that predicts over the delay with the force that acted.
 
+The errors of the base's sensors, a gyro's bias among them, turn with the base. Where a bias is
+estimated, or what is assumed differs along the base's three axes, the filters of its rotation and
+its position take innovations along the measured base's axes, and b stays in them.
+
 *Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
 f, with f a random walk. One filter of all their measurements then knows more of each than one for
-each. H changes along a motion, and the gain of a posture with H_0 makes the filter unstable where
-an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains for as many postures of the plan as
-it takes, and that of the one nearest to the desired posture is used.
+each. Biases are states of it, as above. H changes along a motion, and the gain of a posture with
+H_0 makes the filter unstable where an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains
+for as many postures of the plan as it takes, and that of the one nearest to the desired posture is
+used.
 """
 
 import abc
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
@@ -40,9 +45,14 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.products import matrix_vector
+from ffsm_drake.common.products import matrix_vector, product
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Scenario, planned_part
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    Coordinates,
+)
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -172,9 +182,10 @@ class KalmanEstimator(Estimator):
     @classmethod
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
-    ) -> Estimator:
+    ) -> "KalmanEstimator | LateKalmanEstimator":
         axes, step = _axes(scenario, coordinates), scenario.sample_time
-        if not all(axis.is_plain for axis in axes):
+        of_base = jacobian is None and _axes_matter(axes)
+        if of_base or not all(axis.is_plain for axis in axes):
             return LateKalmanEstimator.make(scenario, coordinates, jacobian)
         noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
         if jacobian is not None:
@@ -232,6 +243,8 @@ class LateKalmanEstimator(Estimator):
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
+    # whether the gains of the base's coordinates, and its bias, are along its axes
+    in_base: bool
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
     # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
     # position, both; those of each of several runs
@@ -252,6 +265,7 @@ class LateKalmanEstimator(Estimator):
         return cls(
             sample_time=scenario.sample_time,
             delay=delays.T.ravel(),
+            in_base=_axes_matter(axes),
             gain=np.concatenate([*present, *of_e, *of_rate], axis=1),
         )
 
@@ -284,6 +298,15 @@ class LateKalmanEstimator(Estimator):
         nv = self.delay.size // 2
         return np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
 
+    @functools.cached_property
+    def _of_base(self) -> np.ndarray:
+        """Vectors of the base among the entries of x without b, as rows (m, 3)."""
+        nv = self.delay.size // 2
+        axis = self._axis.copy()
+        axis[3 * nv : 4 * nv] = nv
+        of = [np.flatnonzero(axis == each) for each in range(NUM_BASE_VELOCITIES)]
+        return np.concatenate([np.stack(of[first : first + 3], axis=1) for first in (0, 3)])
+
     def initial_state(self) -> State:
         nv = self.delay.size // 2
         names = (
@@ -307,7 +330,14 @@ class LateKalmanEstimator(Estimator):
             past = self._moved_past(state, sample.v_d)
         x = np.concatenate((e, e_dot, past), axis=-1)
         expected = x[..., self._measured]
-        position, rate = sample.e - expected[..., :nv], sample.e_dot - (expected[..., nv:] - bias)
+        position = sample.e - expected[..., :nv]
+        if self.in_base:
+            R = matrix_of(sample.q[..., :4])
+            back = np.swapaxes(R, -1, -2)
+            position = _turned(back, position)
+            rate = _turned(back, sample.e_dot - expected[..., nv:]) + bias
+        else:
+            rate = sample.e_dot - (expected[..., nv:] - bias)
         axis, gain = self._axis, self._gain[..., 3, :, :]
         if sample.is_new is not None:
             new = 2 * sample.is_new[..., :nv] + sample.is_new[..., nv:]
@@ -315,6 +345,9 @@ class LateKalmanEstimator(Estimator):
             run = (np.arange(len(new))[:, None],) if isinstance(self.gain, tuple) else ()
             gain = self._gain[(*run, *chosen)]
         correction = gain[..., 0] * position[..., axis] + gain[..., 1] * rate[..., axis]
+        if self.in_base:
+            vectors = product(correction[..., self._of_base], back)  # rows: R v is v R'
+            correction[..., self._of_base] = vectors
         x = np.concatenate((e, e_dot, d, bias, past), axis=-1) + correction
         e, e_dot, d, bias, past = np.split(x, [nv, 2 * nv, 3 * nv, 4 * nv], axis=-1)
         return Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d), {
@@ -351,10 +384,11 @@ class CoupledEstimator(Estimator):
 
     wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
-    separate: KalmanEstimator
+    separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
-    # (m, nq) for which there are gains, and (m, 3 n, 2 n): correction of [e, e', f] per unit of
-    # innovation of [e, e']; those of each of several runs
+    biased: np.ndarray  # (k,) those of them whose velocities have a bias
+    # (m, nq) for which there are gains, and (m, 3 n + k, 2 n): correction of [e, e', f, b] per unit
+    # of innovation of [e, e']; those of each of several runs
     postures: np.ndarray | tuple[np.ndarray, ...] = of_each()
     gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
@@ -362,14 +396,17 @@ class CoupledEstimator(Estimator):
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> Self:
-        separate = KalmanEstimator.make(scenario, coordinates, None)
-        if not isinstance(separate, KalmanEstimator):
+        sensed = _axes(scenario, coordinates)
+        if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
             raise ScenarioError(
-                "estimator.kind", "coupled takes no slow or late sensors and no bias; use kalman"
+                "estimator.kind",
+                "coupled takes no slow or late sensors, and the same noise and walk about the "
+                "base's three axes; use kalman",
             )
         axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
         position, velocity = assumed_noise(scenario, coordinates)
         walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
+        bias_walk = np.array([axis.bias_walk for axis in sensed])
         postures, gain = _gains_along(
             planned_part(scenario),
             files_read(scenario),
@@ -377,14 +414,17 @@ class CoupledEstimator(Estimator):
             position_noise=position[axes],
             velocity_noise=velocity[axes],
             walk=walk[axes],
+            bias_walk=bias_walk[axes],
         )
-        return cls(separate=separate, axes=axes, postures=postures, gain=gain)
+        separate = KalmanEstimator.make(scenario, coordinates, None)
+        biased = axes[bias_walk[axes] > 0.0]
+        return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
 
     def gain_at(self, q_d: np.ndarray) -> np.ndarray:
-        """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
+        """The gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
         base's rotation and the joints' positions, rad or m.
         """
         if isinstance(self.gain, tuple):
@@ -401,11 +441,14 @@ class CoupledEstimator(Estimator):
         estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
         e, e_dot, d = estimate.e.copy(), estimate.e_dot.copy(), -estimate.base_acceleration
         old_e, old_rate = (of[..., self.axes] for of in predicted[:2])
-        innovation = np.concatenate(
-            (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
-        )
-        of_e, of_rate, of_force = np.split(
-            matrix_vector(self.gain_at(sample.q_d), innovation), 3, axis=-1
+        rate = sample.e_dot[..., self.axes] - old_rate
+        if self.biased.size:
+            R, bias = matrix_of(sample.q[..., :4]), state["estimated_velocity_bias"]
+            rate = rate + _turned(R, bias)[..., self.axes]
+        innovation = np.concatenate((sample.e[..., self.axes] - old_e, rate), axis=-1)
+        n = self.axes.size
+        of_e, of_rate, of_force, of_bias = np.split(
+            matrix_vector(self.gain_at(sample.q_d), innovation), [n, 2 * n, 3 * n], axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
@@ -416,6 +459,13 @@ class CoupledEstimator(Estimator):
             ..., self.axes, 0
         ]
         kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
+        if self.biased.size:  # in the base's axes
+            correction = np.zeros_like(d)
+            correction[..., self.biased] = of_bias
+            bias = bias + _turned(np.swapaxes(R, -1, -2), correction)
+            of_others = after["estimated_velocity_bias"]
+            coupled = np.isin(np.arange(bias.shape[-1]), self.axes)
+            kept["estimated_velocity_bias"] = np.where(coupled, bias, of_others)
         return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {
             **after,
             **kept,
@@ -435,6 +485,21 @@ def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
     cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # of half the angle
     nearest: np.ndarray = ((joints * joints).sum(axis=-1) - 8.0 * cosine).argmin(axis=-1)
     return nearest
+
+
+def _axes_matter(axes: Sequence[SensedAxis]) -> bool:
+    """Whether it matters along which axes the filters of the base's coordinates are."""
+    base = axes[:NUM_BASE_VELOCITIES]
+    alike = len(set(base[:3])) == len(set(base[3:])) == 1
+    return not alike or any(axis.bias_walk > 0.0 for axis in base)
+
+
+def _turned(R: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (..., nv) along the coordinates, the base's vectors turned by R (..., 3, 3)."""
+    turned, base = values.copy(), values[..., :NUM_BASE_VELOCITIES]
+    vectors = product(base.reshape(*base.shape[:-1], 2, 3), np.swapaxes(R, -1, -2))  # as rows
+    turned[..., :NUM_BASE_VELOCITIES] = vectors.reshape(base.shape)
+    return turned
 
 
 def _predict(

@@ -53,33 +53,40 @@ def coupled_gain(
     position_noise: np.ndarray,
     velocity_noise: np.ndarray,
     walk: np.ndarray,
+    bias_walk: np.ndarray,
     sample_time: float,
 ) -> np.ndarray:
-    """Stationary gain (3 n, 2 n) of a CoupledEstimator.
+    """Stationary gain (3 n + m, 2 n) of a CoupledEstimator that estimates m biases.
 
     Args:
       inverse_mass_matrix: block (n, n) of Hhat^-1 for the coupled coordinates.
       position_noise, velocity_noise: standard deviations of the measured e and e' (n).
       walk: intensity of the force's random walk (n), N m or N per sqrt(s).
+      bias_walk: that of the velocities' biases (n), m of which are not zero.
       sample_time: L, s.
     """
     from scipy.linalg import solve_discrete_are
 
     step, size = sample_time, walk.size
+    biased = np.flatnonzero(bias_walk)
+    whole = 3 * size + biased.size
     response, one = -inverse_mass_matrix, np.eye(size)
     zero = np.zeros_like(one)
     # In units of acceleration, as in ``kalman_gain``.
-    transition = np.block([[one, one, 0.5 * response], [zero, one, response], [zero, zero, one]])
-    output = np.eye(2 * size, 3 * size)
+    transition, output = np.eye(whole), np.eye(2 * size, whole)
+    transition[: 3 * size, : 3 * size] = np.block(
+        [[one, one, 0.5 * response], [zero, one, response], [zero, zero, one]]
+    )
+    output[size + biased, np.arange(3 * size, whole)] = -1.0
     sigma = np.concatenate([position_noise / step**2, velocity_noise / step])
     fastest = float(np.abs(response @ walk).max()) * math.sqrt(step)
     noise = np.maximum(sigma, SMALLEST_RATIO * max(float(sigma.max()), fastest)) ** 2
-    process = np.zeros((3 * size, 3 * size))
-    process[2 * size :, 2 * size :] = np.diag(walk**2 * step) / noise.min()
+    walks = np.concatenate([np.zeros(2 * size), walk, bias_walk[biased] / step])
+    process = np.diag(walks**2 * step) / noise.min()
     of_noise = np.diag(noise / noise.min())
     covariance = solve_discrete_are(transition.T, output.T, process, of_noise)
     gain = np.linalg.solve(output @ covariance @ output.T + of_noise, output @ covariance).T
-    units = np.repeat([step**2, step, 1.0], size)
+    units = np.repeat([step**2, step, 1.0, step], [size, size, size, biased.size])
     return gain * units[:, None] / units[: 2 * size]
 
 
@@ -95,9 +102,14 @@ class SensedAxis:
     delay: tuple[int, int] = (0, 0)
 
     @property
+    def is_prompt(self) -> bool:
+        """Whether its measurements are new at every sample, at once."""
+        return self.period == (1, 1) and self.delay == (0, 0)
+
+    @property
     def is_plain(self) -> bool:
-        """Whether its measurements are new at every sample, at once and without bias."""
-        return self.bias_walk == 0.0 and self.period == (1, 1) and self.delay == (0, 0)
+        """Whether they are, and without bias."""
+        return self.is_prompt and self.bias_walk == 0.0
 
 
 def late_gains(axis: SensedAxis, *, sample_time: float) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Laws that act as an agent does, and one of them: a trained policy from an ONNX file.
 
 ``controller: policy:FILE`` is such a policy: the network maps observations (1, n; float32) to
-actions (1, na) between -1 and 1, and the file's metadata say which (``PolicyFile``). It needs
-``pip install 'ffsm-drake[policy]'``.
+actions (1, na) between -1 and 1, and the file's metadata say which (``PolicyFile``). A file imports
+nothing: a user-supplied law that its actions change is named by the user, ``policy:FILE@LAW``. It
+needs ``pip install 'ffsm-drake[policy]'``.
 """
 
 import abc
@@ -17,16 +18,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, one_line
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.common.files import check_regular
+from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
 from ffsm_drake.systems.controllers.task_space import TaskSpace
-from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.registry import block_names, call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
 ACTIONS = ("force", "residual", "setpoint")
 FURTHEST = 100.0  # m or rad; observations are bounded, as many learners want it
+_MAX_FILE = 2_000_000_000  # bytes; what ONNX can hold
 _HELD, _AGE = "action", "action_age"  # memory of a policy whose actions last several samples
 
 
@@ -126,11 +129,13 @@ class ActingLaw(ControlLaw):
 
 def inner_law(name: str, setup: BlockSetup) -> ControlLaw:
     """The law of a scenario that actions change. Raises BlockError: it is no law."""
-    factory = find_factory("controller", name, python_path=setup.scenario.python_path)
-    settings = setup.scenario.controllers.get(name, {})
-    inner = call_factory(
-        factory, dataclasses.replace(setup, name=name, settings=settings), place=name
+    factory, key = (
+        find_factory("controller", name, python_path=setup.scenario.python_path),
+        controller_key(name),
     )
+    settings = setup.scenario.controllers.get(key, {})
+    own = dataclasses.replace(setup, name=key, settings=settings)
+    inner = call_factory(factory, own, place=name)
     if not isinstance(inner, ControlLaw):
         raise BlockError(f"{name}: must be a control law")
     return inner
@@ -141,8 +146,9 @@ class PolicyFile:
     """A network, and what the metadata of its file say; the factory of its law.
 
     The metadata are texts: ``observation_names`` and ``action_names``, ``scale`` (of each action)
-    as JSON lists, ``action`` (one of ACTIONS), ``law`` (that actions change), ``samples_per_step``
-    (in which an action lasts). ``MissionEnv.policy_metadata`` has those of an environment.
+    as JSON lists, ``action`` (one of ACTIONS), ``law`` (that actions change: a shipped or installed
+    one), ``samples_per_step`` (in which an action lasts). ``MissionEnv.policy_metadata`` has those
+    of an environment.
     """
 
     path: Path
@@ -155,11 +161,22 @@ class PolicyFile:
     samples_per_step: int
 
     @classmethod
-    def at(cls, path: Path) -> "PolicyFile":
+    def at(cls, path: Path, *, law: str = "") -> "PolicyFile":
         """That of a file. Raises BlockError: it is none, or its metadata are not as they should
         be.
+
+        Args:
+          law: that actions change, in place of the file's.
         """
-        return _read(path, path.stat().st_mtime_ns)
+        found = _read(path, path.stat().st_mtime_ns)
+        if law:
+            return dataclasses.replace(found, law=law)
+        known = block_names("controller")
+        if found.action != "force" and found.law not in known:
+            problem = f"law is one of {', '.join(known)}, not {found.law!r:.80}"
+            remedy = f"name your own beside the file: policy:{path.name}@module:attribute"
+            raise BlockError(f"policy:{path.name}: metadata: {problem}; {remedy}")
+        return found
 
     @property
     def tracks_frame(self) -> bool:
@@ -232,6 +249,7 @@ def _read(path: Path, changed: int) -> PolicyFile:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # errors are raised
     try:
+        check_regular(path, limit=_MAX_FILE)
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # of many kinds
         why = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", one_line(error))

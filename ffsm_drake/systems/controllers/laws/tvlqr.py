@@ -21,6 +21,7 @@ from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.products import matrix_vector
+from ffsm_drake.common.so3 import skew
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
@@ -155,7 +156,7 @@ def linearized(
     inverse = np.linalg.inv(mass_matrix)
     a_q, a_v = -inverse @ by_q, -inverse @ by_v
     turn, turn_rate = np.zeros((nv, nv)), np.zeros((nv, nv))
-    turn[:3, :3], turn_rate[:3, :3] = cross_matrix(v[:3]), cross_matrix(a[:3])
+    turn[:3, :3], turn_rate[:3, :3] = skew(v[:3]), skew(a[:3])
     system = np.block(
         [[np.zeros((nv, nv)), np.eye(nv)], [a_q - a_v @ turn + turn_rate, a_v + turn]]
     )
@@ -176,12 +177,6 @@ def moved(q: np.ndarray, change: np.ndarray) -> np.ndarray:
     )
     turned = q[:4] + turn
     return np.concatenate([turned / np.linalg.norm(turned), q[4:] + change[3:]])
-
-
-def cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """The matrix (3, 3) of the cross product with a vector, vector x (.)."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def discretized(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,83 @@
+"""Where commands run: locales other than UTF-8, few open files, Slurm steps without a scheduler."""
+
+import json
+import os
+import sys
+
+import pytest
+from children import finished
+
+from ffsm_drake.common import workers
+from ffsm_drake.common.errors import WorkersError
+
+FEW = """import resource, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, ({0}, {0}))
+sys.argv = ["ffsm", "scenarios"]
+from ffsm_drake.__main__ import main
+main()
+"""
+
+
+def ended(*words, **env):
+    """A Python process that has ended, in another environment."""
+    return finished([sys.executable, *words], env={**os.environ, **env}, longest=100.0, text=False)
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "latin-1"},
+        *(
+            pytest.param({"LC_ALL": name, "PYTHONUTF8": "0"}, marks=pytest.mark.slow)
+            for name in ("C", "POSIX", "en_US.ISO-8859-1", "de_DE@euro", "no_such_locale")
+        ),
+        pytest.param({"PYTHONIOENCODING": "ascii"}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_any_locale_will_do(env):
+    found = ended("-m", "ffsm_drake", "validate", "planar_detumble", "--no-rehearsal", **env)
+    assert found.returncode == 0, found.stderr
+    assert b"planar_detumble: expected to go as planned" in found.stdout
+    assert not found.stderr
+
+
+@pytest.mark.parametrize("number", [4, pytest.param(5, marks=pytest.mark.slow)])
+def test_few_open_files_are_enough_or_one_line(number):
+    """Not among them: a Python whose own start needs more, as by a .pth file."""
+    found = ended("-S", "-c", f"import sys; sys.path[:] = {sys.path!r}\n" + FEW.format(number))
+    if number == 4:
+        assert found.returncode == 2, found.stderr
+        assert found.stderr.startswith(b"error: too few files may be open")
+        assert len(found.stderr.splitlines()) == 1, found.stderr
+    else:
+        assert found.returncode == 0, found.stderr
+        assert b"postcapture" in found.stdout
+
+
+@pytest.mark.parametrize(
+    "content", ["none", "", "{", "[]", '{"address": 7}', 200_000 * " "], ids=len
+)
+def test_a_step_without_a_scheduler_ends_in_time(content, tmp_path, monkeypatch, capsys):
+    """It says what it waits for, and what did not come."""
+    monkeypatch.chdir(tmp_path)
+    for name, value in {"NTASKS": "4", "PROCID": "2", "JOB_ID": "7"}.items():
+        monkeypatch.setenv(f"SLURM_{name}", value)
+    monkeypatch.setattr(workers, "_SILENCE", 0.05)
+    if content != "none":
+        (tmp_path / "scheduler-7-0-0.json").write_text(content)
+    with (
+        pytest.raises(WorkersError, match=r"--slurm: no scheduler: .*scheduler-7-0-0.json within"),
+        workers.slurm_workers(patience=0.3),
+    ):
+        pass
+    said = capsys.readouterr().err.splitlines()
+    assert said == ["waiting for the scheduler, task 0 of the step, to write scheduler-7-0-0.json"]
+
+
+def test_a_scheduler_that_is_gone_is_one_line(tmp_path, monkeypatch):
+    """The second task of the step goes on as soon as there is an address, and tries it in time."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "scheduler-7-0-0.json"
+    file.write_text(json.dumps({"address": "tcp://127.0.0.1:9"}))
+    workers._await_scheduler(file, 0.1)
