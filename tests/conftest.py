@@ -37,6 +37,12 @@ def pytest_configure(config):
     )
 
 
+def pytest_collection_finish():
+    """What is imported by now stays: no collection looks through it again."""
+    gc.collect()
+    gc.freeze()
+
+
 # The modules that take longest; the longest starts first, so that no worker ends alone with one.
 LONGEST = (
     "bad_inputs",
@@ -71,6 +77,13 @@ def rough_pictures():
     """Pictures of few pixels: where only that they are drawn counts."""
     with rough_drawing():
         yield
+
+
+@pytest.fixture
+def few_delays(monkeypatch):
+    """Margins of a delay of at most two further samples: each is of a larger loop."""
+    for part in ("stability.boundaries", "gains.requirement"):
+        monkeypatch.setattr(f"ffsm_drake.control_design.{part}.LARGEST_DELAY", 2)
 
 
 @pytest.fixture(autouse=True)

@@ -4,6 +4,7 @@ complete.
 That the site builds, with all links inside it, is ``sphinx-build -W``'s to say.
 """
 
+import functools
 import importlib
 import importlib.util
 import json
@@ -25,6 +26,7 @@ from scipy.optimize import brentq
 
 from ffsm_drake import FfsmError, simulate
 from ffsm_drake.cli import main
+from ffsm_drake.control_design.gains import design
 from ffsm_drake.control_design.gains.axis_search import PRICES
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.scenario import (
@@ -217,8 +219,9 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
     if page.name == "README.md":  # whose runs are as long as they come
-        shortened = lambda name, overrides=(): load_scenario(name, [*overrides, "duration=8"])  # noqa: E731
+        shortened = lambda name, overrides=(): load_scenario(name, [*overrides, "duration=2"])  # noqa: E731
         monkeypatch.setattr("ffsm_drake.load_scenario", shortened)
+        monkeypatch.setattr("ffsm_drake.design", functools.partial(design, time_limit=1.0))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     found = [(MODULE.match(block), block) for block in blocks(page, "python")]

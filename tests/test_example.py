@@ -129,7 +129,7 @@ def test_bad_input_gets_one_line(main, capfd):
     assert error.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_campaign(tmp_path):
     """In a process of its own, since its workers import the file."""
     command = [sys.executable, EXAMPLES / "campaign.py"]

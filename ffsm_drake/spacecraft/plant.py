@@ -1,5 +1,6 @@
 """The combined spacecraft: model directives -> MultibodyPlant, coordinates, captured payload."""
 
+import functools
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -43,6 +44,7 @@ _CONDITIONS = {  # Drake's C++ text -> plain words
 }
 
 
+@functools.cache
 def models_dir() -> Path:
     """The folder of ``package://ffsm_drake/``: inside the package when installed, else the
     checkout's.

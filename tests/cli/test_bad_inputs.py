@@ -928,12 +928,11 @@ def _started(process) -> None:
     raise AssertionError("the run never began")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "signals"),
     [
-        pytest.param(signal.SIGINT, 1, id="int"),
-        pytest.param(signal.SIGTERM, 1, id="term", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 1, id="int", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, 1, id="term", marks=pytest.mark.long),
         pytest.param(signal.SIGINT, 2, id="twice", marks=pytest.mark.slow),
     ],
 )
@@ -1155,8 +1154,13 @@ def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
     check_kept(tmp_path / "out" / "postcapture_Elsewhere", "completed")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stderr", ["closed", "full"])
+@pytest.mark.parametrize(
+    "stderr",
+    [
+        pytest.param("closed", marks=pytest.mark.long),
+        pytest.param("full", marks=pytest.mark.slow),
+    ],
+)
 def test_standard_error_that_takes_nothing(tmp_path, stderr):
     """A controller that leaves a thread, too: the process ends nevertheless."""
     (tmp_path / "mine_bad.py").write_text(CONTROLLERS)

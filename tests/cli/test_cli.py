@@ -201,12 +201,12 @@ def test_scenarios_and_validate(tmp_path):
     assert set(listed) == set(shipped_scenarios())
     mine = tmp_path / "mine.yaml"
     mine.write_text(ffsm("scenarios", "flight_sensors").stdout)
-    good = ffsm("validate", "postcapture", "tumbling_capture", mine)  # all: below
+    good = ffsm("validate", "--no-rehearsal", "postcapture", "tumbling_capture", mine)
     assert good.exit_code == 0, good.output
     assert f"{mine}: valid; tde_aismc, free base and 5 joints" in good.stdout
     assert "tumbling_capture: after the grasp as planned: 0.3517 N s" in good.stdout
     mine.write_text("payload: {truth: {mass: -1}}")
-    bad = ffsm("validate", "postcapture", mine, "--json")
+    bad = ffsm("validate", "postcapture", mine, "--json", "--no-rehearsal")
     assert bad.exit_code == 2
     results = json.loads(bad.stdout)
     assert results["postcapture"]["valid"]
@@ -319,6 +319,7 @@ def test_reproduce_refuses_what_the_paper_has_not(tmp_path):
     assert "'fig9' is not one of" in result.output
 
 
+@pytest.mark.usefixtures("few_delays")
 def test_stability_with_disk_margins():
     options = ("-c", "tdc", "--set", "duration=3", "--no-rehearsal", "--disk")
     shown = ffsm("stability", *options)

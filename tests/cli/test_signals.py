@@ -99,7 +99,7 @@ def disturb(old, draw):
     return "interrupted" if process.returncode not in (0, 3) else "in time"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_signals_at_any_instant(tmp_path, monkeypatch, run):
     """As many as the variable SIGNALS says, 6 without."""

@@ -21,6 +21,7 @@ from ffsm_drake.control_design.stability.prediction import Prediction
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 SHORT = ("duration=6", "reference.duration=6")
+pytestmark = pytest.mark.usefixtures("few_delays")
 HEAVY = ("controller=tdc", "duration=20", "reference.duration=20")
 
 
@@ -61,6 +62,16 @@ def requirement_of(coordinates, trade=(), budget=102.0, room=np.inf):
     none = np.full(len(coordinates.names), np.inf)
     baseline = Baseline(point=point_of(coordinates), boundaries=boundaries, time=0.0, trade=trade)
     return Requirement(budget=budget, limit=none, room=np.minimum(none, room), baseline=baseline)
+
+
+def interrupted_after(count):
+    """``progress`` that cuts a search at a number of candidates."""
+
+    def progress(tried, _):
+        if tried >= count:
+            raise KeyboardInterrupt
+
+    return progress
 
 
 FACTORS = st.lists(st.floats(0.2, 5.0), min_size=3, max_size=3)
@@ -118,38 +129,43 @@ def test_what_is_predicted_of_the_given_gains_frees_the_choice():
         asked.append(candidate)
         return "it misses" if len(asked) == 1 else ""
 
-    found = design(scenario, time_limit=20.0, predict_mission=predict_mission)
+    few = interrupted_after(4)
+    found = design(scenario, progress=few, predict_mission=predict_mission)
     assert asked[0] is found.given.scenario
     assert found.given.alarm == "it misses"
     assert found.requirement.baseline is None
     assert not found.kept
     assert asked[-1] is found.chosen.scenario
-    never = design(scenario, time_limit=8.0, predict_mission=lambda candidate: "it misses")
+    never = design(scenario, progress=few, predict_mission=lambda candidate: "it misses")
     assert never.kept
+    assert never.ended_by == INTERRUPT
     assert "it misses" in never.remarks[0]
 
 
-@settings(max_examples=2, deadline=None)
-@given(after=st.integers(1, 12))
+@pytest.mark.parametrize(
+    "after", [4, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 12))]
+)
 def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
     scenario = load_scenario("flight_sensors", ["controller=computed_torque", *SHORT])
-    tried = 0
+    tried = []
 
-    def interrupt(count, _):
-        nonlocal tried
-        tried = count
-        if count >= after:
-            raise KeyboardInterrupt
+    def interrupt(count, told):
+        tried.append(count)
+        interrupted_after(after)(count, told)
 
     found = design(scenario, progress=interrupt)
-    assert (found.ended_by, tried) == (INTERRUPT, after)
+    assert (found.ended_by, tried[-1]) == (INTERRUPT, after)
     assert any("cut by an interrupt" in remark for remark in found.remarks)
     for name, (error, was) in found.requirement.baseline.errors(found.chosen).items():
         assert error <= 1.02 * was, name
 
 
 @pytest.mark.parametrize(
-    "limit", [3.0, *(pytest.param(limit, marks=pytest.mark.slow) for limit in (0.0, 6.0))]
+    "limit",
+    [
+        pytest.param(1.5, marks=pytest.mark.slow),
+        *(pytest.param(limit, marks=pytest.mark.long) for limit in (0.0, 6.0)),
+    ],
 )
 def test_the_limit_bounds_all_of_a_design(limit):
     """Within a candidate, too: each of a heavy mission takes seconds."""
@@ -164,6 +180,7 @@ def test_the_limit_bounds_all_of_a_design(limit):
     assert any("cut by the time limit" in remark for remark in found.remarks)
 
 
+@pytest.mark.usefixtures("rough_pictures")
 def test_the_table_shows_margins_before_and_after(tmp_path):
     arguments = ["design", "flight_sensors", "-c", "computed_torque", "--time", "30"]
     arguments += ["--set", "duration=8"]
@@ -175,7 +192,7 @@ def test_the_table_shows_margins_before_and_after(tmp_path):
     assert "expected to" in result.output
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_design_gives_the_best_so_far(tmp_path, number):
     """The first signal ends the search: files are whole, the exit code is that of an interrupt."""

@@ -103,7 +103,7 @@ def test_noise_and_drift_are_predicted():
     assert not predicted.peak_effort[:6].any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_a_frame_in_motion_adds_up_to():
     """Five joints for a pose: stable where the frame rests, and slowly unstable on the way."""
     margins = stability(load_scenario("free_floating"), postures=3)

@@ -157,7 +157,7 @@ def test_wheels_take_a_tumble_out_while_the_position_drifts():
         "capture.approach=null",
         "capture.rate=[0.035, 0, 0]",
         "reference.goal=stop",
-        "planning.segments=6",
+        "planning.segments=4",
     ]
     scenario = load_scenario("tumbling_capture", over)
     found = plan_motion(scenario)

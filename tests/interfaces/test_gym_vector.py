@@ -48,8 +48,15 @@ def test_every_copy_has_the_bits_of_a_single_one(name, action):
     wide.close()
 
 
-@pytest.mark.parametrize("action", ["force", "residual"])
-@pytest.mark.parametrize("samples_per_step", [1, 2])
+@pytest.mark.parametrize(
+    ("action", "samples_per_step"),
+    [
+        ("force", 1),
+        ("residual", 2),
+        pytest.param("force", 2, marks=pytest.mark.slow),
+        pytest.param("residual", 1, marks=pytest.mark.slow),
+    ],
+)
 def test_a_copy_that_diverges_begins_anew_while_the_others_go_on(action, samples_per_step):
     settings = {"overrides": ("duration=1", "divergence_speed=0.5"), "action": action}
     wide, alone = pair(samples_per_step=samples_per_step, scale=1000.0, **settings)

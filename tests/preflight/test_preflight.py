@@ -71,16 +71,19 @@ HEAVY = (
     ("scenario", "without"),
     [
         ("postcapture", ("scipy",)),
-        ("planar_detumble", ("scipy",)),
+        pytest.param("planar_detumble", ("scipy",), marks=pytest.mark.slow),
         # its filter's gain takes scipy.linalg
         ("flight_sensors", ("scipy.optimize", "scipy.integrate")),
-        ("flexible_panels", ("scipy.optimize", "scipy.integrate")),
-        ("free_floating", ()),
+        pytest.param(
+            "flexible_panels", ("scipy.optimize", "scipy.integrate"), marks=pytest.mark.slow
+        ),
+        pytest.param("free_floating", (), marks=pytest.mark.slow),
     ],
 )
 def test_a_first_run_loads_only_what_it_needs(scenario, without):
     run = (
-        f"import ffsm_drake as f; f.simulate(f.load_scenario('{scenario}', ['duration=3'])).metrics"
+        "import ffsm_drake as f; "
+        f"f.simulate(f.load_scenario('{scenario}', ['duration=0.5'])).metrics"
     )
     loaded = loaded_after(run)
     assert "ffsm_drake.runs.metrics" in loaded

@@ -59,10 +59,16 @@ def run(number):
     return log, make_record(log, start=start)
 
 
+FIRST = {case["number"]: k for k, case in reversed(list(enumerate(CASES)))}
 cases = pytest.mark.parametrize(
     "number",
     [
-        pytest.param(k, id=f"{case['number']} {case['name']}".replace(" ", "-"))
+        pytest.param(
+            k,
+            id=f"{case['number']} {case['name']}".replace(" ", "-"),
+            # the first of each class on each change, its variants weekly
+            marks=pytest.mark.slow if k in FIRST.values() else pytest.mark.long,
+        )
         for k, case in enumerate(CASES)
     ],
 )
@@ -73,7 +79,6 @@ def test_every_class_is_there():
 
 
 @cases
-@pytest.mark.slow
 def test_the_run_ends_as_said(number, verdicts):
     case, (log, record) = CASES[number], run(number)
     end = verdicts.end_of(log)
@@ -86,7 +91,6 @@ def test_the_run_ends_as_said(number, verdicts):
 
 
 @cases
-@pytest.mark.slow
 def test_a_user_is_told(number, verdicts):
     """Warned where the run ends badly, in words that help; not where it settles."""
     case, (log, record) = CASES[number], run(number)

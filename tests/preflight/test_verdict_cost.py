@@ -28,8 +28,8 @@ def cost():
     [
         ("paper", 14, 5),
         ("flight_sensors", 7, 1),
-        ("slow_navigation", 28, 4),
-        ("reaction_null", 6, 4),
+        pytest.param("slow_navigation", 28, 4, marks=pytest.mark.slow),
+        pytest.param("reaction_null", 6, 4, marks=pytest.mark.slow),
     ],
 )
 def test_every_loop_is_linearised_once(cost, name, maps, of_margins):

@@ -166,7 +166,7 @@ def check_wide(scenarios):
 @pytest.mark.parametrize("kind", WIDE)
 def test_blocks_of_all_copies_have_their_bits(kind):
     name, *overrides = WIDE[kind]
-    scenario = load_scenario(name, ["duration=0.2", *overrides])
+    scenario = load_scenario(name, ["duration=0.1", *overrides])
     check_wide([varied(scenario, number) for number in range(3)])
 
 
@@ -231,27 +231,23 @@ def test_every_shipped_scenario_has_its_bits(name):
         assert_equal(record, alone(each))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "controller"),
-    [("postcapture", "tde_aismc"), ("flight_sensors", "tdc")],
-)
-def test_longer_runs_have_their_bits(name, controller):
-    scenario = load_scenario(name, ["duration=4", f"controller={controller}"])
-    check_side_by_side(scenario, 16, batches=(4, 16))
+LONG_RUNS = [
+    *(("postcapture", controller) for controller in SETTLING),
+    *(("flight_sensors", controller) for controller in SETTLING[:4]),
+    *(("flexible_panels", controller) for controller in SETTLING[:4]),
+    *(("seven_joint", controller) for controller in ("tdc", "tde_aismc")),
+    *(("slow_navigation", controller) for controller in ("tdc", "tde_aismc")),
+    ("thrusters_and_wheels", "tdc"),
+    ("free_floating", "tdc"),
+]
+ON_EACH_CHANGE = [("postcapture", "tde_aismc"), ("flight_sensors", "tdc")]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "controller"),
     [
-        *(("postcapture", controller) for controller in SETTLING),
-        *(("flight_sensors", controller) for controller in SETTLING[:4]),
-        *(("flexible_panels", controller) for controller in SETTLING[:4]),
-        *(("seven_joint", controller) for controller in ("tdc", "tde_aismc")),
-        *(("slow_navigation", controller) for controller in ("tdc", "tde_aismc")),
-        ("thrusters_and_wheels", "tdc"),
-        ("free_floating", "tdc"),
+        pytest.param(*each, marks=pytest.mark.slow if each in ON_EACH_CHANGE else pytest.mark.long)
+        for each in LONG_RUNS
     ],
 )
 def test_long_runs_have_their_bits(name, controller):
@@ -519,13 +515,26 @@ def captured(shared, end, number):
     )
 
 
-@pytest.mark.slow
-@settings(max_examples=10, deadline=None)
-@given(
+captures = given(
     shared=st.sampled_from(sorted(GRASPS)),
     runs=st.lists(st.tuples(st.sampled_from(sorted(ENDS)), st.integers(0, 5)), min_size=2),
 )
+
+
+@settings(max_examples=3, deadline=None)
+@captures
 def test_captures_go_side_by_side(shared, runs):
+    check_captures(shared, runs)
+
+
+@pytest.mark.slow
+@settings(max_examples=10, deadline=None)
+@captures
+def test_more_captures_go_side_by_side(shared, runs):
+    check_captures(shared, runs)
+
+
+def check_captures(shared, runs):
     scenarios = [captured(GRASPS[shared], end, number) for end, number in runs[:4]]
     assert batches_of(scenarios, len(scenarios)) == [list(range(len(scenarios)))]
     own_logs = [run_once(scenario) for scenario in scenarios]

@@ -168,7 +168,7 @@ def test_a_target_that_is_not_seen_is_not_met():
     assert "given up" in record.outcome.message
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_next_try_goes_by_the_estimate_alone(monkeypatch):
     """Nothing that is planned after a miss knows the target's true inertia and centre of mass."""
     found = []

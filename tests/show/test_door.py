@@ -234,8 +234,17 @@ def replay_served(record, count):
 COUNTS = pytest.mark.parametrize("count", [20, pytest.param(1670, marks=pytest.mark.exhaustive)])
 
 
-@COUNTS
-@pytest.mark.parametrize("live", [run_watched, run_with_controls])
+@pytest.mark.parametrize(
+    ("live", "count"),
+    [
+        (run_watched, 20),
+        pytest.param(run_with_controls, 20, marks=pytest.mark.slow),
+        *(
+            pytest.param(live, 1670, marks=pytest.mark.exhaustive)
+            for live in (run_watched, run_with_controls)
+        ),
+    ],
+)
 def test_no_frame_costs_a_record(live, count, tmp_path):
     _, record = live(tmp_path, count)
     assert record.outcome.status == "interrupted"

@@ -160,16 +160,15 @@ def test_slopes():
     assert np.sqrt((deviation**2).mean()) == pytest.approx(slope.std(), rel=0.05)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "unit", "kind"),
     [
-        (NAME, "thrusters.a_x", "stuck_on"),
-        (NAME, "thrusters.a_x", "stuck_off"),
-        (NAME, "wheels.wheel_2", "stops"),
-        (SENSORS, "joints.joint_2", "jammed"),
-        (SENSORS, "sensing.joint_3_velocity", "biased"),
-        (NAME, None, None),
+        pytest.param(NAME, "thrusters.a_x", "stuck_on", marks=pytest.mark.slow),
+        pytest.param(NAME, "thrusters.a_x", "stuck_off", marks=pytest.mark.long),
+        pytest.param(NAME, "wheels.wheel_2", "stops", marks=pytest.mark.long),
+        pytest.param(SENSORS, "joints.joint_2", "jammed", marks=pytest.mark.slow),
+        pytest.param(SENSORS, "sensing.joint_3_velocity", "biased", marks=pytest.mark.slow),
+        pytest.param(NAME, None, None, marks=pytest.mark.slow),
     ],
 )
 def test_faults_with_a_supervisor(name, unit, kind):

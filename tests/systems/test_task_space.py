@@ -417,7 +417,7 @@ def test_poles_of_a_free_floating_frame(law):
     assert len(poles) >= 14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["task_time_delay"])
 def test_momentum_over_a_minute(law):
     momentum = "initial_velocity={base_rotation_z: 0.005, base_position_x: 0.002}"

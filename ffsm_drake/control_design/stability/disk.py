@@ -86,7 +86,7 @@ def _margins(
     shifted -= 0.5 * np.eye(shifted.shape[1])
     sizes = np.abs(np.diagonal(shifted, axis1=1, axis2=2))
     largest = sizes.argmax(axis=0)
-    return 1.0 / sizes.max(axis=0), frequencies[largest], 1.0 / max(map(_balanced_norm, shifted))
+    return 1.0 / sizes.max(axis=0), frequencies[largest], 1.0 / _largest_norm(shifted)
 
 
 def _grid(loop: LinearLoop) -> np.ndarray:
@@ -110,13 +110,25 @@ def _sensitivity(loop: LinearLoop, w: float, driven: np.ndarray, delay: int) -> 
     return sensitivity
 
 
-def _balanced_norm(matrix: np.ndarray) -> float:
+def _largest_norm(matrices: np.ndarray) -> float:
+    """The largest ``_balanced_norm`` of matrices (m, n, n); those that cannot have it are not
+    balanced to the end.
+    """
+    largest = 0.0
+    for k in np.argsort(-np.linalg.norm(matrices, 2, axis=(1, 2))):
+        largest = max(largest, _balanced_norm(matrices[k], enough=largest))
+    return largest
+
+
+def _balanced_norm(matrix: np.ndarray, *, enough: float) -> float:
     """An upper bound on the structured singular value (n, n): the largest singular value of
-    D M D^-1, D diagonal, found by Osborne's balancing.
+    D M D^-1, D diagonal, found by Osborne's balancing, which ends once it is small ``enough``.
     """
     found, best = matrix.copy(), math.inf
     for _ in range(_BALANCING):
         best = min(best, float(np.linalg.norm(found, 2)))
+        if best <= enough:
+            break
         off = np.abs(found) ** 2
         np.fill_diagonal(off, 0.0)
         rows, columns = off.sum(axis=1), off.sum(axis=0)

@@ -73,12 +73,15 @@ class LinearLoop:
     def _plant_size(self) -> int:
         return 2 * (len(self.coordinates.names) + len(self.hidden))
 
-    @property
+    @functools.cached_property
     def poles(self) -> np.ndarray:
         """Poles of the states with feedback, over the common period, the largest first; one
         infinite pole where A is not finite.
         """
-        return self._eigen[0]
+        if not np.isfinite(self.a).all():
+            return np.full(1, np.inf)
+        poles = np.linalg.eigvals(self._fed_back[1])
+        return poles[self._counted(poles)]
 
     @property
     def spectral_radius(self) -> float:
@@ -124,7 +127,8 @@ class LinearLoop:
         parts = (*names, *self.hidden)
         if not np.isfinite(self.poles).all():
             return found
-        for pole, vector in zip(self.poles.tolist(), self._eigen[1].T, strict=True):
+        poles, vectors = self._eigen()
+        for pole, vector in zip(poles.tolist(), vectors.T, strict=True):
             if pole.imag < 0.0 or abs(pole) < 1e-6 or len(found) == count:
                 continue
             exponent = np.log(complex(pole)) / (len(self.samples) * self.sample_time)
@@ -218,19 +222,25 @@ class LinearLoop:
         return dataclasses.replace(self, samples=samples)
 
     @functools.cached_property
-    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Poles, largest first, and right eigenvectors of the states with feedback."""
-        if not np.isfinite(self.a).all():
-            return np.full(1, np.inf), np.ones((len(self.a), 1))
+    def _fed_back(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mask of the states with feedback, and A of them."""
         keep = self._matters(np.zeros(len(self.a), dtype=bool))
-        poles, kept = np.linalg.eig(self.a[np.ix_(keep, keep)])
+        return keep, self.a[np.ix_(keep, keep)]
+
+    def _counted(self, poles: np.ndarray) -> np.ndarray:
+        """The places of those poles that count, the largest first."""
         free = int((~self.coordinates.is_driven).sum()) if self.tracks_frame else 0
         counted = np.sort(np.argsort(np.abs(poles - 1.0), kind="stable")[free:])
-        poles, kept = poles[counted], kept[:, counted]
-        order = np.argsort(-np.abs(poles), kind="stable")
-        vectors = np.zeros((len(self.a), len(poles)), dtype=kept.dtype)
-        vectors[keep] = kept[:, order]
-        return poles[order], vectors
+        return counted[np.argsort(-np.abs(poles[counted]), kind="stable")]
+
+    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
+        """``poles`` with their right eigenvectors, which take several times as long."""
+        keep, a = self._fed_back
+        poles, kept = np.linalg.eig(a)
+        counted = self._counted(poles)
+        vectors = np.zeros((len(self.a), len(counted)), dtype=kept.dtype)
+        vectors[keep] = kept[:, counted]
+        return poles[counted], vectors
 
     def _matters(self, driven: np.ndarray) -> np.ndarray:
         """Mask of the entries of x that act on the plant and are acted on by it or by ``driven``

@@ -190,9 +190,10 @@ class KalmanEstimator(Estimator):
         noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
         if jacobian is not None:
             noises = np.sqrt(jacobian**2 @ noises**2)
-        solve = functools.cache(kalman_gain)
         gains = [
-            solve(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=step)
+            kalman_gain(
+                position_noise=position, velocity_noise=velocity, walk=walk, sample_time=step
+            )
             for position, velocity, walk in noises.tolist()
         ]
         return cls(sample_time=step, gain=np.array(gains))

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ffsm_drake.common.memo import memoized
+
 # Least noise of a measurement, in units of acceleration, as a fraction of the larger of the other
 # measurement's and the walk's: below it double precision cannot solve the Riccati equation.
 SMALLEST_RATIO = 1e-7
@@ -13,6 +15,7 @@ SMALLEST_RATIO = 1e-7
 _LARGEST = 3e8
 
 
+@memoized(maxsize=64)  # of all coordinates alike, and of all loops of a search for a boundary
 def kalman_gain(
     *, position_noise: float, velocity_noise: float, walk: float, sample_time: float
 ) -> np.ndarray:
