@@ -17,7 +17,7 @@ from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.base import LOST
 from ffsm_drake.systems.actuation.thrusters import ThrusterSet
 from ffsm_drake.systems.fault_detection import KINDS
-from ffsm_drake.systems.residuals import LEAST_LEAK, slope_of, suspect
+from ffsm_drake.systems.residuals import slope_of, suspect
 
 NAME, SENSORS = "thrusters_and_wheels", "flight_sensors"
 
@@ -102,39 +102,51 @@ def window(rng, noise=1e-5):
     return np.cumsum(fired, axis=0), noise * rng.standard_normal((COUNT, 6))
 
 
-def ask(unexplained, told):
+BOUND, NOISE, BAND = 1e-3, 1e-5, 10.0  # rad/s^2 and m/s^2; rad/s and m/s; rad/s
+
+
+def ask(unexplained, told, *others):
     return suspect(
-        unexplained, told, pushes=SET.wrenches / 500.0, force=SET.force, external=np.full(6, 1e-4),
-        least_noise=np.full(6, 1e-5), in_use=np.ones(len(SET.force), dtype=bool), step=STEP,
+        np.stack([unexplained, *others], axis=1), told, pushes=SET.wrenches / 500.0,
+        force=SET.force, bound=np.full(6, BOUND), noise=np.full(6, NOISE),
+        in_use=np.ones(len(SET.force), dtype=bool), step=STEP, band=BAND,
     )  # fmt: skip
 
 
+def disturbance(rng):
+    """The velocities (m, 6) of sines within the bound, of any phase and frequency."""
+    time = STEP * np.arange(COUNT)[:, None]
+    frequency, phase = rng.uniform(0.01, BAND, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
+    return BOUND * np.sin(frequency * time + phase) / frequency
+
+
 @settings(max_examples=25, deadline=None)
-@given(
-    st.integers(0, 11), st.booleans(), st.floats(0.3, 1.0), st.integers(0, 10**6),
-    st.floats(-1e-4, 1e-4),
-)  # fmt: skip
-def test_the_bank_names_the_thruster(index, is_loss, share, seed, external):
-    told, unexplained = window(np.random.default_rng(seed))
+@given(st.integers(0, 11), st.booleans(), st.floats(0.35, 1.0), st.integers(0, 10**6))
+def test_the_bank_names_the_thruster(index, is_loss, share, seed):
+    rng = np.random.default_rng(seed)
+    told, unexplained = window(rng, NOISE)
     assume(not is_loss or share * told[-1, index] >= 1.0)  # N s; of less it is not sure
     push = SET.wrenches[:, index] / 500.0
     time = STEP * np.arange(COUNT)
     more = -told[:, index] if is_loss else SET.force[index] * time - told[:, index]
-    unexplained = unexplained + share * np.outer(more, push) + external * time[:, None]
-    found = ask(unexplained, told)
+    found = ask(unexplained + share * np.outer(more, push) + disturbance(rng), told)
     assert (found.thruster, found.is_isolated) == (index, True)
     assert found.kind in (("stuck_off", "weak") if is_loss else ("stuck_on", "leaking"))
-    assert found.theta == pytest.approx(share, abs=0.15)
+    assert found.theta == pytest.approx(share, abs=0.25)
     assert found.explained > 64.0
 
 
-def test_the_bank_is_silent_on_noise_and_external_forces():
+def test_the_bank_is_silent_on_noise_disturbances_and_wrong_masses():
     rng = np.random.default_rng(1)
-    for _ in range(300):
-        told, unexplained = window(rng)
-        drift = rng.normal(0.0, 1e-4, 6) * STEP * np.arange(COUNT)[:, None]
-        assert ask(unexplained + drift, told).explained < 36.0
-    assert LEAST_LEAK > 0.0
+    for _ in range(100):
+        told, unexplained = window(rng, NOISE)
+        unexplained += disturbance(rng)
+        # pulses do less on a heavier spacecraft than on the nominal one, more on a lighter
+        of_masses = told @ (SET.wrenches / 500.0).T
+        heavy, light = (unexplained + by * of_masses for by in (0.3, -0.3))
+        truth = rng.uniform(-0.3, 0.3) * of_masses
+        found = ask(unexplained + truth, told, heavy + truth, light + truth)
+        assert found.explained < 36.0
 
 
 def test_slopes():
