@@ -53,8 +53,10 @@ _EVERY, _KEPT, _OLD = (
     60,
     20,
 )  # control samples of a block; blocks kept; looks until a slope is known
-_WINDOWS = (8, 16, 32)  # blocks
-_CONFIRMED = 4  # looks in a row that name the same thruster
+_WINDOWS = (8, 24, 60)  # blocks
+# looks in a row that name the same thruster; share of the threshold for them: what is not white is
+# within bounds
+_CONFIRMED, _ASKED = 4, 0.6
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
 _JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
@@ -235,7 +237,7 @@ class _Detector(LeafSystem):
             "since": (2 * nv,), "jitter": (nv,), "rough": (nv,),
             "largest": (nv,), "slope": (nv,), "jumped": (1,),
             "observed": (size,), "acceleration": (nv,), "told": (units,),
-            "momentum": (wheel_count,), "suspected": (3 * len(self._force),),
+            "momentum": (wheel_count,), "suspected": (len(_WINDOWS) * len(self._force),),
             "sums": (width,), "part": (width,), "kept": (_KEPT, width),
         }  # fmt: skip
         self._state = self.DeclareVectorInputPort("state", size)
@@ -475,7 +477,12 @@ class _Detector(LeafSystem):
             if (memory["stale"][columns] > self._patience[entries[0]]).all():
                 self._lose(memory, name, "silent")
             elif prompt and self._is_fine[entries].all() and memory["repeats"][index] >= _REPEATED:
-                if np.abs(memory["since"][entries]).max() > 1e-7 and not joints[entries % nv].any():
+                walk = self._velocity_noise[entries % nv].max() * np.sqrt(memory["repeats"][index])
+                least = 1e-7 + self._settings.threshold * self._step * walk  # or it stands still
+                if (
+                    np.abs(memory["since"][entries]).max() > least
+                    and not joints[entries % nv].any()
+                ):
                     self._lose(memory, name, "frozen")
             elif same:
                 continue  # a jump back to what it shows would be none
@@ -669,7 +676,7 @@ class _Detector(LeafSystem):
         )
         looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(len(blocks))]
         before, looks[:] = looks[found.thruster], 0.0
-        if found.explained > self._settings.threshold**2 and found.is_isolated:
+        if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
             looks[found.thruster] = before + 1.0
             if looks[found.thruster] >= _CONFIRMED:
                 self._notice(memory, self._names[found.thruster], found.kind)
