@@ -48,11 +48,8 @@ KINDS = (
 )
 MODELS = 3  # the nominal one, with a light and with a heavy payload
 _CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
-_EVERY, _KEPT, _OLD = (
-    5,
-    60,
-    20,
-)  # control samples of a block; blocks kept; looks until a slope is known
+# control samples of a block; blocks that are kept; looks until a slope is known
+_EVERY, _KEPT, _OLD = 5, 61, 20
 _WINDOWS = (8, 24, 60)  # blocks
 # looks in a row that name the same thruster; share of the threshold for them: what is not white is
 # within bounds
