@@ -563,8 +563,8 @@ class _Detector(LeafSystem):
         for window in (each for each in _WINDOWS if each <= valid):
             blocks = kept[-window:]
             if learnt[0] >= _OLD:
-                self._look_at_velocities(memory, blocks, step)
-            if self._sees_forces and not self._are_velocities_off(memory, blocks, step):
+                self._look_at_velocities(memory, blocks)
+            if self._sees_forces and not self._are_velocities_off(memory, blocks):
                 self._look_at_joints(memory, blocks, mass, bound)
                 if self._thrusters is not None:
                     most = np.max([np.abs(np.linalg.inv(each)) @ bound for each in mass], axis=0)
@@ -623,23 +623,28 @@ class _Detector(LeafSystem):
             if not memory["codes"][self._names.index(unit)]:
                 self._notice(memory, unit, "jammed")
 
-    def _are_velocities_off(self, memory: Memory, blocks: np.ndarray, step: float) -> bool:
-        """Whether one seems to differ from the slope of its position, so that it tells no force."""
-        nv = self._nv
-        slips = blocks[:, MODELS * nv : (MODELS + 1) * nv]
-        slope, deviation = slope_of(slips, step, _white(memory["jitter"]))
-        walk = self._velocity_noise / np.sqrt(len(blocks) * _EVERY)
-        off = np.abs(slope - memory["slope"]) - _SLOPE
-        return bool((off > 4.0 * np.hypot(deviation, walk)).any())
+    def _slips(self, memory: Memory, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By how much (nv) velocities differ from the slopes of their positions beyond what they
+        usually do, and the standard deviation of that.
+        """
+        at, step, white = MODELS * self._nv, _EVERY * self._step, _white(memory["jitter"])
+        slope, deviation = slope_of(blocks[:, at : at + self._nv], step, white)
+        velocity = 1.2 * self._velocity_noise / np.sqrt(_EVERY)
+        known = times_of(_OLD, step)
+        of_usual = np.hypot(white / np.sqrt(known @ known), velocity / np.sqrt(_OLD))
+        of_usual /= np.sqrt(max(memory["looks"][0] / _OLD, 1.0))
+        deviation = np.hypot(deviation, velocity / np.sqrt(len(blocks)))
+        return slope - memory["slope"], np.hypot(deviation, of_usual) + 1e-30
 
-    def _look_at_velocities(self, memory: Memory, blocks: np.ndarray, step: float) -> None:
+    def _are_velocities_off(self, memory: Memory, blocks: np.ndarray) -> bool:
+        """Whether one seems to differ from the slope of its position, so that it tells no force."""
+        off, deviation = self._slips(memory, blocks)
+        return bool((np.abs(off) > _SLOPE + 4.0 * deviation).any())
+
+    def _look_at_velocities(self, memory: Memory, blocks: np.ndarray) -> None:
         """Those that differ from the slope of their position."""
         nv, codes = self._nv, memory["codes"]
-        white = _white(memory["jitter"])
-        slope, deviation = slope_of(blocks[:, MODELS * nv : (MODELS + 1) * nv], step, white)
-        off = slope - memory["slope"]
-        walk = self._velocity_noise / np.sqrt(len(blocks) * _EVERY)
-        deviation = np.hypot(deviation, 1.2 * walk)
+        off, deviation = self._slips(memory, blocks)
         for name, entries in self._sensors.items():
             at = entries - nv
             if at[0] < 0 or codes[self._unit(name)] or codes[self._unit(_position_of(name))]:
@@ -647,7 +652,7 @@ class _Detector(LeafSystem):
             if not (self._is_prompt[entries].all() and self._is_prompt[at].all()):
                 continue
             if np.linalg.norm(off[at]) > _SLOPE and (
-                np.linalg.norm(off[at] / (deviation[at] + 1e-30)) > self._settings.threshold + 1.0
+                np.linalg.norm(off[at] / deviation[at]) > self._settings.threshold + 1.0
             ):
                 memory["off"][entries] -= off[at]
                 self._lose(memory, name, "biased")
