@@ -2,6 +2,8 @@
 bit.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -90,6 +92,55 @@ def test_what_is_isolated_does_nothing():
         assert abs(torques.motor[0]) < 1e-12
         assert torques.on_base == pytest.approx(0.5 * wrench[:3], abs=1e-9)
     assert not base.without(np.full(len(base.units), LOST))[2]
+
+
+# the arm holds its posture
+AT_REST = [{"initial_posture": dataclasses.asdict(load_scenario(SENSORS).target_posture)}]
+
+
+def drawn_forces(rng):
+    """Overrides: a disturbance and a payload within the bounds."""
+    ratio = np.exp(rng.uniform(-np.log(2.0), np.log(2.0)))
+    truth = {"mass": 80.0 * ratio, "inertia": [12.0 * ratio] * 3}
+    return [
+        f"disturbance.frequency_scale={np.exp(rng.uniform(np.log(0.3), np.log(5.0))):.3g}",
+        f"disturbance.amplitude_scale={np.exp(rng.uniform(np.log(0.3), np.log(3.0))):.3g}",
+        {"payload": {"truth": truth}, "random_seed": int(rng.integers(1000))},
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("more", [AT_REST, ["reference.duration=10"]], ids=["at rest", "moving"])
+def test_no_joint_that_works_is_jammed(more, seed):
+    forces = drawn_forces(np.random.default_rng(seed))
+    log = run(SENSORS, None, None, "controller=tdc", *more, *forces, duration=4.0)
+    assert noticed(log) == {}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_thruster_that_works_is_weak(seed):
+    forces = drawn_forces(np.random.default_rng(seed))
+    assert noticed(run(NAME, None, None, *forces, duration=4.5)) == {}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_jam_of_a_joint_that_moves(seed):
+    rng = np.random.default_rng(seed)
+    unit = f"joints.joint_{rng.integers(1, 6)}"
+    forces = drawn_forces(rng)
+    moving = ("controller=tdc", "reference.duration=10", *forces)
+    log = run(SENSORS, unit, "jammed", *moving, time=2.5, duration=4.0)
+    assert noticed(log) == {unit: "jammed"}
+
+
+def test_a_joint_that_nothing_moves_is_not_jammed_but_known_once_the_bound_is_smaller():
+    """What disturbances may do follows from the bound, given or the scenario's own."""
+    still = ("controller=tdc", *AT_REST, "disturbance.harmonics.joint_1={bias: 2.0}")
+    log = run(SENSORS, "joints.joint_1", "jammed", *still, time=2.0, duration=4.0)
+    assert noticed(log) == {}
+    bound = {"faults": {"detection": {"disturbance": {"all": 0.5}}}}
+    log = run(SENSORS, "joints.joint_1", "jammed", *still, bound, time=2.0, duration=4.0)
+    assert noticed(log) == {"joints.joint_1": "jammed"}
 
 
 SET = ThrusterSet(Thrusters(), sample_time=0.01)
