@@ -10,6 +10,7 @@ off its centre. With ``--only healthy:17`` one of them is run alone.
 
 import argparse
 import dataclasses
+import json
 import re
 import tempfile
 import warnings
@@ -51,17 +52,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--faulty", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--urdf", type=Path, nargs="*", default=[], help="more arms")
+    parser.add_argument("--log", type=Path, help="of outcomes; those that it has are not run again")
     parser.add_argument("--only", help="one mission, such as healthy:17")
     asked = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
-        study = Study(asked.seed, own_missions(Path(folder), asked.urdf))
+        study = Study(asked.seed, own_missions(Path(folder), asked.urdf), asked.log)
         if asked.only:
             kind, _, index = asked.only.partition(":")
             print(study.run(kind, int(index)))
             return
-        print(healthy_table([study.run("healthy", k) for k in range(asked.healthy)]), flush=True)
-        print(faulty_table([study.run("faulty", k) for k in range(asked.faulty)]))
+        print(healthy_table(study.outcomes("healthy", asked.healthy)), flush=True)
+        print(faulty_table(study.outcomes("faulty", asked.faulty)))
 
 
 def own_missions(folder: Path, urdfs: Sequence[Path]) -> list[Path]:
@@ -113,8 +115,24 @@ class Outcome:
 class Study:
     """Missions by kind and number."""
 
-    def __init__(self, seed: int, own: Sequence[Path]) -> None:
-        self._seed, self._own = seed, own
+    def __init__(self, seed: int, own: Sequence[Path], log: Path | None = None) -> None:
+        self._seed, self._own, self._log = seed, own, log
+        lines = log.read_text().splitlines() if log is not None and log.exists() else []
+        known = [Outcome(**json.loads(line)) for line in lines]
+        self._known = {each.mission.split()[0]: each for each in known}
+
+    def outcomes(self, kind: str, number: int) -> list[Outcome]:
+        """Of the first missions."""
+        found = []
+        for index in range(number):
+            outcome = self._known.get(f"{kind}:{index}")
+            if outcome is None:
+                outcome = self.run(kind, index)
+                if self._log is not None:
+                    with self._log.open("a") as file:
+                        file.write(json.dumps(dataclasses.asdict(outcome)) + "\n")
+            found.append(outcome)
+        return found
 
     def run(self, kind: str, index: int) -> Outcome:
         """A mission, drawn by its number; one that cannot be built is drawn anew."""
