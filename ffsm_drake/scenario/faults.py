@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ffsm_drake.common.settings import Problems, setting
-from ffsm_drake.scenario.fields import unitless
+from ffsm_drake.scenario.fields import PerCoordinate, unitless
 
 DRAWN = "any"  # in place of a unit or a kind
 
@@ -50,6 +50,21 @@ class Detection:
     threshold: float = unitless(
         8.0, "standard deviations of its noise, as measured, beyond which a residual is a fault",
         above=0,
+    )  # fmt: skip
+    disturbance: PerCoordinate | None = setting(
+        None,
+        "N m or N",
+        "largest external force on each coordinate that is no fault, 0 where none is given; null: "
+        "amplitudes and biases of ``disturbance``, and the orbit's forces",
+        least=0,
+    )
+    band: float = setting(
+        10.0, "rad/s", "highest frequency of the disturbance, in the search for broken thrusters",
+        above=0,
+    )  # fmt: skip
+    payload_factor: float = unitless(
+        2.0, "mass and inertia of the held payload are at most this many times the nominal ones, "
+        "and at least as small a part of them", least=1,
     )  # fmt: skip
     isolation_valves: bool = unitless(
         True,

@@ -152,10 +152,7 @@ class PlantModel:
 
     def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Actuator force (..., nv) along a motion: inverse dynamics and the joints' damping."""
-        damping = np.zeros(v.shape[-1])
-        for joint in joints_of(self.plant):
-            damping[joint.velocity_start()] = joint.default_damping()
-        return self.calc_inverse_dynamics(q, v, a) + damping * v
+        return self.calc_inverse_dynamics(q, v, a) + damping_of(self.plant) * v
 
     def _frame(self, frame: Frame | str) -> Frame:
         return find_frame(self.plant, frame, key="frame") if isinstance(frame, str) else frame
@@ -168,6 +165,14 @@ class PlantModel:
             if not math.isfinite(v.dot(v)):
                 raise ValueError("the velocity v is not finite")
             self.plant.SetVelocities(self.context, v)
+
+
+def damping_of(plant: MultibodyPlant) -> np.ndarray:
+    """The joints' damping (nv), N m s or N s/m."""
+    damping = np.zeros(plant.num_velocities())
+    for joint in joints_of(plant):
+        damping[joint.velocity_start()] = joint.default_damping()
+    return damping
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:

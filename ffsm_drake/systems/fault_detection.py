@@ -6,7 +6,8 @@ At each sample it holds what was measured against what was told to the actuators
   though the others move; is biased where a position jumps by more than its velocity explains, or
   a velocity differs from its position's slope;
 - a wheel stops where its momentum, from its tachometer, does not change by the torque told;
-- a joint is jammed where it stands still and takes a force that nobody told of;
+- a joint is jammed where it stands still under a force that no disturbance, friction or payload
+  within the stated bounds explains;
 - of thrusters see ``systems.residuals``.
 
 A lost position is carried on by its velocity, a lost velocity comes from an observer of position
@@ -15,6 +16,7 @@ wheel leaves the allocation. A joint that jams, and what the allocation cannot d
 ``abort_request``.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 
@@ -27,14 +29,17 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, position_error
+from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_plant
+from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.base import LOST, STUCK_ON
+from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.controllers.estimators import assumed_noise
 from ffsm_drake.systems.faults import detects, hits
 from ffsm_drake.systems.faulty_sensors import entries_in_state, sensors_of
 from ffsm_drake.systems.part import Figure, Metric, Part, Signal, View
-from ffsm_drake.systems.residuals import Observer, slope_of, suspect, times_of
+from ffsm_drake.systems.residuals import Observer, between, slope_of, suspect, times_of
 from ffsm_drake.systems.sensing import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -42,19 +47,21 @@ KINDS = (
     *("", "stuck_on", "stuck_off", "leaking", "weak", "stops", "jammed"),
     *("frozen", "silent", "biased"),
 )
+MODELS = 3  # the nominal one, with a light and with a heavy payload
 _CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
-_EVERY, _KEPT, _OLD = 5, 60, 20  # control samples of a block; blocks that are kept, that are old
-_WINDOWS = (8, 16, 32)  # blocks
-# looks in a row that name the same thruster; share of the threshold for one that is stuck on,
-# which costs most, and which little else looks like
-_CONFIRMED, _ASKED = 4, 0.75
+# control samples of a block; blocks that are kept; looks until a slope is known
+_EVERY, _KEPT, _OLD = 5, 61, 20
+_WINDOWS = (8, 24, 60)  # blocks
+# looks in a row that name the same thruster; share of the threshold for them: what is not white is
+# within bounds
+_CONFIRMED, _ASKED = 4, 0.6
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
 _JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
 _SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the impulse told, by which a wheel may be off
-_STILL, _HOLDS, _USUAL = 2e-4, 0.05, 4.0  # of a jam: rad/s; N m or N; times the usual force
+_STILL, _LEAST = 2e-5, 0.05  # of a jam: rad or m; N m or N beyond all bounds
 _PULSE = 0.1  # share of the largest impulse of a frame that is noise
-_DRIFT = 4.0  # times the usual change in a second that an acceleration may be off
+_FLEXIBLE = 3.0  # times the largest acceleration so far that flexible parts may give
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
 
 
@@ -143,6 +150,9 @@ class _Detector(LeafSystem):
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         # the nominal payload changes at a grasp
         self._leg = float(scenario.payload.nominal.mass)
+        self._models = [self._model, *_extremes(scenario, self._settings.payload_factor)]
+        self._damping = damping_of(self._model.plant)
+        self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
         self._base = None
         if actuation.thrusters is not None or actuation.wheels is not None:
@@ -150,16 +160,42 @@ class _Detector(LeafSystem):
                 actuation, coordinates, sample_time=self._step, detects=True
             )
         self._read_sensors(scenario, coordinates)
-        drives, nothing = actuation.drives, np.zeros(self._nv)
-        self._stiction = nothing
-        if drives is not None:
-            frictions = [drives.coulomb_friction, drives.static_friction or {}]
-            each = [coordinates.vector(of, key="drives", default=0.0) for of in frictions]
-            self._stiction = 1.5 * np.maximum(*each)
+        self._bound_disturbance(scenario, coordinates)
+        nothing = np.zeros(self._nv)
+        self._friction, self._viscous = nothing, nothing
+        if actuation.drives is not None:
+            drives = DriveSet(actuation.drives, actuation.limit, coordinates)
+            base = np.zeros(NUM_BASE_VELOCITIES)
+            self._friction = np.concatenate([base, drives.static])
+            self._viscous = np.concatenate([base, drives.viscous])
         self._observer = Observer(
             coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0), self._step
         )
         self._declare()
+
+    def _bound_disturbance(self, scenario: Scenario, coordinates: Coordinates) -> None:
+        """The largest external force (nv), and twice that of an orbit by inertia, 1/s^2."""
+        given, of = self._settings.disturbance, scenario.disturbance
+        self._orbital = 0.0
+        if given is not None:
+            key = "faults.detection.disturbance"
+            self._disturbance = coordinates.vector(given, key=key, default=0.0)
+            return
+        largest = {
+            name: abs(of.amplitude_scale) * (abs(each.amplitude) + abs(each.bias))
+            for name, each in of.harmonics.items()
+        }
+        self._disturbance = coordinates.vector(largest, key="disturbance.harmonics", default=0.0)
+        if scenario.environment is not None:
+            self._orbital = 3.0 * Orbit(scenario.environment).rate ** 2
+
+    def _bound(self, mass: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """The largest force (nv) that is neither told nor a fault; friction, too."""
+        inertia = 0.5 * np.trace(mass[:3, :3]) + mass[3, 3] * (state[4:7] @ state[4:7])
+        orbital = self._orbital * np.sqrt(np.diag(mass) * inertia)
+        rates = np.abs(state[self._nq :])
+        bound: np.ndarray = self._disturbance + orbital + self._friction + self._viscous * rates
+        return bound
 
     def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
         """What sensors show, and how well."""
@@ -168,7 +204,7 @@ class _Detector(LeafSystem):
         self._is_prompt = (period == 1) & (delay == 0)
         self._patience = 3 * period + delay  # control samples without anything new
         noise = assumed_noise(scenario, coordinates)
-        self._velocity_noise = noise[1]
+        self._position_noise, self._velocity_noise = noise
         quantized = [
             coordinates.vector(of, key="sensing", default=0.0)
             for of in (
@@ -177,6 +213,8 @@ class _Detector(LeafSystem):
             )
         ]
         self._is_fine = np.concatenate(quantized) == 0.0
+        self._position_noise = self._position_noise + quantized[0]
+        self._velocity_noise = self._velocity_noise + quantized[1]
         silent = any(fault.kind == "silent" for _, fault in hits(scenario, "sensing"))
         self._may_be_old = silent or bool((period > 1).any())
         self._sees_forces = bool(self._is_prompt.all())
@@ -188,17 +226,17 @@ class _Detector(LeafSystem):
         self._force = np.zeros(0) if thrusters is None else thrusters.force
         self._thrusters, self._wheels = thrusters, wheels
         wheel_count = 0 if wheels is None else len(wheels.names)
+        # unexplained velocities of each model, slips, motions, impulses told, momenta
+        width = (MODELS + 2) * nv + units + wheel_count
         self._shapes = {
             "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort": (1,),
             "raw": (size,), "seen": (size,), "off": (2 * nv,), "stale": (size,),
             "codes": (len(self._names),), "repeats": (len(self._sensors),),
             "since": (2 * nv,), "jitter": (nv,), "rough": (nv,),
-            "usual": (nv,), "steady": (nv,), "slope": (nv,),
+            "largest": (nv,), "slope": (nv,), "jumped": (1,),
             "observed": (size,), "acceleration": (nv,), "told": (units,),
-            "momentum": (wheel_count,), "suspected": (3 * len(self._force),),
-            "sums": (3 * nv + units + wheel_count,),
-            "part": (3 * nv + units + wheel_count,),
-            "kept": (_KEPT, 3 * nv + units + wheel_count),
+            "momentum": (wheel_count,), "suspected": (len(_WINDOWS) * len(self._force),),
+            "sums": (width,), "part": (width,), "kept": (_KEPT, width),
         }  # fmt: skip
         self._state = self.DeclareVectorInputPort("state", size)
         self._told = self.DeclareVectorInputPort("told_force", nv)
@@ -300,21 +338,31 @@ class _Detector(LeafSystem):
         raw = self._state.Eval(context)
         is_first = memory["leg"][0] != self._leg
         seen = memory["seen"].copy()
-        q, v = np.split(seen, [self._nq])
-        mass, bias = self._model.calc_mass_matrix(q), self._model.calc_bias(q, v)
-        force = self._acting(memory, context)
+        force = self._acting(memory, context) - self._damping * seen[self._nq :]
         if is_first:
             memory["leg"][0] = self._leg
             self._forget(memory)
             memory["samples"][0] = 0.0
-        changes = np.linalg.solve(mass, np.column_stack([force - bias, self._pushes(seen)]))
-        expected = self._step * changes[:, 0] * (not is_first)
-        self._correct(memory, raw, seen, expected, is_first=is_first)
+        changes = self._changes(seen, np.column_stack([force, self._pushes(seen)]))
+        expected = self._step * changes[:, :, 0] * (not is_first)
+        self._correct(memory, raw, seen, expected[0], is_first=is_first)
         if not is_first:
             self._look_at_sensors(memory, raw, seen, context)
-            if self._collect(memory, seen, expected, changes[:, 1:]):
-                self._look_at_blocks(memory, mass, changes[:, 1:])
+            if self._collect(memory, seen, expected, changes[0, :, 1:]):
+                self._look_at_blocks(memory, changes[0, :, 1:])
         memory["raw"][:] = raw
+
+    def _changes(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Accelerations (models, nv, n) under generalized forces (nv, n), of which all but the
+        first act alone.
+        """
+        q, v = np.split(state, [self._nq])
+        forces = forces.copy()
+        changes, total = [], forces[:, 0].copy()
+        for model in self._models:
+            forces[:, 0] = total - model.calc_bias(q, v)
+            changes.append(np.linalg.solve(model.calc_mass_matrix(q), forces))
+        return np.array([changes[min(k, len(changes) - 1)] for k in range(MODELS)])
 
     def _acting(self, memory: Memory, context: Context) -> np.ndarray:
         """The force (nv) on the plant in the last sample as told, torques of wheels as measured;
@@ -325,7 +373,8 @@ class _Detector(LeafSystem):
         if self._gyroscopic is not None:
             force += self._gyroscopic.Eval(context)
         if self._told_units is not None:
-            memory["sums"][3 * nv : 3 * nv + units] += self._step * memory["told"]
+            at = (MODELS + 2) * nv
+            memory["sums"][at : at + units] += self._step * memory["told"]
         if self._momentum is not None and self._wheels is not None:
             now, count = self._momentum.Eval(context), memory["momentum"].size
             if memory["samples"][0] > 1.0:
@@ -415,8 +464,8 @@ class _Detector(LeafSystem):
         """Those that are silent, frozen, or jump."""
         nq, nv, codes = self._nq, self._nv, memory["codes"]
         now, old = memory["seen"], memory["raw"]
-        slip = position_error(now[:nq], before[:nq])
-        slip -= 0.5 * self._step * (now[nq:] + before[nq:])
+        moved = position_error(now[:nq], before[:nq])
+        slip = moved - 0.5 * self._step * (now[nq:] + before[nq:])
         memory["since"] += np.tile(slip, 2)
         new = None if self._new is None else self._new.Eval(context)
         memory["stale"][:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory["stale"] + 1.0)
@@ -435,7 +484,12 @@ class _Detector(LeafSystem):
             if (memory["stale"][columns] > self._patience[entries[0]]).all():
                 self._lose(memory, name, "silent")
             elif prompt and self._is_fine[entries].all() and memory["repeats"][index] >= _REPEATED:
-                if np.abs(memory["since"][entries]).max() > 1e-7 and not joints[entries % nv].any():
+                walk = self._velocity_noise[entries % nv].max() * np.sqrt(memory["repeats"][index])
+                least = 1e-7 + self._settings.threshold * self._step * walk  # or it stands still
+                if (
+                    np.abs(memory["since"][entries]).max() > least
+                    and not joints[entries % nv].any()
+                ):
                     self._lose(memory, name, "frozen")
             elif same:
                 continue  # a jump back to what it shows would be none
@@ -452,7 +506,9 @@ class _Detector(LeafSystem):
                     self._lose(memory, name, "biased")
         gain = 1.0 / min(memory["samples"][0] + 1.0, 4.0 * _LEARNT)
         memory["jitter"] += gain * (slip**2 - memory["jitter"])
-        memory["sums"][nv : 2 * nv] += slip
+        at = MODELS * nv
+        memory["sums"][at : at + nv] += slip
+        memory["sums"][at + nv : at + 2 * nv] += moved
 
     def _lose(self, memory: Memory, sensor: str, kind: str) -> None:
         """A sensor is lost: what is known of its coordinates begins anew."""
@@ -476,16 +532,19 @@ class _Detector(LeafSystem):
     ) -> bool:
         """Sums of what is unexplained, in blocks; whether one ends."""
         nq, nv, now = self._nq, self._nv, memory["seen"]
-        left = now[nq:] - before[nq:] - expected
+        left = now[nq:] - before[nq:] - expected  # (models, nv)
         count = memory["samples"][0] = memory["samples"][0] + 1.0
         bound = self._settings.threshold * np.sqrt(memory["rough"])
         bound += self._step * np.abs(pushes) @ self._force
-        if count > _LEARNT and (np.abs(left) > bound).any():  # a jump is no force
+        known = np.clip(left[0], -bound, bound) if count > _LEARNT else left[0]
+        # a jump of a sensor is no force; what goes on is one
+        jumps = float((known != left[0]).any())
+        if jumps and not memory["jumped"][0] and memory["blocks"][0] >= _WINDOWS[0]:
             self._forget(memory)
-            left = np.clip(left, -bound, bound)
-        memory["rough"] += (left**2 - memory["rough"]) / min(count, 4.0 * _LEARNT)
-        memory["sums"][:nv] += left
-        memory["sums"][2 * nv : 3 * nv] += self._step * now[nq:]
+            left = left - left[0] + known
+        memory["jumped"][0] = jumps
+        memory["rough"] += (known**2 - memory["rough"]) / min(count, 4.0 * _LEARNT)
+        memory["sums"][: MODELS * nv] += left.ravel()
         memory["part"] += memory["sums"] / _EVERY
         is_whole = bool(count % _EVERY == 0.0)
         if is_whole:
@@ -494,31 +553,41 @@ class _Detector(LeafSystem):
             memory["blocks"][0] += 1.0
         return is_whole
 
-    def _look_at_blocks(self, memory: Memory, mass: np.ndarray, pushes: np.ndarray) -> None:
+    def _look_at_blocks(self, memory: Memory, pushes: np.ndarray) -> None:
         """Wheels, joints, velocities, thrusters, in windows of blocks."""
         valid, step, nv = int(memory["blocks"][0]), _EVERY * self._step, self._nv
         kept, learnt = memory["kept"], memory["looks"]
         if valid >= _KEPT or (learnt[0] < _OLD and valid >= 2 * _OLD):
-            first, then = np.split(kept[-min(valid, _KEPT) :][: 2 * _OLD], 2)
-            first, then = (slope_of(each[:, : 2 * nv], step)[0] for each in (first, then))
+            old = kept[-min(valid, _KEPT) :][_OLD : 2 * _OLD, MODELS * nv : (MODELS + 1) * nv]
             learnt[0] += 1.0
-            gain, few = (1.0 / min(learnt[0], most) for most in (2.0 * _LEARNT, float(_OLD)))
-            memory["steady"] += few * (then[:nv] - memory["steady"])
-            memory["slope"] += gain * (then[nv:] - memory["slope"])
-            change = (then - first)[:nv] ** 2
-            if learnt[0] > _OLD:
-                change = np.minimum(change, 9.0 * memory["usual"])
-            memory["usual"] += gain * (change - memory["usual"])
+            gain = 1.0 / min(learnt[0], 2.0 * _LEARNT)
+            memory["slope"] += gain * (slope_of(old, step)[0] - memory["slope"])
         if self._wheels is not None:
             self._look_at_wheels(memory, valid)
         # of a spacecraft that does what nobody expects nothing more can be told
-        if learnt[0] >= _OLD and not memory["abort"][0]:
-            for window in (each for each in _WINDOWS if each <= valid):
-                blocks = kept[-window:]
-                self._look_at_joints(memory, blocks, step, mass)
-                self._look_at_velocities(memory, blocks, step)
-                if self._thrusters is not None and self._sees_forces:
-                    self._look_at_thrusters(memory, blocks, step, pushes)
+        if memory["abort"][0] or memory["samples"][0] < _LEARNT:
+            return
+        if self._is_flexible and valid >= _KEPT:
+            old = np.abs(slope_of(kept[:_OLD, :nv], step)[0])
+            memory["largest"][:] = np.maximum(memory["largest"], old)
+        mass = [model.calc_mass_matrix(memory["seen"][: self._nq]) for model in self._models]
+        bound = self._bound(mass[0], memory["seen"])
+        for window in (each for each in _WINDOWS if each <= valid):
+            blocks = kept[-window:]
+            if learnt[0] >= _OLD:
+                self._look_at_velocities(memory, blocks)
+            if self._sees_forces and not self._are_velocities_off(memory, blocks):
+                self._look_at_joints(memory, blocks, mass, bound)
+                if self._thrusters is not None:
+                    most = np.max([np.abs(np.linalg.inv(each)) @ bound for each in mass], axis=0)
+                    most += _FLEXIBLE * memory["largest"]
+                    self._look_at_thrusters(memory, blocks, pushes, most)
+
+    def _noise(self, memory: Memory) -> np.ndarray:
+        """Standard deviation (nv) of a block's mean of the velocities' noise."""
+        assumed = self._velocity_noise / np.sqrt(_EVERY)
+        noise: np.ndarray = np.maximum(_white(memory["rough"]), assumed)
+        return noise
 
     def _notice(self, memory: Memory, unit: str, kind: str) -> None:
         memory["codes"][self._names.index(unit)] = _CODE[kind]
@@ -542,30 +611,52 @@ class _Detector(LeafSystem):
                     self._notice(memory, unit, "stops")
 
     def _look_at_joints(
-        self, memory: Memory, blocks: np.ndarray, step: float, mass: np.ndarray
+        self, memory: Memory, blocks: np.ndarray, mass: Sequence[np.ndarray], bound: np.ndarray
     ) -> None:
-        """Those that stand still under a force that nobody told of."""
-        nv = self._nv
-        change, deviation = slope_of(blocks[:, :nv], step, _white(memory["rough"]))
-        change -= memory["steady"]
-        speed = np.abs(np.diff(blocks[:, 2 * nv : 3 * nv], axis=0)).max(axis=0) / step
-        stands = speed < _STILL + 4.0 * self._velocity_noise / np.sqrt(_EVERY)
-        least = np.maximum(_USUAL * np.sqrt(memory["usual"]), self._settings.threshold * deviation)
-        holds = np.abs(mass @ change) > _HOLDS + self._stiction
-        for index in np.flatnonzero(stands & holds & (np.abs(change) > least)):
-            if index >= NUM_BASE_VELOCITIES and self._sees_forces:
-                unit = f"joints.{self._model.coordinates.names[index]}"
-                if not memory["codes"][self._names.index(unit)]:
-                    self._notice(memory, unit, "jammed")
+        """Those that stand still under a force beyond all bounds, whatever the payload's mass.
 
-    def _look_at_velocities(self, memory: Memory, blocks: np.ndarray, step: float) -> None:
+        The mean over a window of a force within +-D, by any weights, is within +-D: whatever its
+        frequency.
+        """
+        nv, step, base = self._nv, _EVERY * self._step, NUM_BASE_VELOCITIES
+        moved = blocks[len(blocks) // 2 :, (MODELS + 1) * nv : (MODELS + 2) * nv]
+        most = _STILL + self._settings.threshold * self._position_noise / np.sqrt(_EVERY)
+        stands = np.ptp(moved, axis=0)[base:] < most[base:]
+        if not stands.any():
+            return
+        time = times_of(len(blocks), step)
+        slopes = (time @ blocks[:, : MODELS * nv] / (time @ time)).reshape(MODELS, nv)
+        forces = np.array([each @ slope for each, slope in zip(mass, slopes, strict=False)])
+        noise = np.sqrt(mass[0] ** 2 @ self._noise(memory) ** 2 / (time @ time))
+        low, high = between(forces)
+        beyond = np.maximum(low, -high) - bound - self._settings.threshold * noise
+        for index in np.flatnonzero(stands & (beyond[base:] > _LEAST)):
+            unit = f"joints.{self._model.coordinates.joints[index]}"
+            if not memory["codes"][self._names.index(unit)]:
+                self._notice(memory, unit, "jammed")
+
+    def _slips(self, memory: Memory, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By how much (nv) velocities differ from the slopes of their positions beyond what they
+        usually do, and the standard deviation of that.
+        """
+        at, step, white = MODELS * self._nv, _EVERY * self._step, _white(memory["jitter"])
+        slope, deviation = slope_of(blocks[:, at : at + self._nv], step, white)
+        velocity = 1.2 * self._velocity_noise / np.sqrt(_EVERY)
+        known = times_of(_OLD, step)
+        of_usual = np.hypot(white / np.sqrt(known @ known), velocity / np.sqrt(_OLD))
+        of_usual /= np.sqrt(max(memory["looks"][0] / _OLD, 1.0))
+        deviation = np.hypot(deviation, velocity / np.sqrt(len(blocks)))
+        return slope - memory["slope"], np.hypot(deviation, of_usual) + 1e-30
+
+    def _are_velocities_off(self, memory: Memory, blocks: np.ndarray) -> bool:
+        """Whether one seems to differ from the slope of its position, so that it tells no force."""
+        off, deviation = self._slips(memory, blocks)
+        return bool((np.abs(off) > _SLOPE + 4.0 * deviation).any())
+
+    def _look_at_velocities(self, memory: Memory, blocks: np.ndarray) -> None:
         """Those that differ from the slope of their position."""
         nv, codes = self._nv, memory["codes"]
-        white = _white(memory["jitter"])
-        slope, deviation = slope_of(blocks[:, nv : 2 * nv], step, white)
-        off = slope - memory["slope"]
-        walk = self._velocity_noise / np.sqrt(len(blocks) * _EVERY)
-        deviation = np.hypot(deviation, 1.2 * walk)
+        off, deviation = self._slips(memory, blocks)
         for name, entries in self._sensors.items():
             at = entries - nv
             if at[0] < 0 or codes[self._unit(name)] or codes[self._unit(_position_of(name))]:
@@ -573,7 +664,7 @@ class _Detector(LeafSystem):
             if not (self._is_prompt[entries].all() and self._is_prompt[at].all()):
                 continue
             if np.linalg.norm(off[at]) > _SLOPE and (
-                np.linalg.norm(off[at] / (deviation[at] + 1e-30)) > self._settings.threshold + 1.0
+                np.linalg.norm(off[at] / deviation[at]) > self._settings.threshold + 1.0
             ):
                 found = np.zeros(2 * nv)
                 found[entries] = off[at]
@@ -581,30 +672,46 @@ class _Detector(LeafSystem):
                 self._lose(memory, name, "biased")
 
     def _look_at_thrusters(
-        self, memory: Memory, blocks: np.ndarray, step: float, pushes: np.ndarray
+        self, memory: Memory, blocks: np.ndarray, pushes: np.ndarray, bound: np.ndarray
     ) -> None:
-        """The likelihood ratios of ``systems.residuals``."""
+        """The hypotheses of ``systems.residuals``; ``bound``: of accelerations (nv)."""
         assert self._thrusters is not None
-        nv, count, base = self._nv, len(self._force), NUM_BASE_VELOCITIES
+        nv, count, base = self._nv, len(self._force), slice(NUM_BASE_VELOCITIES)
         pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
-        steady = np.outer(times_of(len(blocks), step), memory["steady"][:base])
+        at = (MODELS + 2) * nv
         found = suspect(
-            blocks[:, :base] - steady,
-            blocks[:, 3 * nv : 3 * nv + count],
-            pushes=pushes[:base],
+            blocks[:, : MODELS * nv].reshape(-1, MODELS, nv)[:, :, base],
+            blocks[:, at : at + count],
+            pushes=pushes[base],
             force=self._force,
-            external=_DRIFT * np.sqrt(memory["usual"][:base]),
-            least_noise=np.hypot(_white(memory["rough"]), pulse)[:base],
+            bound=bound[base],
+            noise=np.hypot(self._noise(memory), pulse)[base],
             in_use=memory["codes"][:count] == 0.0,
-            step=step,
+            step=_EVERY * self._step,
+            band=self._settings.band,
         )
         looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(len(blocks))]
         before, looks[:] = looks[found.thruster], 0.0
-        share = _ASKED if found.kind == "stuck_on" else 1.0
-        if found.explained > (share * self._settings.threshold) ** 2 and found.is_isolated:
+        if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
             looks[found.thruster] = before + 1.0
             if looks[found.thruster] >= _CONFIRMED:
                 self._notice(memory, self._names[found.thruster], found.kind)
+
+
+def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
+    """The models with the lightest and the heaviest payload; of an empty gripper none."""
+    payload = scenario.payload
+    if payload.nominal.mass == 0.0 or factor == 1.0:
+        return []
+    models = []
+    for share in (1.0 / factor, factor):
+        inertia = [share * each for each in payload.nominal.inertia]
+        nominal = dataclasses.replace(
+            payload.nominal, mass=share * payload.nominal.mass, inertia=inertia
+        )
+        changed = dataclasses.replace(payload, nominal=nominal)
+        models.append(make_nominal_plant(dataclasses.replace(scenario, payload=changed)))
+    return models
 
 
 def _white(square: np.ndarray) -> np.ndarray:

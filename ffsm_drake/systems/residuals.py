@@ -1,25 +1,29 @@
 """What residuals over a window say about faults: pure functions of arrays.
 
-The unexplained velocity Y(t) = sum (dv - L H^-1 (tau - C)), with tau as told to the actuators and
-H, C of the nominal masses, is noise where all works. Where thruster i fires though told not to it
-grows by theta a_i (F_i t - I_i), where it gives too little by -theta a_i I_i (a_i: acceleration
-of its unit force; I_i: impulse as told; F_i: its force). Of each such hypothesis g the best theta,
-at most 1, and what it explains of Y,
+The unexplained velocity Y(t) = sum (dv - L H^-1 (tau - C)), with tau as told to the actuators and H
+and C of a model's masses, is noise, and what bounds allow, where all works:
 
-    theta = g' M Y / g' M g,    J = 2 theta g' M Y - theta^2 g' M g,
+- a disturbance of at most D in each coordinate, of any frequency up to a highest one;
+- masses between those of a light, the nominal and a heavy model: Y lies between theirs.
 
-with M the inverse of Y's covariance after a constant is taken out: white noise, and an acceleration
-that nobody told of and that drifts. J is the square of a number of standard deviations: the
-generalized likelihood ratio of one unknown size.
+In the axes along which such disturbances lie (``_axes``) each number of Y is then within an
+interval about the noise, and what lies beyond it is evidence of a fault. Where thruster i fires
+though told not to Y grows by theta a_i (F_i t - I_i), where it gives too little by -theta a_i I_i
+(a_i: acceleration of its unit force; I_i: impulse as told; F_i: its force). Such a hypothesis is
+worth what it takes, with its best theta, of the sum of squares beyond the intervals.
 """
 
 import dataclasses
+import functools
 
 import numpy as np
 
 LEAST_LEAK, LEAST_LOSS, WHOLE = 0.08, 0.3, 0.75  # shares theta that count, that are all of it
-_MARGIN = 9.0  # by which J of one thruster exceeds that of all others where it is isolated
+_MARGIN = 9.0  # by which what one thruster explains exceeds that of all others if it is isolated
 _LEFT = 2.0  # times its share of the noise that may be left, or as much as is explained
+_SHARES = np.array([0.08, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])  # theta
+_WIDER = 0.25  # share of the interval between light and heavy payloads by which it is widened
+_FREQUENCIES = 24  # of the disturbances that are looked at
 
 
 def times_of(count: int, step: float) -> np.ndarray:
@@ -49,11 +53,38 @@ def slope_of(
 class Suspicion:
     """The best hypothesis on thrusters."""
 
-    explained: float  # J
+    explained: float  # squares of standard deviations
     is_isolated: bool  # it is one thruster, and explains what is seen
     thruster: int
     kind: str
     theta: float
+
+
+def between(of_models: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The ends of the intervals that the values (models, ...) of payloads at their bounds span."""
+    low, high = of_models.min(axis=0), of_models.max(axis=0)
+    more = _WIDER * (high - low)  # the payload's centre of mass is wrong, too
+    return low - more, high + more
+
+
+@functools.lru_cache(maxsize=16)
+def _axes(count: int, step: float, band: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal axes, as columns (count, count - 1), of values (count) without their mean, s
+    apart, and the largest share (count - 1) that the integral of a sine of amplitude 1 and of a
+    frequency up to ``band``, rad/s, has along each.
+    """
+    time = times_of(count, step)[:, None]
+    frequency = np.linspace(0.0, band, _FREQUENCIES + 1)[1:]
+    cosine = -np.cos(frequency * time) / frequency
+    # of frequency 0: a constant force
+    waves = np.hstack([time, np.sin(frequency * time) / frequency, cosine - cosine.mean(axis=0)])
+    axes = np.linalg.svd(waves - waves.mean(axis=0))[0][:, : count - 1]
+    # an axis of rounding errors may hold some of the mean
+    axes = np.linalg.qr(axes - axes.mean(axis=0))[0]
+    along = axes.T @ waves
+    sines, cosines = np.split(along[:, 1:], 2, axis=1)
+    largest = np.maximum(np.abs(along[:, 0]), np.hypot(sines, cosines).max(axis=1))
+    return axes, largest
 
 
 def suspect(
@@ -62,49 +93,53 @@ def suspect(
     *,
     pushes: np.ndarray,
     force: np.ndarray,
-    external: np.ndarray,
-    least_noise: np.ndarray,
+    bound: np.ndarray,
+    noise: np.ndarray,
     in_use: np.ndarray,
     step: float,
+    band: float,
 ) -> Suspicion:
     """The hypothesis on thrusters that explains most of a window of blocks.
 
-    Args: Y (m, nv), rad/s and m/s, and impulses as told (m, n), N s, of blocks; a (nv, n); F (n),
-      N; standard deviations of the acceleration that nobody told of (nv) and, at least, of Y
-      (nv); which thrusters are looked at (n); time between blocks, s.
+    Args: Y (m, models, nv), rad/s and m/s, and impulses as told (m, n), N s, of blocks; a (nv, n);
+      F (n), N; the largest acceleration of a disturbance (nv); standard deviation of Y's noise
+      (nv); which thrusters are looked at (n); time between blocks, s; largest frequency of a
+      disturbance, rad/s.
     """
-    time = times_of(len(unexplained), step)
-    noise = noise_of(unexplained, least_noise)
-    y, fired = (unexplained - unexplained.mean(axis=0)) / noise, told - told.mean(axis=0)
-    shapes = np.hstack([time[:, None] * force - fired, -fired])  # (m, 2 n)
-    directions = np.tile(pushes, 2).T / noise  # (2 n, nv)
-    product, size, total = shapes.T @ y, (shapes**2).sum(axis=0)[:, None], (y**2).sum()
-    # what a constant acceleration that nobody told of may explain, and one that drifts
-    for regressor, most in ((time, external), (time**2 - (time**2).mean(), 0.5 * external)):
-        kept = 1.0 / (regressor @ regressor + (noise / np.maximum(most, 1e-12)) ** 2)
-        of_shapes, of_y = regressor @ shapes, regressor @ y
-        product = product - np.outer(of_shapes, kept * of_y)  # (2 n, nv)
-        size = size - np.outer(of_shapes**2, kept)
-        total -= (kept * of_y**2).sum()
-    product, size = (product * directions).sum(axis=1), (size * directions**2).sum(axis=1)
-    known = np.tile(in_use, 2) & (size > 1.0)  # a share of 1 is a standard deviation or more
-    theta = np.clip(np.where(known, product / np.where(known, size, 1.0), 0.0), 0.0, 1.0)
-    count = force.size
+    time, count = times_of(len(unexplained), step), force.size
+    axes, largest = _axes(len(unexplained), step, band)
+    of_models = np.tensordot(axes.T, unexplained, axes=1) / noise  # (m - 1, models, nv)
+    room = largest[:, None] * (bound / noise)
+    low, high = between(of_models.swapaxes(0, 1))
+    low, high = low - room, high + room
+    shapes = axes.T @ np.hstack([time[:, None] * force - told, -told])  # (m - 1, 2 n)
+    signature = shapes[:, None] * (np.tile(pushes, 2) / noise[:, None])  # (m - 1, nv, 2 n)
+
+    def beyond(theta: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """Sums of squares beyond the intervals (thetas, hypotheses)."""
+        taken = theta[:, None, None, None] * of
+        outside = np.maximum(low[..., None] - taken, 0.0) + np.maximum(taken - high[..., None], 0.0)
+        squares: np.ndarray = (outside**2).sum(axis=(1, 2))
+        return squares
+
+    total = float(beyond(np.zeros(1), signature[..., :1])[0, 0])
+    explained = total - beyond(_SHARES, signature)  # (thetas, 2 n)
     least = np.repeat([LEAST_LEAK, LEAST_LOSS], count)
-    explained = np.where(theta >= least, theta * (2.0 * product - theta * size), 0.0)
-    best = int(explained.argmax())
+    explained[(_SHARES[:, None] < least) | ~np.tile(in_use, 2)] = 0.0
+    theta, best = np.unravel_index(int(explained.argmax()), explained.shape)
+    most, share = float(explained[theta, best]), float(_SHARES[theta])
     others = np.tile(np.arange(count), 2) != best % count
-    rest = total - explained[best]
+    rest = total - most
     names = ("stuck_on", "leaking") if best < count else ("stuck_off", "weak")
     return Suspicion(
-        explained=float(explained[best]),
+        explained=most,
         is_isolated=bool(
-            explained[best] - explained[others].max(initial=0.0) > _MARGIN
-            and rest < max(_LEFT * y.size, explained[best])
+            most - explained[:, others].max(initial=0.0) > _MARGIN
+            and rest < max(_LEFT * low.size, most)
         ),
-        thruster=best % count,
-        kind=names[0] if theta[best] > WHOLE else names[1],
-        theta=float(theta[best]),
+        thruster=int(best) % count,
+        kind=names[0] if share > WHOLE else names[1],
+        theta=share,
     )
 
 

@@ -2,6 +2,8 @@
 bit.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -17,7 +19,7 @@ from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.base import LOST
 from ffsm_drake.systems.actuation.thrusters import ThrusterSet
 from ffsm_drake.systems.fault_detection import KINDS
-from ffsm_drake.systems.residuals import LEAST_LEAK, slope_of, suspect
+from ffsm_drake.systems.residuals import slope_of, suspect
 
 NAME, SENSORS = "thrusters_and_wheels", "flight_sensors"
 
@@ -107,6 +109,55 @@ def test_what_is_isolated_does_nothing():
     assert not base.without(np.full(len(base.units), LOST))[2]
 
 
+# the arm holds its posture
+AT_REST = [{"initial_posture": dataclasses.asdict(load_scenario(SENSORS).target_posture)}]
+
+
+def drawn_forces(rng):
+    """Overrides: a disturbance and a payload within the bounds."""
+    ratio = np.exp(rng.uniform(-np.log(2.0), np.log(2.0)))
+    truth = {"mass": 80.0 * ratio, "inertia": [12.0 * ratio] * 3}
+    return [
+        f"disturbance.frequency_scale={np.exp(rng.uniform(np.log(0.3), np.log(5.0))):.3g}",
+        f"disturbance.amplitude_scale={np.exp(rng.uniform(np.log(0.3), np.log(3.0))):.3g}",
+        {"payload": {"truth": truth}, "random_seed": int(rng.integers(1000))},
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("more", [AT_REST, ["reference.duration=10"]], ids=["at rest", "moving"])
+def test_no_joint_that_works_is_jammed(more, seed):
+    forces = drawn_forces(np.random.default_rng(seed))
+    log = run(SENSORS, None, None, "controller=tdc", *more, *forces, duration=4.0)
+    assert noticed(log) == {}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_thruster_that_works_is_weak(seed):
+    forces = drawn_forces(np.random.default_rng(seed))
+    assert noticed(run(NAME, None, None, *forces, duration=4.5)) == {}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_jam_of_a_joint_that_moves(seed):
+    rng = np.random.default_rng(seed)
+    unit = f"joints.joint_{rng.integers(1, 6)}"
+    forces = drawn_forces(rng)
+    moving = ("controller=tdc", "reference.duration=10", *forces)
+    log = run(SENSORS, unit, "jammed", *moving, time=2.5, duration=4.0)
+    assert noticed(log) == {unit: "jammed"}
+
+
+def test_a_joint_that_nothing_moves_is_not_jammed_but_known_once_the_bound_is_smaller():
+    """What disturbances may do follows from the bound, given or the scenario's own."""
+    still = ("controller=tdc", *AT_REST, "disturbance.harmonics.joint_1={bias: 2.0}")
+    log = run(SENSORS, "joints.joint_1", "jammed", *still, time=2.0, duration=4.0)
+    assert noticed(log) == {}
+    bound = {"faults": {"detection": {"disturbance": {"all": 0.5}}}}
+    log = run(SENSORS, "joints.joint_1", "jammed", *still, bound, time=2.0, duration=4.0)
+    assert noticed(log) == {"joints.joint_1": "jammed"}
+
+
 SET = ThrusterSet(Thrusters(), sample_time=0.01)
 STEP, COUNT = 0.05, 32
 
@@ -117,39 +168,51 @@ def window(rng, noise=1e-5):
     return np.cumsum(fired, axis=0), noise * rng.standard_normal((COUNT, 6))
 
 
-def ask(unexplained, told):
+BOUND, NOISE, BAND = 1e-3, 1e-5, 10.0  # rad/s^2 and m/s^2; rad/s and m/s; rad/s
+
+
+def ask(unexplained, told, *others):
     return suspect(
-        unexplained, told, pushes=SET.wrenches / 500.0, force=SET.force, external=np.full(6, 1e-4),
-        least_noise=np.full(6, 1e-5), in_use=np.ones(len(SET.force), dtype=bool), step=STEP,
+        np.stack([unexplained, *others], axis=1), told, pushes=SET.wrenches / 500.0,
+        force=SET.force, bound=np.full(6, BOUND), noise=np.full(6, NOISE),
+        in_use=np.ones(len(SET.force), dtype=bool), step=STEP, band=BAND,
     )  # fmt: skip
 
 
+def disturbance(rng):
+    """The velocities (m, 6) of sines within the bound, of any phase and frequency."""
+    time = STEP * np.arange(COUNT)[:, None]
+    frequency, phase = rng.uniform(0.01, BAND, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
+    return BOUND * np.sin(frequency * time + phase) / frequency
+
+
 @settings(max_examples=25, deadline=None)
-@given(
-    st.integers(0, 11), st.booleans(), st.floats(0.3, 1.0), st.integers(0, 10**6),
-    st.floats(-1e-4, 1e-4),
-)  # fmt: skip
-def test_the_bank_names_the_thruster(index, is_loss, share, seed, external):
-    told, unexplained = window(np.random.default_rng(seed))
+@given(st.integers(0, 11), st.booleans(), st.floats(0.35, 1.0), st.integers(0, 10**6))
+def test_the_bank_names_the_thruster(index, is_loss, share, seed):
+    rng = np.random.default_rng(seed)
+    told, unexplained = window(rng, NOISE)
     assume(not is_loss or share * told[-1, index] >= 1.0)  # N s; of less it is not sure
     push = SET.wrenches[:, index] / 500.0
     time = STEP * np.arange(COUNT)
     more = -told[:, index] if is_loss else SET.force[index] * time - told[:, index]
-    unexplained = unexplained + share * np.outer(more, push) + external * time[:, None]
-    found = ask(unexplained, told)
+    found = ask(unexplained + share * np.outer(more, push) + disturbance(rng), told)
     assert (found.thruster, found.is_isolated) == (index, True)
     assert found.kind in (("stuck_off", "weak") if is_loss else ("stuck_on", "leaking"))
-    assert found.theta == pytest.approx(share, abs=0.15)
+    assert found.theta == pytest.approx(share, abs=0.25)
     assert found.explained > 64.0
 
 
-def test_the_bank_is_silent_on_noise_and_external_forces():
+def test_the_bank_is_silent_on_noise_disturbances_and_wrong_masses():
     rng = np.random.default_rng(1)
-    for _ in range(300):
-        told, unexplained = window(rng)
-        drift = rng.normal(0.0, 1e-4, 6) * STEP * np.arange(COUNT)[:, None]
-        assert ask(unexplained + drift, told).explained < 36.0
-    assert LEAST_LEAK > 0.0
+    for _ in range(100):
+        told, unexplained = window(rng, NOISE)
+        unexplained += disturbance(rng)
+        # pulses do less on a heavier spacecraft than on the nominal one, more on a lighter
+        of_masses = told @ (SET.wrenches / 500.0).T
+        heavy, light = (unexplained + by * of_masses for by in (0.3, -0.3))
+        truth = rng.uniform(-0.3, 0.3) * of_masses
+        found = ask(unexplained + truth, told, heavy + truth, light + truth)
+        assert found.explained < 36.0
 
 
 def test_slopes():
