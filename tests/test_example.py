@@ -146,9 +146,14 @@ def test_examples_are_short():
     assert max(lines.values()) < 60, lines
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("cheap")
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if name == "own_mission.py" else pytest.mark.slow)
+        for name in OTHERS
+    ],
+)
 def test_the_other_examples(name, tmp_path, monkeypatch):
     """As scripts, in this process: as __main__, and with their folder among those that modules come
     from.

@@ -107,7 +107,7 @@ def dask_cluster(folder, *, threads):
             yield address, scheduler, nanny
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_dask_scheduler_that_is_killed(tmp_path):
     """One line with what to type, and no traceback of the library's."""
     pytest.importorskip("distributed")

@@ -41,8 +41,16 @@ def free(controller, *overrides):
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("controller", EDGE)
+# One of every structure on each change: without and with an estimate.
+@pytest.mark.parametrize(
+    "controller",
+    [
+        pytest.param(
+            law, marks=pytest.mark.slow if law in ("computed_torque", "tdc") else pytest.mark.long
+        )
+        for law in EDGE
+    ],
+)
 def test_the_edge_of_stability_from_both_sides(controller):
     length = 19 if controller == "pd_plus" else 7  # which grows slowly
     scenario = complete_gains(

@@ -95,8 +95,8 @@ SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(SIX[0], marks=pytest.mark.slow),
-        *(pytest.param(name, marks=pytest.mark.long) for name in SIX[1:]),
+        pytest.param(name, marks=pytest.mark.slow if name == "six_joints" else pytest.mark.long)
+        for name in SIX
     ],
 )
 def test_everything_at_once_settles(tmp_path, name):

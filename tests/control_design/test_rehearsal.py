@@ -65,8 +65,13 @@ def test_wheels_that_give_too_little_are_told(with_wheels):
     assert "thrusters and wheels give 1.3 to 2.3 N m" in told
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("torque", "stable"), [(1.0, False), (1.6, True)])
+@pytest.mark.parametrize(
+    ("torque", "stable"),
+    [
+        pytest.param(1.0, False, marks=pytest.mark.slow),
+        pytest.param(1.6, True, marks=pytest.mark.long),
+    ],
+)
 def test_saturated_wheels(with_wheels, torque, stable):
     """Without limits the loop is the same."""
     scenario = with_wheels(torque)

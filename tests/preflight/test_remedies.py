@@ -53,8 +53,10 @@ def test_a_nominal_payload_that_is_too_heavy_is_told_with_its_eta():
     assert "eta is up to 1.28, and tde_aismc tolerates 1.11" in first.reason
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(seed, marks=pytest.mark.long if seed else pytest.mark.slow) for seed in range(6)],
+)
 def test_following_what_helps_settles(seed):
     """Missions of the class, drawn: too heavy, too stiff, or with too little force."""
     rng = np.random.default_rng(seed)

@@ -167,7 +167,7 @@ def looked_at(path, *options):
     ).stdout  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 @pytest.mark.usefixtures("no_analysis", "coarse_map")
 def test_no_name_runs_in_a_browser(short, tmp_path):

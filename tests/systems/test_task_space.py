@@ -160,8 +160,13 @@ class Far(LeafSystem):
             )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", ONE_OF_LAWS)
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(law, marks=pytest.mark.slow if law == LAWS[0] else pytest.mark.long)
+        for law in LAWS
+    ],
+)
 def test_a_goal_out_of_reach(law):
     """The arm stretches out to it and rests, singular: forces and rates stay bounded, and it is
     said.
