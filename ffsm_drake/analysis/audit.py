@@ -28,6 +28,7 @@ from ffsm_drake.spacecraft.plant import base_body, make_plant
 TOLERANCE = 1e-3  # share that a motion may miss of its rates, a momentum of what bodies exchange
 _FITS = 0.1  # share of a motion within which axes and units of its rates are recognised
 _NAMED = 0.1  # share of what is missed that may remain with the mistake that is named
+_SURE = 0.03  # the same, where less could be the doubt of sampling, digits or noise
 _TRIMMED = 0.9  # share of the periods that a fit is about: jumps are found apart
 _STILL = 1e-9  # rad or m in a period
 _EVEN = 0.8  # share of equal periods from which on a log is sampled evenly
@@ -126,7 +127,9 @@ def audit(
                     checks += found
                 checks, read = _time_scale(checks, read)
                 checks = _jumps(checks, read)
-                checks += _dynamics(read, dynamics, tolerance)
+                found = _dynamics(read, dynamics, tolerance)
+                lost = {"dropped_samples", "repeated_samples"} & {check.cause for check in checks}
+                checks += [check for check in found if check.name != "energy" or not lost]
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         said = "its numbers are too large or too small to be computed with"
         raise RecordError(f"{log}: {said}: {error}") from error
@@ -378,16 +381,23 @@ def _estimate(missed: np.ndarray, columns: Sequence[np.ndarray], lag: np.ndarray
 
 
 def _named(
-    missed: np.ndarray, lag: np.ndarray, mistakes: Sequence[_Mistake], allowed: float
+    missed: np.ndarray,
+    lag: np.ndarray,
+    mistakes: Sequence[_Mistake],
+    *,
+    allowed: float,
+    doubt: float,
 ) -> tuple[_Mistake, _Estimate] | None:
-    """The first mistake that explains what is missed about as well as the best does, if any."""
+    """The first mistake that explains what is missed about as well as the best does, if any: all
+    but what is allowed; of what may be mere doubt nearly all.
+    """
     before = _estimate(missed, [], lag).left
     tried = [(each, _estimate(missed, each.columns, lag)) for each in mistakes]
     tried = [(m, e) for m, e in tried if e.is_significant and m.usable(e.sizes)]
     best = min((estimate.left for _, estimate in tried), default=math.inf)
-    if best > max(_NAMED * before, allowed):
+    if best > (max(_NAMED * before, allowed) if before > doubt else _SURE * before):
         return None
-    return next((m, e) for m, e in tried if e.left <= max(2.0 * best, 0.5 * allowed))
+    return next((m, e) for m, e in tried if e.left <= max(2.0 * best, 0.5 * doubt))
 
 
 def _noise(values: np.ndarray) -> float:
@@ -479,23 +489,23 @@ def _follow(
     )  # fmt: skip
     if share <= tolerance:
         return _Followed(checks=[fine, *checks], log=log, missed=share)
-    doubt, why = _doubt(log, motion) if not jumps.any() else (0.0, "")
-    if left > max(tolerance * size, doubt):
-        allowed = max(tolerance * size, doubt)
-        found = _named(missed, lag, [
-            dataclasses.replace(each, columns=[path(column) for column in each.columns])
-            for each in mistakes(log, parts)
-        ], allowed)  # fmt: skip
-        if found is None:
-            words = f"is not the rate of the position: {100.0 * share:.2g} % are missed"
-            fault = _fault(name, "rates", f"{said}, {words}")
-            return _Followed(checks=[fault, *checks], log=log, missed=share, is_named=False)
+    doubt, why = (0.0, "") if jumps.any() else _doubt(log, motion)
+    allowed = max(tolerance * size, doubt)
+    tried = [
+        dataclasses.replace(each, columns=[path(column) for column in each.columns])
+        for each in mistakes(log, parts)
+    ]
+    if found := _named(missed, lag, tried, allowed=allowed, doubt=doubt):
         mistake, estimate = found
         fault = _fault(name, mistake.cause, mistake.words(estimate.sizes, estimate.errors))
         value = 1.0 + float(estimate.sizes[0]) if mistake.cause == "rate_scale" else None
         checks = [dataclasses.replace(fault, value=value), *checks]
         mended = log if mistake.mend is None else mistake.mend(estimate.sizes)
         return _Followed(checks=checks, log=mended, missed=estimate.left / size)
+    if left > allowed:
+        words = f"is not the rate of the position: {100.0 * share:.2g} % are missed"
+        fault = _fault(name, "rates", f"{said}, {words}")
+        return _Followed(checks=[fault, *checks], log=log, missed=share, is_named=False)
     if left <= 0.1 * tolerance * _reach(log):
         return _Followed(checks=[fine, *checks], log=log, missed=share)
     words = f"{said}; {100.0 * share:.2g} % are missed, but {_DOUBTS[why]}"
@@ -819,6 +829,13 @@ def _joint_rates(log: ForeignLog, dynamics: Dynamics, tolerance: float) -> _Chec
             angles[:, i] *= 1.0 / factor if factor > 1.0 else 1.0
             rates[:, i] *= factor if factor < 1.0 else 1.0
             continue
+        others = [_fit(log, moved[:, [i]], log.rates[:, [j]]) for j in range(len(names))]
+        best = min(range(len(names)), key=lambda j: others[j].missed)
+        if fit.missed > _FITS and others[best].missed <= min(_FITS, 0.3 * fit.missed):
+            said = f"the rate called {name} is not its own: that of {names[best]} is"
+            checks.append(_fault(name, "joint_order", said))
+            rates[:, i] = others[best].factor * log.rates[:, best]
+            continue
         one = log.replace(angles=log.angles[:, [i]], rates=log.rates[:, [i]])
         motion = _straight(lambda log: log.angles, lambda log: log.rates)
         found = _follow(name, one, motion, _of_joint, tolerance, "its rate")
@@ -828,16 +845,9 @@ def _joint_rates(log: ForeignLog, dynamics: Dynamics, tolerance: float) -> _Chec
             checks += faults
             fine += [] if faults else found.checks
             continue
-        others = [_fit(log, moved[:, [i]], log.rates[:, [j]]) for j in range(len(names))]
-        best = min(range(len(names)), key=lambda j: others[j].missed)
-        if best != i and others[best].missed <= min(_FITS, 0.3 * fit.missed):
-            said = f"the rate called {name} is not its own: that of {names[best]} is"
-            checks.append(_fault(name, "joint_order", said))
-            rates[:, i] = others[best].factor * log.rates[:, best]
-        else:
-            said = f"its rate is not that of its position; misses {100 * found.missed:.2g} %"
-            checks.append(_fault(name, "joint_rate", said))
-            rates[:, i] = _rate(log, log.angles[:, i])
+        said = f"its rate is not that of its position; misses {100 * found.missed:.2g} %"
+        checks.append(_fault(name, "joint_rate", said))
+        rates[:, i] = _rate(log, log.angles[:, i])
     if fine:
         word = "other rate" if checks else "rate"
         worst = max((check for check in fine), key=lambda check: check.value or 0.0)
@@ -1018,22 +1028,29 @@ def _dynamics(log: ForeignLog, dynamics: Dynamics, tolerance: float) -> list[Che
         raise ValueError("momentum is not finite")
     missed = balance.missed(balance.total)
     said = f"changes by {missed:.2g} of what the bodies exchange"
+    doubt, why, told = 0.0, "", ""
+    if missed > tolerance or log.missing:
+        doubt, why = _doubt_of(balance, dynamics, log, kept, impulses)
+        told = f" (rates of every second sample change it by {doubt:.1g})" if log.missing else ""
     if missed <= tolerance:
-        said = f"conserved within {missed:.2g} of what the bodies exchange"
+        said = f"conserved within {missed:.2g} of what the bodies exchange{told}"
         return [Check(name=name, statement=said), *_energy(log, dynamics, tolerance, 0.0)]
-    doubt, why = _doubt_of(balance, dynamics, log, kept, impulses)
-    if missed <= 2.0 * doubt:
-        said = f"{said}, but {_UNTOLD[why]}"
-        return [_open(name, why, said), *_energy(log, dynamics, tolerance, missed)]
-    effects = _of_forces(log, balance, dynamics, kept)
+    effects = _of_forces(balance, dynamics)
     explained = [*_of_masses(balance, dynamics), *effects, *_of_frames(balance)]
     for cause, words, changed in (*_of_points(some, dynamics), *_of_joints(some, dynamics.names)):
         other = _balance(changed, dynamics, balance.impulse)
         explained.append((other.missed(other.total), cause, words))
     left, cause, words = min(explained)
-    if left < max(tolerance, 2.0 * doubt, (0.02 if missed < _FITS else 0.15) * missed):
+    if missed > 2.0 * doubt:
+        enough = max(tolerance, 2.0 * doubt, (0.02 if missed < _FITS else 0.15) * missed)
+    else:
+        enough = _SURE * missed
+    if left < enough:
         return [_fault(name, cause, f"{said}, by {left:.2g} if {words}")]
-    step, left = _integrator(log, balance, dynamics, kept)
+    if missed <= 2.0 * doubt:
+        said = f"{said}, but {_UNTOLD[why]}"
+        return [_open(name, why, said), *_energy(log, dynamics, tolerance, missed)]
+    step, left = _integrator(log, balance, dynamics)
     if step and left < 0.2 * missed:
         words = (
             f"{said}, by {left:.2g} beside the drift of a first-order integrator whose steps are "
@@ -1045,7 +1062,7 @@ def _dynamics(log: ForeignLog, dynamics: Dynamics, tolerance: float) -> list[Che
 
 
 _UNTOLD = {
-    "sampling": "with every second sample it is as uncertain: log more samples, and the velocities",
+    "sampling": "every second sample changes it as much: log more samples, and log the velocities",
     "digits": "the last digits of the numbers change it as much: log more digits",
     "noise": "it jumps as much from sample to sample: log true values",
 }
@@ -1064,7 +1081,8 @@ def _doubt_of(
     doubts["noise"] = max(_noise(shares[group]) for group in groups if len(group) > 3)
     if log.missing:
         rough = _balance(only(with_rates(log, every=2), kept), dynamics, balance.impulse)
-        doubts["sampling"] = float((np.abs(rough.total - balance.total) / balance.scale).max())
+        change = np.abs(rough.total - balance.total) / balance.scale
+        doubts["sampling"] = max(float(change.max()), doubts.pop("noise"))
     if impulses[0].any():
         coarse = _impulses(only(log, slice(None, None, 2)))[0]
         change = np.abs(coarse - impulses[0][::2]).max(axis=0) / balance.scale
@@ -1077,47 +1095,53 @@ def _doubt_of(
     return doubts[why], why
 
 
-def _integrator(
-    log: ForeignLog, balance: _Balance, dynamics: Dynamics, kept: np.ndarray
-) -> tuple[float, float]:
+def _integrator(log: ForeignLog, balance: _Balance, dynamics: Dynamics) -> tuple[float, float]:
     """The step of a first-order integrator whose drift explains a momentum best, s, and what is
     then missed: a step h changes momentum by h^2 times what a trial step does.
     """
-    some, best = balance.log, (0.0, math.inf)
+    some, best, period = balance.log, (0.0, math.inf), np.diff(log.time)[:, None]
+    near = every(log, most=1000)
+    near = near[near < len(period)]
+    middle = only(log, near)
+    turn = Rotation.from_quat(middle.quaternion, scalar_first=True)
+    turn = Rotation.from_rotvec(0.5 * _turned(log)[near]) * turn
+    spins = {"base": in_body_axes(log.quaternion, log.angular), "world": log.angular}
+    rates = {**spins, "linear": log.linear, "rates": log.rates}
+    paths = {**rates, "position": log.position - some.position[0], "angles": log.angles}
+    means = {name: _means(path)[near] for name, path in paths.items()}
+    slope = {name: (np.diff(path, axis=0) / period)[near] for name, path in rates.items()}
     trial = 0.01 / max(float(np.abs(np.hstack([some.angular, some.rates])).max()), 1e-9)
-    rates = np.gradient(log.rates, log.time, axis=0, edge_order=2)[kept]
-    linear = np.gradient(log.linear, log.time, axis=0, edge_order=2)[kept]
-    local = in_body_axes(log.quaternion, log.angular)
-    spin = {
-        "base": np.gradient(local, log.time, axis=0, edge_order=2)[kept],
-        "world": np.gradient(log.angular, log.time, axis=0, edge_order=2)[kept],
-    }
-    for axes, semi in itertools.product(spin, (1.0, 0.0)):
-        sides = []
-        for step in (trial, -trial):
-            turn = Rotation.from_quat(some.quaternion, scalar_first=True)
-            omega = (local[kept] if axes == "base" else some.angular) + step * spin[axes]
-            before = omega - (1.0 - semi) * step * spin[axes]
-            more = Rotation.from_rotvec(step * before)
-            turn = turn * more if axes == "base" else more * turn
-            speed, joints = some.linear + step * linear, some.rates + step * rates
-            moved = some.replace(
-                quaternion=turn.as_quat(scalar_first=True),
-                position=some.position + step * (speed - (1.0 - semi) * step * linear),
-                angles=some.angles + step * (joints - (1.0 - semi) * step * rates),
-                angular=turn.apply(omega) if axes == "base" else omega,
-                linear=speed,
-                rates=joints,
-            )
-            bodies = dynamics.bodies_of(moved)
-            place = moved.position - some.position[0]
-            parts = bodies.momenta(turns_of(moved), place, moved.angular, moved.linear)
-            sides.append((parts[0] + parts[1]).sum(axis=1) - balance.impulse)
-        second = (sides[0] + sides[1] - 2.0 * balance.total) / (2.0 * trial**2)
-        drift = _since_start(_means(second) * np.diff(some.time)[:, None])
-        left, times = balance.without([drift])
-        if 0.0 < -times[0] < 1.1 * float(np.median(np.diff(log.time))):
-            best = min(best, (-float(times[0]), left), key=lambda each: each[1])
+
+    def total(axes: str, semi: float, step: float) -> np.ndarray:
+        def after(name: str, share: float = 1.0) -> np.ndarray:
+            found: np.ndarray = means[name] + share * step * slope[name]
+            return found
+
+        more = Rotation.from_rotvec(step * after(axes, semi))
+        now = turn * more if axes == "base" else more * turn
+        omega = after(axes)
+        moved = middle.replace(
+            quaternion=now.as_quat(scalar_first=True),
+            position=means["position"] + step * after("linear", semi),
+            angles=means["angles"] + step * after("rates", semi),
+            angular=now.apply(omega) if axes == "base" else omega,
+            linear=after("linear"),
+            rates=after("rates"),
+        )
+        parts = dynamics.bodies_of(moved).momenta(
+            now.as_matrix(), moved.position, moved.angular, moved.linear
+        )
+        found: np.ndarray = (parts[0] + parts[1]).sum(axis=1)
+        return found
+
+    times = _means(log.time)[near]
+    for axes, semi in itertools.product(spins, (1.0, 0.0)):
+        sides = total(axes, semi, trial) + total(axes, semi, -trial) - 2.0 * total(axes, semi, 0.0)
+        path = _integral(times, sides / (2.0 * trial**2))
+        drift = np.stack([np.interp(some.time, times, column) for column in path.T], axis=1)
+        left, sizes = balance.without([drift])
+        if 0.0 < -sizes[0] < 1.1 * period.max():
+            best = min(best, (-float(sizes[0]), left), key=lambda each: each[1])
     return best
 
 
@@ -1134,9 +1158,7 @@ def _of_masses(balance: _Balance, dynamics: Dynamics) -> Iterator[_Explanation]:
             yield left, "mass", words
 
 
-def _of_forces(
-    log: ForeignLog, balance: _Balance, dynamics: Dynamics, kept: np.ndarray
-) -> Iterator[_Explanation]:
+def _of_forces(balance: _Balance, dynamics: Dynamics) -> Iterator[_Explanation]:
     """Gravity; a constant force; drag of the base; momentum that decays."""
     some = balance.log
     at = some.position - some.position[0]
@@ -1311,14 +1333,18 @@ def _energy(log: ForeignLog, dynamics: Dynamics, tolerance: float, drift: float)
     if any(log.digits.values()):
         shaken = _work(_shaken(log), dynamics, rows, efforts).missed(0) - plain
         doubts["digits"] = 2.0 * np.array([_swing(x) for x in shaken.T[:, :, None]]) / size
-    limit = np.maximum(np.max(list(doubts.values()), axis=0), tolerance)
-    wrong = np.flatnonzero(shares > limit)
-    if not wrong.size:
+    doubt = np.max(list(doubts.values()), axis=0)
+    wrong = np.flatnonzero(shares > tolerance)
+    found = [
+        _of_effort(some, work, j, max(tolerance, doubt[j]) * size[j], doubt[j] * size[j], names)
+        for j in wrong
+    ]
+    wrong, found = wrong[[each is not None for each in found]], [each for each in found if each]
+    if not found:
         j = int(np.argmax(shares))
         why = max(doubts, key=lambda each: doubts[each][j])
         said = f"{names[j]} misses its effort by {shares[j]:.2g}, but {_UNSURE[why]}"
         return [_open(name, why, said)]
-    found = [_of_effort(some, work, j, limit[j] * size[j], names) for j in wrong]
     factors = [factor for _, _, factor in found]
     moving = np.flatnonzero(size > 1.01e-2 * size.max())
     if None not in factors and set(moving) <= set(wrong) and len(names) > 1:
@@ -1386,9 +1412,11 @@ def _work(
 
 
 def _of_effort(
-    log: ForeignLog, work: _Work, joint: int, allowed: float, names: Sequence[str]
-) -> tuple[str, str, float | None]:
-    """The mistake of one joint's effort: cause, words, the factor by which its work is off."""
+    log: ForeignLog, work: _Work, joint: int, allowed: float, doubt: float, names: Sequence[str]
+) -> tuple[str, str, float | None] | None:
+    """The mistake of one joint's effort: cause, words, the factor by which its work is off; None:
+    it cannot be told.
+    """
     missed, lag = work.missed(0)[:, [joint]], work.lag[:, [joint]]
     name, time = names[joint], (log.time - log.time[0])[:, None]
     moved, rate = log.angles[:, [joint]], log.rates[:, [joint]]
@@ -1449,7 +1477,7 @@ def _of_effort(
             usable=lambda sizes: sizes[0] > 0.0,
         ),
     ]  # fmt: skip
-    if found := _named(missed, lag, mistakes, allowed):
+    if found := _named(missed, lag, mistakes, allowed=allowed, doubt=doubt):
         mistake, estimate = found
         sizes = estimate.sizes
         factor = 1.0 + float(sizes[0]) if mistake.cause == "effort_scale" else None

@@ -174,7 +174,7 @@ def read_log(
     }  # fmt: skip
     read = {
         what: None
-        if what in _RATES and set(_taken(found, what, labels)) <= {None}
+        if what in _RATES and set(_taken(found, what, labels)) == {None}
         else _columns(found, what, labels, path)
         for what, labels in sets.items()
     }
