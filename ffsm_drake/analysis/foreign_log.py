@@ -184,6 +184,8 @@ def read_log(
     digits = {what: _digit(values) for what, values in read.items() if values is not None}
     if (given := mrp if mrp is not None else angles) is not None:
         digits["quaternion"] = _digit(given)
+    usual = min((each for each in digits.values() if each is not None), default=0.0)
+    digits = {what: usual if each is None else each for what, each in digits.items()}
     read, said = _at_poses(read, path)
     missing = tuple(what for what in _RATES if read[what] is None)
     time, quaternion = read.pop("time"), read["quaternion"]
@@ -252,14 +254,16 @@ def _at_poses(
     return found, note
 
 
-def _digit(values: np.ndarray) -> float:
-    """Step of the last digit (decimal, or of single precision) of columns (n, k) that vary."""
-    worst = 0.0
+def _digit(values: np.ndarray) -> float | None:
+    """Step of the last digit (decimal, or of single precision) of columns (n, k) that vary; None:
+    none does.
+    """
+    worst = None
     for column in values[:: -(-len(values) // 2000)].T:
         some = column[np.isfinite(column)]
         if not some.size or not np.ptp(some) or np.ptp(np.diff(some)) < 1e-9 * np.ptp(some):
             continue  # constant, or even as times are
-        size = float(np.abs(some).max())
+        size, worst = float(np.abs(some).max()), worst or 0.0
         if (some == some.astype(np.float32)).all() and (some != np.round(some)).any():
             worst = max(worst, size * float(np.finfo(np.float32).eps))
         for step in 10.0 ** -np.arange(12.0):
