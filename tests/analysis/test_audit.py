@@ -13,8 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.analysis.audit import Dynamics, audit
+from ffsm_drake.analysis.audit import audit
 from ffsm_drake.analysis.foreign_log import read_log
+from ffsm_drake.analysis.log_dynamics import Dynamics
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import RecordError
 from ffsm_drake.scenario import Model
