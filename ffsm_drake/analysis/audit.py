@@ -302,13 +302,17 @@ class _Motion:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Mistake:
-    """A mistake that may explain what is missed, by its estimated sizes and their standard errors."""
+    """A mistake that may explain what is missed: its estimated sizes with standard errors."""
 
     cause: str
     columns: Sequence[np.ndarray]  # of what is missed, for a size of 1 each
     words: Callable[[np.ndarray, np.ndarray], str]
     mend: Callable[[np.ndarray], ForeignLog] | None = None
     usable: Callable[[np.ndarray], bool] = lambda _: True
+
+
+def _other_effort(name: str, other: str, sizes: np.ndarray, errors: np.ndarray) -> str:
+    return f"{name}'s effort is that called {other}"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -1259,6 +1263,9 @@ def _of_frames(balance: _Balance) -> Iterator[_Explanation]:
         flat: np.ndarray = ((total - total.mean(axis=0)) / balance.scale).ravel()
         return flat
 
+    def of_sizes(moved: Callable[[np.ndarray], np.ndarray], sizes: np.ndarray) -> np.ndarray:
+        return shares(moved(sizes))
+
     for cause, moved, starts, words in (
         ("frame", base, cube, "the base's axes are turned from the URDF's by {} deg (rotation "
          "vector): another body frame, or a star tracker's"),
@@ -1270,7 +1277,7 @@ def _of_frames(balance: _Balance) -> Iterator[_Explanation]:
         near = sorted(starts, key=lambda start: balance.missed(moved(start)))[:3]
         fits = [
             least_squares(
-                lambda x, moved=moved: shares(moved(x)), start, x_scale="jac", max_nfev=40
+                functools.partial(of_sizes, moved), np.asarray(start), x_scale="jac", max_nfev=40
             )
             for start in near
         ]
@@ -1373,16 +1380,18 @@ def _energy(
     doubt = np.max(list(doubts.values()), axis=0)
     wrong = np.flatnonzero(shares > tolerance)
     found = [
-        _of_effort(some, work, j, max(tolerance, doubt[j]) * size[j], doubt[j] * size[j], names)
+        _of_effort(
+            some, work, int(j), max(tolerance, doubt[j]) * size[j], doubt[j] * size[j], names
+        )
         for j in wrong
     ]
-    wrong, found = wrong[[each is not None for each in found]], [each for each in found if each]
-    if not found:
+    wrong, named = wrong[[each is not None for each in found]], [each for each in found if each]
+    if not named:
         j = int(np.argmax(shares))
         why = max(doubts, key=lambda each: doubts[each][j])
         said = f"{names[j]} misses its effort by {shares[j]:.2g}, but {_UNSURE[why]}"
         return [_open(name, why, said)]
-    factors = [factor for _, _, factor in found]
+    factors = [factor for _, _, factor in named]
     moving = np.flatnonzero(size > 1.01e-2 * size.max())
     if None not in factors and set(moving) <= set(wrong) and len(names) > 1:
         each = np.array(factors, dtype=float)
@@ -1393,7 +1402,7 @@ def _energy(
             )
             return [_fault(name, "mass_or_effort_scale", said)]
     causes: dict[str, list[str]] = {}
-    for cause, words, _ in found:
+    for cause, words, _ in named:
         causes.setdefault(cause, []).append(words)
     return [_fault(name, cause, "; ".join(words)) for cause, words in causes.items()]
 
@@ -1491,8 +1500,9 @@ def _of_effort(
         ),
         *(
             _Mistake(
-                cause="joint_order", columns=[(work.efforts[0][:, [i]] - work.efforts[0][:, [joint]])],
-                words=lambda sizes, errors, other=other: f"{name}'s effort is that called {other}",
+                cause="joint_order",
+                columns=[work.efforts[0][:, [i]] - work.efforts[0][:, [joint]]],
+                words=functools.partial(_other_effort, name, other),
                 usable=lambda sizes: abs(sizes[0] - 1.0) < 0.05,
             )
             for i, other in enumerate(names) if i != joint
@@ -1504,7 +1514,8 @@ def _of_effort(
             usable=lambda sizes: bool((sizes > 0.0).all()),
         ),
         _Mistake(
-            cause="spring", columns=[-_since_start(_means(moved) * np.diff(log.time)[:, None]), time],
+            cause="spring",
+            columns=[-_since_start(_means(moved) * np.diff(log.time)[:, None]), time],
             words=lambda sizes, errors: f"{name} has a spring of {sizes[0]:.4g} ± {errors[0]:.1g} "
             "N m/rad (or N/m)",
             usable=lambda sizes: sizes[0] > 0.0,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
+import pandas as pd  # type: ignore[import-untyped]
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -182,8 +182,9 @@ def read_log(
         if (values := read.get(what)) is not None and np.isnan(values).all() and values.size:
             read[what], note = None, f"{note}; {_MEANT[what]}: blank"
     digits = {what: _digit(values) for what, values in read.items() if values is not None}
-    if (given := mrp if mrp is not None else angles) is not None:
-        digits["quaternion"] = _digit(given)
+    attitude = mrp if mrp is not None else angles
+    if attitude is not None:
+        digits["quaternion"] = _digit(attitude)
     usual = min((each for each in digits.values() if each is not None), default=0.0)
     digits = {what: usual if each is None else each for what, each in digits.items()}
     read, said = _at_poses(read, path)
