@@ -35,7 +35,9 @@ class _Key(NamedTuple):
     parent: str = ""  # of a pose or odometry: the frame that it is in
 
 
-class _Series(NamedTuple):
+class Series(NamedTuple):
+    """Values at their own times."""
+
     stamps: np.ndarray  # (n), ns
     rows: np.ndarray  # (n, k)
 
@@ -44,7 +46,8 @@ _Found = Iterator[tuple[_Key, Any, list[float]]]  # with a time stamp
 
 
 def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str]:
-    """Read a log; times are those of the base's poses, from the first.
+    """Read a log; times are those of the base's poses, from the first: the headers', or the log's
+    where a header's never advances.
 
     Args:
       base: the base's frame, with or without what precedes "::" or "/".
@@ -56,7 +59,7 @@ def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str]:
       FfsmError: a library is missing.
       ValueError: it cannot be read, or tells nothing of the base.
     """
-    series = _read(path)
+    series, logged = _read(path)
     frames = {key.name: key for kind in ("odometry", "pose") for key in series if key.kind == kind}
     pose = frames[_called(base, frames)]
     odometry = next((k for k in series if k[:2] == ("odometry", pose.name)), None)
@@ -73,12 +76,12 @@ def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str]:
     found |= _split("base_quaternion", rows[:, 3:], "wxyz")
     changed = {key.kind for key in used if not _fits(series[key], stamps)}
     if odometry:
-        twist = _at(series[odometry], stamps)[:, 7:]
+        twist = at_times(series[odometry], stamps)[:, 7:]
         found |= _split("base_velocity", twist[:, :3])
         found |= _split("base_angular_velocity", twist[:, 3:])
     for key in wrenches:
         if key in series:
-            force, torque = np.hsplit(_at(series[key], stamps, smooth=False), 2)
+            force, torque = np.hsplit(at_times(series[key], stamps, smooth=False), 2)
             if key.name == pose.name:
                 back = rows[:, 3:] * _INVERSE
                 force, torque = in_body_axes(back, force), in_body_axes(back, torque)
@@ -87,11 +90,12 @@ def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str]:
         if key.kind == "joint":
             for end, column in zip(("", "_rate", "_effort"), each.rows.T, strict=True):
                 if not np.isnan(column).all():
-                    own = _Series(each.stamps, column[:, None])
-                    found[key.name + end] = _at(own, stamps, smooth=end != "_effort")[:, 0]
+                    own = Series(each.stamps, column[:, None])
+                    found[key.name + end] = at_times(own, stamps, smooth=end != "_effort")[:, 0]
         elif key.kind == "json":
-            found[key.name] = _at(each, stamps, smooth=False)[:, 0]
-    note = f"; {' and '.join(sorted(changed))} interpolated to the poses' times" if changed else ""
+            found[key.name] = at_times(each, stamps, smooth=False)[:, 0]
+    note = "; the headers' stamps do not advance: log times are used" if logged else ""
+    note += f"; {' and '.join(sorted(changed))} interpolated to the poses' times" if changed else ""
     return found, note
 
 
@@ -109,13 +113,13 @@ def _called(base: str, frames: Mapping[str, object]) -> str:
     return alike[0]
 
 
-def _fits(series: _Series, stamps: np.ndarray) -> bool:
+def _fits(series: Series, stamps: np.ndarray) -> bool:
     """Whether a series has the times that are asked for."""
     return bool(np.isin(stamps, series.stamps).all())
 
 
-def _at(series: _Series, stamps: np.ndarray, *, smooth: bool = True) -> np.ndarray:
-    """A series at other times (n, k)."""
+def at_times(series: Series, stamps: np.ndarray, *, smooth: bool = True) -> np.ndarray:
+    """A series at other times (n, k): by cubic splines where it is smooth, else linear."""
     own, index = np.unique(series.stamps, return_index=True)
     rows = series.rows[index]
     if _fits(series, stamps):
@@ -127,13 +131,13 @@ def _at(series: _Series, stamps: np.ndarray, *, smooth: bool = True) -> np.ndarr
     return np.stack([np.interp(wanted, times, column) for column in rows.T], axis=1)
 
 
-def _read(path: Path) -> dict[_Key, _Series]:
-    """All series of a file."""
+def _read(path: Path) -> tuple[dict[_Key, Series], bool]:
+    """All series of a file, and whether their times are those of the log."""
     try:
         make_reader = importlib.import_module("mcap.reader").make_reader
     except ImportError as error:
         raise FfsmError("an .mcap needs mcap: pip install 'ffsm-drake[mcap]'") from error
-    stamps: dict[_Key, list[int]] = {}
+    stamps: dict[_Key, list[tuple[int, int]]] = {}  # the header's, the log's
     rows: dict[_Key, list[list[float]]] = {}
     decoders: dict[int, Callable[[bytes], Any]] = {}
     try:
@@ -144,19 +148,24 @@ def _read(path: Path) -> dict[_Key, _Series]:
                 name = schema.name if schema else ""
                 if channel.message_encoding == "json":
                     for key, value in _of_json(channel.topic, message.data):
-                        stamps.setdefault(key, []).append(message.log_time)
+                        both = message.log_time, message.log_time
+                        stamps.setdefault(key, []).append(both)
                         rows.setdefault(key, []).append([value])
                 elif name in _MESSAGES:
                     if channel.id not in decoders:
                         decoders[channel.id] = _decoder(channel.message_encoding, schema)
                     for key, stamp, row in _MESSAGES[name](decoders[channel.id](message.data)):
-                        stamps.setdefault(key, []).append(_nanoseconds(stamp))
+                        both = _nanoseconds(stamp), message.log_time
+                        stamps.setdefault(key, []).append(both)
                         rows.setdefault(key, []).append(row)
     except (OSError, FfsmError):
         raise
     except Exception as error:  # of many kinds, by what decompresses and decodes
         raise ValueError(one_line(error)) from error
-    return {key: _Series(np.array(stamps[key]), np.array(rows[key])) for key in rows}
+    times = {key: np.array(pairs) for key, pairs in stamps.items()}
+    stopped = [not np.ptp(pair[:, 0]) and np.ptp(pair[:, 1]) > 0 for pair in times.values()]
+    own = int(any(stopped))
+    return {key: Series(times[key][:, own], np.array(rows[key])) for key in rows}, bool(own)
 
 
 def _check_unpacked(stream: BinaryIO) -> None:

@@ -140,15 +140,17 @@ def check_pictures(model: Model) -> None:
             raise ModelError(f"model: mesh {path}: cannot be drawn: {cause_of(error)}") from error
 
 
-def make_plant(model: Model, *, flexible: bool = False, copies: int = 1) -> MultibodyPlant:
+def make_plant(
+    model: Model, *, flexible: bool = False, copies: int = 1, jointless: bool = False
+) -> MultibodyPlant:
     """The finalized plant without a diagram, for computations. Arguments and errors as for
-    ``add_combined_plant``.
+    ``add_combined_plant``. A ``jointless`` one may have no joint that moves.
 
     Of several ``copies`` of the spacecraft each has model instances of its own, named
     ``copy_0::servicer`` and so on; q and v hold copy after copy (``spacecraft.copies``).
     """
     plant = MultibodyPlant(time_step=0.0)
-    _load(plant, model, flexible=flexible, copies=copies)
+    _load(plant, model, flexible=flexible, copies=copies, jointless=jointless)
     return plant
 
 
@@ -164,6 +166,7 @@ def _load(
     apart: str | None = None,
     flexible: bool = False,
     copies: int = 1,
+    jointless: bool = False,
 ) -> None:
     """Parse the model into an empty plant, finalize and check it; see ``add_combined_plant``."""
     for copy in range(copies):
@@ -196,7 +199,7 @@ def _load(
         return
     if apart is None:
         try:
-            coordinates_of(plant)
+            coordinates_of(plant, jointless=jointless)
         except ModelError as error:
             raise ModelError(f"{source}: {error}") from None
     find_frame(plant, model.end_effector, key="model.end_effector")
@@ -354,7 +357,9 @@ def base_body(plant: MultibodyPlant) -> RigidBody:
     return plant.get_body(index)
 
 
-def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> Coordinates:
+def coordinates_of(
+    plant: MultibodyPlant, *, undriven: tuple[str, ...] = (), jointless: bool = False
+) -> Coordinates:
     """Names of the plant's generalized velocities, with the undriven groups.
 
     Raises ModelError for a layout that the package cannot control.
@@ -373,7 +378,7 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
                 f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must "
                 "have one"
             )
-    if not joints:
+    if not joints and not jointless:
         raise ModelError("no joint moves; an arm has revolute, continuous or prismatic joints")
     names = [joint.name() for joint in joints]
     reserved = sorted(set(names) & {"all", *GROUPS, *BASE_ROTATION, *BASE_POSITION})

@@ -13,8 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.analysis.audit import Dynamics, audit
+from ffsm_drake.analysis.audit import audit
 from ffsm_drake.analysis.foreign_log import read_log
+from ffsm_drake.analysis.log_dynamics import Dynamics
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import RecordError
 from ffsm_drake.scenario import Model
@@ -375,13 +376,55 @@ def test_a_mistake_is_named(mistake, true_log, tmp_path):
     assert words in str(found)
 
 
-def test_the_drift_of_a_coarse_integrator_is_named(tmp_path):
+EFFORTS = [f"{name}_effort" for name in JOINTS]
+OMEGA = [f"base_angular_velocity_{x}" for x in "xyz"]
+
+
+def offset(log, value, *names):
+    return log | {name: log[name] + value for name in names}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_small_mistakes_are_findings(seed, true_log, tmp_path):
+    """Below a tenth, of a drawn size: a fit that explains a mistake does not forgive it."""
+    random = np.random.default_rng(seed)
+    factor = 1.0 + random.choice([-1.0, 1.0]) * random.uniform(0.01, 0.1)
+    log, expected = [
+        (scaled(true_log, factor, random.choice(RATES)), "scale"),
+        (scaled(true_log, factor, *OMEGA), "scale"),
+        (scaled(true_log, factor, "time"), "time"),
+        (scaled(true_log, factor, *EFFORTS), "mass_or_effort_scale"),
+        (scaled(true_log, -1.0, random.choice(EFFORTS)), ""),
+        (offset(true_log, random.uniform(1e-4, 1e-3), random.choice(OMEGA)), "rate_offset"),
+    ][seed]
+    found = audit(write(tmp_path / "log.csv", log), URDF)
+    assert found.verdict == "no", str(found)
+    assert expected in " ".join(found.causes), str(found)
+
+
+def test_csv_is_read_as_people_have_it(true_log, tmp_path):
+    """Semicolons, blank cells of a topic that came more seldom, rates that nobody logged."""
+    path, names = tmp_path / "log.csv", [name for name in true_log if name not in EFFORTS]
+    rows = [";".join(names)]
+    for k in range(len(true_log["time"])):
+        cells = [f"{true_log[name][k]:.15g}" for name in names]
+        rows.append(";".join("" if k % 2 and name in JOINTS + RATES else cell
+                             for name, cell in zip(names, cells, strict=True)))  # fmt: skip
+    path.write_text("\n".join(rows))
+    assert audit(path, URDF).verdict != "no"
+    write(path, {name: true_log[name] for name in names if name not in RATES})
+    assert audit(path, URDF).verdict == "yes"
+
+
+def test_beside_the_drift_of_a_coarse_integrator_nothing_is_said(tmp_path):
     """MuJoCo's default steps lose momentum; a shorter step loses less."""
     euler = mujoco.mjtIntegrator.mjINT_EULER
     path = tmp_path / "log.csv"
     found = audit(write(path, mujoco_log(integrator=euler, step=0.01)), URDF)
-    assert found.causes == ("drift",), str(found)
-    assert audit(path, URDF, tolerance=0.15).causes == ()
+    assert not found.is_physics
+    assert found.causes == (), str(found)
+    assert str(found).endswith("cannot tell: integrator")
+    assert audit(path, URDF, tolerance=0.5).is_physics
     write(path, mujoco_log(integrator=euler, step=0.0005))
     assert audit(path, URDF, tolerance=5e-3).is_physics
 
@@ -411,7 +454,7 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
         "": "it is empty",
         "x,y\n1,2\n": "has no column time",
         "time,time\n1,2\n": "two columns are called time",
-        "time,t\n1\n": "line 2 has 1 values for 2 columns",
+        "time,t\n1\n": "has no column base_quaternion_w",
     }.items():
         path.write_text(text)
         with pytest.raises(RecordError, match=said):
@@ -420,7 +463,7 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
         audit(write(path, taken(true_log, [0, 1, 2])), URDF)
     with pytest.raises(RecordError, match="has 1 samples; at least 10 are needed, each later"):
         audit(write(path, scaled(true_log, 0.0, "time")), URDF)
-    with pytest.raises(RecordError, match="joint_1 is nan in sample 0, not a finite number"):
+    with pytest.raises(RecordError, match="joint_1 has no number"):
         audit(write(path, scaled(true_log, np.nan, "joint_1")), URDF)
     with pytest.raises(RecordError, match=r"joint_1 is 2e\+299 in sample 0, not a finite number"):
         audit(write(path, scaled(true_log, 1e300, "joint_1")), URDF)

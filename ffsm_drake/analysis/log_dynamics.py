@@ -1,0 +1,158 @@
+"""Momentum, and the joints' equations of motion, of the samples of a log."""
+
+import dataclasses
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.analysis.foreign_log import ForeignLog
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.plant import base_body, coordinates_of
+
+MOST = 4000  # samples at which the plant is evaluated; of longer logs every second, third, ... one
+_STEP = 1e-4  # rad or m of a numerical derivative
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Bodies:
+    """The bodies as they move relative to the base, in its axes (n, bodies, ...)."""
+
+    mass: np.ndarray  # (bodies), kg
+    center: np.ndarray  # (n, bodies, 3) centres of mass from the base's origin, m
+    velocity: np.ndarray  # (n, bodies, 3) of these
+    spin: np.ndarray  # (n, bodies, 3) angular velocities
+    inertia: np.ndarray  # (n, bodies, 3, 3) about the centres of mass
+
+    def momenta(
+        self, turn: np.ndarray, position: np.ndarray, angular: np.ndarray, linear: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Of every body (n, bodies, 6): the momentum of its mass and that of its rotation about
+        its own centre of mass, [angular; linear] about the origin, world axes.
+
+        Args: the base's R_WB (n, 3, 3), p_WB, w_WB and v_WB (n, 3).
+        """
+        w = np.einsum("nji,nj->ni", turn, angular)[:, None]
+        arm = np.einsum("nij,nbj->nbi", turn, self.center)
+        relative = np.einsum("nij,nbj->nbi", turn, np.cross(w, self.center) + self.velocity)
+        push = self.mass[:, None] * (linear[:, None] + relative)
+        moment = np.cross(position[:, None] + arm, push)
+        own = np.einsum("nij,nbjk,nbk->nbi", turn, self.inertia, w + self.spin)
+        return (
+            np.concatenate([moment, push], axis=2),
+            np.concatenate([own, np.zeros_like(own)], axis=2),
+        )
+
+
+class Dynamics:
+    """Momentum and equations of motion of the bodies of a plant, for the samples of a log."""
+
+    def __init__(self, plant: MultibodyPlant) -> None:
+        self.plant = plant
+        self.context = plant.CreateDefaultContext()
+        self.names = coordinates_of(plant, jointless=True).joints
+        bodies = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]
+        self.bodies = [body for body in bodies if body.default_mass() > 0.0]
+        inertias = [b.CalcSpatialInertiaInBodyFrame(self.context) for b in self.bodies]
+        self.masses = np.array([inertia.get_mass() for inertia in inertias])
+        self.mass = float(self.masses.sum())
+        self._centers = np.array([inertia.get_com() for inertia in inertias])
+        self._inertias = np.array(
+            [
+                inertia.Shift(inertia.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
+                for inertia in inertias
+            ]
+        )
+
+    def bodies_of(self, log: ForeignLog) -> Bodies:
+        """How the bodies move relative to the base."""
+        shape = len(log.time), len(self.bodies), 3
+        turns, origins = np.zeros((*shape, 3)), np.zeros(shape)
+        spins, velocities = np.zeros(shape), np.zeros(shape)
+        state = np.zeros(self.plant.num_positions() + self.plant.num_velocities())
+        state[0] = 1.0
+        for k, joints in enumerate(zip(log.angles, log.rates, strict=True)):
+            state[7 : 7 + len(self.names)], state[len(state) - len(self.names) :] = joints
+            self.plant.SetPositionsAndVelocities(self.context, state)
+            for i, body in enumerate(self.bodies):
+                pose = body.EvalPoseInWorld(self.context)
+                twist = body.EvalSpatialVelocityInWorld(self.context)
+                turns[k, i], origins[k, i] = pose.rotation().matrix(), pose.translation()
+                spins[k, i], velocities[k, i] = twist.rotational(), twist.translational()
+        arm = np.einsum("nbij,bj->nbi", turns, self._centers)
+        return Bodies(
+            mass=self.masses,
+            center=origins + arm,
+            velocity=velocities + np.cross(spins, arm),
+            spin=spins,
+            inertia=np.einsum("nbij,bjk,nblk->nbil", turns, self._inertias, turns),
+        )
+
+    def points(self, log: ForeignLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Points that are mistaken for the base's origin: their places from it (n, 3), m, and their
+        velocities relative to it (n, 3), m/s, world axes.
+        """
+        turn = turns_of(log)
+        w = np.einsum("nji,nj->ni", turn, log.angular)
+        base = base_body(self.plant).CalcCenterOfMassInBodyFrame(self.context)
+        rows = every(log)
+        bodies = self.bodies_of(only(log, rows))
+        shares = self.masses / self.mass
+        whole = np.einsum("b,nbi->ni", shares, bodies.center)
+        moves = np.einsum("b,nbi->ni", shares, bodies.velocity)
+        if len(rows) < len(log.time):
+            whole, moves = (CubicSpline(log.time[rows], x)(log.time) for x in (whole, moves))
+        still = np.zeros_like(whole)
+        return {
+            point: (
+                np.einsum("nij,nj->ni", turn, arm),
+                np.einsum("nij,nj->ni", turn, np.cross(w, arm) + speed),
+            )
+            for point, arm, speed in (
+                ("the base's centre of mass", still + base, still),
+                ("the spacecraft's centre of mass", whole, moves),
+            )
+        }
+
+    def joint_terms(self, log: ForeignLog) -> tuple[np.ndarray, np.ndarray]:
+        """Generalized momentum of each joint p = (M v)_i and its rate without efforts dT/dq_i,
+        (n, joints) each: dp/dt = effort + dT/dq.
+        """
+        nv, plant, context = self.plant.num_velocities(), self.plant, self.context
+        momenta, rates = np.zeros((len(log.time), nv)), np.zeros((len(log.time), nv))
+        place = log.position - log.position[0]
+        q = np.hstack([log.quaternion, place, log.angles])
+        v = np.hstack([log.angular, log.linear, log.rates])
+        for k, (place, speed) in enumerate(zip(q, v, strict=True)):
+            plant.SetPositions(context, place)
+            plant.SetVelocities(context, speed)
+            momenta[k] = plant.CalcMassMatrix(context) @ speed
+            bias = plant.CalcBiasTerm(context)
+            step = _STEP / max(float(np.abs(speed).max()), 1e-9)
+            along = step * plant.MapVelocityToQDot(context, speed)
+            sides = []
+            for side in (1.0, -1.0):
+                plant.SetPositions(context, place + side * along)
+                sides.append(plant.CalcMassMatrix(context) @ speed)
+            rates[k] = (sides[0] - sides[1]) / (2.0 * step) - bias
+        return momenta[:, NUM_BASE_VELOCITIES:], rates[:, NUM_BASE_VELOCITIES:]
+
+
+def turns_of(log: ForeignLog) -> np.ndarray:
+    """R_WB (n, 3, 3)."""
+    found: np.ndarray = Rotation.from_quat(log.quaternion, scalar_first=True).as_matrix()
+    return found
+
+
+def only(log: ForeignLog, kept: np.ndarray | slice) -> ForeignLog:
+    """Some samples of a log."""
+    values = {f.name: getattr(log, f.name) for f in dataclasses.fields(log)}
+    arrays = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
+    return log.replace(**{name: v[kept] for name, v in arrays.items()})
+
+
+def every(log: ForeignLog, *, most: int = MOST) -> np.ndarray:
+    """Indices of so many samples at most, evenly spread, with the first."""
+    return np.arange(0, len(log.time), -(-len(log.time) // most))
