@@ -28,7 +28,7 @@ def test_rounding_moves_nothing_further(processor):
     said = finished(command, env=environment, check=True, longest=600).stdout
     moved = {name: float(share) for name, share in map(str.split, said.splitlines())}
     assert set(moved) == {path.stem for path in PARTS}
-    assert max(moved.values()) < 0.3, moved
+    assert max(moved.values()) < 0.4, moved
 
 
 @pytest.mark.smoke
