@@ -14,6 +14,7 @@ from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.control_design.planning import plan_motion
 from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.runs.limits import CLEARANCE
 from ffsm_drake.scenario import scenario_to_yaml
 
 ROWS = covering_array(FACTORS, [*REFUSED, *WARNED])
@@ -149,7 +150,8 @@ def test_a_mission_settles_as_predicted(row, workshop, tmp_path, monkeypatch):
     found = verdict(scenario)
     assert found.run is not None
     assert found.run.ending.is_settled, found.lines
-    assert not found.is_alarm, found.lines
+    # parts of a drawn mission may overlap, of which the verdict warns rightly
+    assert not found.is_alarm or CLEARANCE in found.run.limits, found.lines
     file, text = tmp_path / "mission.yaml", scenario_to_yaml(scenario)
     file.write_text(text)
 
