@@ -123,3 +123,19 @@ def test_campaign_cases(monkeypatch, capsys):
         map(float, re.search(pattern, line).groups()) for line in printed
     ):
         assert abs(batched / alone - ratio) < 0.01
+
+
+@pytest.mark.slow
+def test_fault_detection(monkeypatch, capsys, tmp_path):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    study = importlib.import_module("fault_detection")
+    # the others take too long for a test
+    monkeypatch.setattr(study, "ASKED", study.ASKED[:1])
+    short = ["--healthy", "2", "--faulty", "2", "--log", str(tmp_path / "log")]
+    study.main(short)
+    first = capsys.readouterr().out
+    assert "2 runs without a fault: 0 with an alarm, 0 given up on it" in first
+    assert len((tmp_path / "log").read_text().splitlines()) == 4
+    monkeypatch.setattr(study, "fly", None)  # what is known is not run again
+    study.main(short)
+    assert capsys.readouterr().out.endswith(first[first.index("2 runs without") :])

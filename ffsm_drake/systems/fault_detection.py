@@ -60,8 +60,9 @@ _REPEATED = 5  # samples with the same bits
 _JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
 _SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the impulse told, by which a wheel may be off
 _STILL, _LEAST = 2e-5, 0.05  # of a jam: rad or m; N m or N beyond all bounds
+_OFF = 0.2  # of the payload's radius of gyration and moments: its centre, products of inertia
 _PULSE = 0.1  # share of the largest impulse of a frame that is noise
-_FLEXIBLE = 3.0  # times the largest acceleration so far that flexible parts may give
+_FLEXIBLE = 4.0  # times the largest acceleration so far that flexible parts may give
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
 
 
@@ -151,6 +152,8 @@ class _Detector(LeafSystem):
         # the nominal payload changes at a grasp
         self._leg = float(scenario.payload.nominal.mass)
         self._models = [self._model, *_extremes(scenario, self._settings.payload_factor)]
+        held = scenario.payload.nominal
+        self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
@@ -197,6 +200,23 @@ class _Detector(LeafSystem):
         bound: np.ndarray = self._disturbance + orbital + self._friction + self._viscous * rates
         return bound
 
+    def _bound_payload(self, state: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """The largest force (nv) of a payload whose centre of mass and axes of inertia are not the
+        nominal ones, at an acceleration (nv).
+        """
+        model, (name, mass, moment) = self._model, self._payload
+        if mass == 0.0:
+            return np.zeros(self._nv)
+        q, v = np.split(state, [self._nq])
+        jacobian = model.calc_jacobian(q, name)
+        moved = jacobian @ acceleration + model.calc_bias_acceleration(q, v, name)
+        turning = np.linalg.norm(moved[:3]) + np.sum((jacobian[:3] @ v) ** 2)
+        offset = _OFF * np.sqrt(mass * moment)  # its mass times how far its centre is off
+        torque = offset * np.linalg.norm(moved[3:]) + _OFF * moment * turning
+        sizes = np.linalg.norm(jacobian.reshape(2, 3, -1), axis=1)
+        bound: np.ndarray = torque * sizes[0] + offset * turning * sizes[1]
+        return bound
+
     def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
         """What sensors show, and how well."""
         self._sensors = sensors_of(coordinates)
@@ -226,8 +246,8 @@ class _Detector(LeafSystem):
         self._force = np.zeros(0) if thrusters is None else thrusters.force
         self._thrusters, self._wheels = thrusters, wheels
         wheel_count = 0 if wheels is None else len(wheels.names)
-        # unexplained velocities of each model, slips, motions, impulses told, momenta
-        width = (MODELS + 2) * nv + units + wheel_count
+        # unexplained velocities of each model, slips, motions, velocities, impulses told, momenta
+        width = (MODELS + 3) * nv + units + wheel_count
         self._shapes = {
             "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort": (1,),
             "raw": (size,), "seen": (size,), "off": (2 * nv,), "stale": (size,),
@@ -373,7 +393,7 @@ class _Detector(LeafSystem):
         if self._gyroscopic is not None:
             force += self._gyroscopic.Eval(context)
         if self._told_units is not None:
-            at = (MODELS + 2) * nv
+            at = (MODELS + 3) * nv
             memory["sums"][at : at + units] += self._step * memory["told"]
         if self._momentum is not None and self._wheels is not None:
             now, count = self._momentum.Eval(context), memory["momentum"].size
@@ -545,6 +565,7 @@ class _Detector(LeafSystem):
         memory["jumped"][0] = jumps
         memory["rough"] += (known**2 - memory["rough"]) / min(count, 4.0 * _LEARNT)
         memory["sums"][: MODELS * nv] += left.ravel()
+        memory["sums"][(MODELS + 2) * nv : (MODELS + 3) * nv] = now[nq:]
         memory["part"] += memory["sums"] / _EVERY
         is_whole = bool(count % _EVERY == 0.0)
         if is_whole:
@@ -572,14 +593,18 @@ class _Detector(LeafSystem):
             memory["largest"][:] = np.maximum(memory["largest"], old)
         mass = [model.calc_mass_matrix(memory["seen"][: self._nq]) for model in self._models]
         bound = self._bound(mass[0], memory["seen"])
+        is_known = not self._is_flexible or bool(memory["largest"].any())
         for window in (each for each in _WINDOWS if each <= valid):
             blocks = kept[-window:]
             if learnt[0] >= _OLD:
                 self._look_at_velocities(memory, blocks)
             if self._sees_forces and not self._are_velocities_off(memory, blocks):
-                self._look_at_joints(memory, blocks, mass, bound)
-                if self._thrusters is not None:
-                    most = np.max([np.abs(np.linalg.inv(each)) @ bound for each in mass], axis=0)
+                velocities = blocks[:, (MODELS + 2) * nv : (MODELS + 3) * nv]
+                acceleration = slope_of(velocities, step)[0]
+                total = bound + self._bound_payload(memory["seen"], acceleration)
+                self._look_at_joints(memory, blocks, mass, total)
+                if self._thrusters is not None and is_known:
+                    most = np.max([np.abs(np.linalg.inv(each)) @ total for each in mass], axis=0)
                     most += _FLEXIBLE * memory["largest"]
                     self._look_at_thrusters(memory, blocks, pushes, most)
 
@@ -678,7 +703,7 @@ class _Detector(LeafSystem):
         assert self._thrusters is not None
         nv, count, base = self._nv, len(self._force), slice(NUM_BASE_VELOCITIES)
         pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
-        at = (MODELS + 2) * nv
+        at = (MODELS + 3) * nv
         found = suspect(
             blocks[:, : MODELS * nv].reshape(-1, MODELS, nv)[:, :, base],
             blocks[:, at : at + count],

@@ -63,7 +63,7 @@ class Suspicion:
 def between(of_models: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The ends of the intervals that the values (models, ...) of payloads at their bounds span."""
     low, high = of_models.min(axis=0), of_models.max(axis=0)
-    more = _WIDER * (high - low)  # the payload's centre of mass is wrong, too
+    more = _WIDER * (high - low)
     return low - more, high + more
 
 
