@@ -7,6 +7,7 @@ import dataclasses
 import json
 from pathlib import Path
 
+import drawn_logs
 import mujoco
 import numpy as np
 import pytest
@@ -472,3 +473,51 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
     (tmp_path / "log.nc").write_bytes(b"no netCDF")
     with pytest.raises(RecordError, match="cannot be read"):
         audit(tmp_path / "log.nc", URDF)
+
+
+def told(case):
+    """The audit of a drawn log, and whether it names what is wrong there."""
+    found = audit(case.log, case.urdf)
+    assert found.verdict != ("yes" if case.causes else "no"), f"{case.name}: {found}"
+    return found, not case.causes or bool(set(case.causes) & set(found.causes))
+
+
+@pytest.mark.parametrize("factor", [0.93, 0.995, 1.005, 1.07])
+def test_a_small_scale_is_a_finding(factor, tmp_path):
+    """Of a rate, of the time and of an effort; sixty logs are tried below."""
+    craft = drawn_logs.craft(12, 3)
+    log = drawn_logs.by_mujoco(craft, 4, spin=0.2, duration=3.0)
+    (tmp_path / "craft.urdf").write_text(craft.urdf)
+    for names, cause in {
+        (): None,
+        ("hinge_1_rate",): "rate_scale",
+        tuple(drawn_logs.ANGULAR): "rate_scale",
+        ("time",): "time_scale",
+        ("hinge_0_effort",): "effort_scale",
+    }.items():
+        path = drawn_logs.write(tmp_path / "log.csv", drawn_logs.scaled(log, factor, list(names)))
+        found = audit(path, tmp_path / "craft.urdf")
+        assert found.causes == ((cause,) if cause else ()), str(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_sixty_drawn_logs(seed, tmp_path):
+    """No true one is accused, none of the others passes, 39 of 40 are named; -s prints them."""
+    cases = [*drawn_logs.true_logs(tmp_path, seed), *drawn_logs.wrong_logs(tmp_path, seed)]
+    assert sum(bool(case.causes) for case in cases) == 40
+    assert len(cases) == 60
+    named = 0
+    for case in cases:
+        found, is_named = told(case)
+        named += is_named and bool(case.causes)
+        why = ", ".join(found.causes or found.doubts)
+        print(f"| {case.name} | {found.verdict}{': ' if why else ''}{why} |")
+    assert named >= 39
+
+
+def test_a_disturbance_of_a_record_is_accounted_for(tmp_path):
+    """It acts beside the actuators, on base and joints."""
+    simulate(load_scenario("postcapture", ["duration=1.5"])).save(tmp_path / "run")
+    found = audit(tmp_path / "run" / "record.nc", models_dir() / "postcapture.dmd.yaml")
+    assert found.verdict == "yes", str(found)

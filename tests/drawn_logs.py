@@ -1,0 +1,448 @@
+"""Sixty logs for ``ffsm audit``: 20 true ones of drawn craft by MuJoCo, SciPy on Drake's plant,
+Basilisk and this package's own records, 40 with mistakes of drawn kinds and sizes.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.plant import make_plant
+
+Columns = dict[str, np.ndarray]
+POSITION = [f"base_position_{x}" for x in "xyz"]
+QUATERNION = [f"base_quaternion_{x}" for x in "wxyz"]
+LINEAR = [f"base_velocity_{x}" for x in "xyz"]
+ANGULAR = [f"base_angular_velocity_{x}" for x in "xyz"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Craft:
+    """A base with an arm whose links stand on each other."""
+
+    urdf: str
+    joints: tuple[str, ...]
+
+    def names(self, end: str = "") -> list[str]:
+        return [name + end for name in self.joints]
+
+
+@functools.cache
+def craft(seed: int, joints: int) -> Craft:
+    """A drawn craft: 60 to 600 kg, an arm of 1 to 15 % of that."""
+    draw = np.random.default_rng([seed, joints])
+    mass = draw.uniform(60.0, 600.0)
+    sides = draw.uniform(0.8, 1.8, 3)
+    inertia = mass / 12.0 * (np.sum(sides**2) - sides**2)
+    links = [_link("base", mass, draw.uniform(-0.05, 0.05, 3), inertia)]
+    names, place = [], [0.5 * sides[0], *draw.uniform(-0.3, 0.3, 2)]
+    for i in range(joints):
+        length, weight = draw.uniform(0.25, 0.7), mass * draw.uniform(0.01, 0.15) / joints
+        along = weight * length**2 / 12.0
+        own = np.array([0.05 * weight * 0.1, along, along]) + 0.002 * weight
+        links.append(_link(f"link_{i}", weight, np.array([0.5 * length, 0.01, 0.0]), own))
+        axis = np.eye(3)[draw.permutation(3)[0]] if draw.random() < 0.7 else draw.normal(size=3)
+        names.append(f"hinge_{i}")
+        links.append(
+            f'<joint name="hinge_{i}" type="continuous"><parent link="'
+            f'{"base" if i == 0 else f"link_{i - 1}"}"/><child link="link_{i}"/>'
+            f'<origin xyz="{_text(place)}"/>'
+            f'<axis xyz="{_text(axis / np.linalg.norm(axis))}"/></joint>'
+        )
+        place = [length, 0.0, 0.0]
+    return Craft(f'<robot name="drawn">{"".join(links)}</robot>', tuple(names))
+
+
+def _text(values) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def _link(name: str, mass: float, center, inertia) -> str:
+    xx, yy, zz = inertia
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{_text(center)}"/><mass value="{mass:.9g}"/>'
+        f'<inertia ixx="{xx:.9g}" iyy="{yy:.9g}" izz="{zz:.9g}" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+    )
+
+
+def efforts_of(count: int, seed: int, size: float = 1.0):
+    """Torques (count) over time: sums of sines that swing an arm by about a radian."""
+    draw = np.random.default_rng([7, seed])
+    rate = draw.uniform(0.6, 2.5, count)
+    phase = draw.uniform(0.0, 6.0, count)
+    return lambda t: size * np.cos(rate * t + phase)
+
+
+def first_state(count: int, seed: int, spin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Configuration (quaternion, position, joints) and velocity (w in base axes, v, joints)."""
+    draw = np.random.default_rng([9, seed])
+    q = Rotation.random(rng=draw).as_quat(scalar_first=True)
+    w = draw.normal(size=3)
+    rates = 0.1 * draw.uniform(-1.0, 1.0, count)
+    return (
+        np.concatenate([q, draw.uniform(-0.5, 0.5, 3), draw.uniform(-1.0, 1.0, count)]),
+        np.concatenate([spin * w / np.linalg.norm(w), 0.03 * draw.normal(size=3), rates]),
+    )
+
+
+def columns_of(craft: Craft, time, q, v, efforts) -> Columns:
+    """Columns from q (quaternion, position, joints) and v (w, v, joints), rows of samples."""
+    names = [*QUATERNION, *POSITION, *craft.joints, *ANGULAR, *LINEAR, *craft.names("_rate")]
+    named = dict(zip(names, np.hstack([q, v]).T, strict=True))
+    more = dict(zip(craft.names("_effort"), np.asarray(efforts).T, strict=True))
+    return {"time": np.asarray(time)} | named | more
+
+
+def reflected(craft: Craft, seed: int) -> np.ndarray:
+    """Inertia (joints) of what each joint moves, for torques in proportion."""
+    model = compiled(craft)
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.concatenate([[0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.4] * len(craft.joints)])
+    mujoco.mj_forward(model, data)
+    full = np.stack([_product(model, data, column) for column in np.eye(model.nv)])
+    return np.diag(np.linalg.inv(np.linalg.inv(full)[6:, 6:]))
+
+
+def _product(model, data, vector) -> np.ndarray:
+    found = np.zeros(model.nv)
+    mujoco.mj_mulM(model, data, found, vector)
+    return found
+
+
+def compiled(craft: Craft, heavier: tuple[int, float] | None = None) -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_string(craft.urdf)
+    spec.compiler.fusestatic = False
+    spec.body("base").add_freejoint()
+    if heavier:
+        body = spec.bodies[heavier[0]]
+        body.mass *= heavier[1]
+        body.inertia *= heavier[1]
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    return spec.compile()
+
+
+def by_mujoco(
+    craft: Craft,
+    seed: int,
+    *,
+    period: float = 0.01,
+    step: float = 0.002,
+    duration: float = 5.0,
+    spin: float = 0.1,
+    size: float = 0.3,
+    integrator: str = "RK4",
+    heavier: tuple[int, float] | None = None,
+    change: Callable[[mujoco.MjModel], None] = lambda _: None,
+    push: Callable[[float], np.ndarray] | None = None,
+) -> Columns:
+    """Angular velocities in base axes; torques held from each sample on."""
+    model = compiled(craft, heavier)
+    model.opt.timestep = step
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    change(model)
+    data, count = mujoco.MjData(model), len(craft.joints)
+    q, v = first_state(count, seed, spin)
+    data.qpos[:] = np.concatenate([q[4:7], q[:4], q[7:]])
+    data.qvel[:] = np.concatenate([v[3:6], v[:3], v[6:]])
+    torque, scale = efforts_of(count, seed, size), reflected(craft, seed)
+    rows = []
+    for k in range(round(duration / period) + 1):
+        effort = torque(k * period) * scale
+        data.qfrc_applied[6:] = effort
+        if push:
+            data.qfrc_applied[:6] = push(k * period)
+        rows.append([k * period, *data.qpos, *data.qvel, *effort])
+        for _ in range(round(period / step)):
+            mujoco.mj_step(model, data)
+    table, end = np.array(rows), 8 + count
+    q = np.hstack([table[:, 4:8], table[:, 1:4], table[:, 8:end]])
+    v = np.hstack(
+        [table[:, end + 3 : end + 6], table[:, end : end + 3], table[:, end + 6 : -count]]
+    )
+    v = v if count else np.hstack([table[:, 11:14], table[:, 8:11]])
+    return columns_of(craft, table[:, 0], q, v, table[:, len(table[0]) - count :])
+
+
+def by_scipy(
+    craft: Craft,
+    seed: int,
+    folder: Path,
+    *,
+    period: float | None = 0.02,
+    duration: float = 8.0,
+    spin: float = 0.1,
+    size: float = 0.3,
+    accuracy: float = 1e-10,
+) -> Columns:
+    """Smooth torques on Drake's plant, by DOP853; without a period at the solver's own steps.
+    Angular velocities in world axes.
+    """
+    path = folder / f"craft_{seed}_{len(craft.joints)}.urdf"
+    path.write_text(craft.urdf)
+    model = Model(directives=str(path), end_effector="WorldModelInstance::world")
+    plant, count = make_plant(model, jointless=True), len(craft.joints)
+    context, nq = plant.CreateDefaultContext(), 7 + count
+    torque = efforts_of(count, seed, size)
+    scale = reflected(craft, seed) if count else np.zeros(0)
+
+    def rate(t, x):
+        x = np.concatenate([x[:4] / np.linalg.norm(x[:4]), x[4:]])
+        plant.SetPositionsAndVelocities(context, x)
+        force = np.concatenate([np.zeros(6), torque(t) * scale]) - plant.CalcBiasTerm(context)
+        a = np.linalg.solve(plant.CalcMassMatrix(context), force)
+        return np.concatenate([plant.MapVelocityToQDot(context, x[nq:]), a])
+
+    q, v = first_state(count, seed, spin)
+    v[:3] = Rotation.from_quat(q[:4], scalar_first=True).apply(v[:3])
+    times = None if period is None else np.linspace(0.0, duration, round(duration / period) + 1)
+    found = solve_ivp(
+        rate, (0.0, duration), np.concatenate([q, v]), t_eval=times, rtol=accuracy,
+        atol=0.01 * accuracy, method="RK45" if period is None else "DOP853",
+    )  # fmt: skip
+    rows = found.y.T
+    rows[:, :4] /= np.linalg.norm(rows[:, :4], axis=1, keepdims=True)
+    efforts = np.array([torque(t) * scale for t in found.t])
+    return columns_of(craft, found.t, rows[:, :nq], rows[:, nq:], efforts)
+
+
+def attitude(log: Columns) -> Rotation:
+    return Rotation.from_quat(rows(log, QUATERNION), scalar_first=True)
+
+
+def rows(log: Columns, names: list[str]) -> np.ndarray:
+    return np.stack([log[name] for name in names], axis=1)
+
+
+def put(log: Columns, names: list[str], values: np.ndarray) -> Columns:
+    return log | dict(zip(names, np.asarray(values).T, strict=True))
+
+
+def scaled(log: Columns, factor: float, names: list[str]) -> Columns:
+    return log | {name: factor * log[name] for name in names}
+
+
+def world_rates(log: Columns) -> Columns:
+    """Of a log whose angular velocities are in base axes."""
+    return put(log, ANGULAR, attitude(log).apply(rows(log, ANGULAR)))
+
+
+def body_velocity(log: Columns) -> Columns:
+    return put(log, LINEAR, attitude(log).inv().apply(rows(log, LINEAR)))
+
+
+def rounded(log: Columns, decimals: int) -> Columns:
+    return {name: np.round(values, decimals) for name, values in log.items()}
+
+
+def in_turning_frame(log: Columns, rate: np.ndarray) -> Columns:
+    """Of a log with angular velocities in world axes."""
+    back = Rotation.from_rotvec(-log["time"][:, None] * rate)
+    place, turn = rows(log, POSITION), attitude(log)
+    log = put(log, LINEAR, back.apply(rows(log, LINEAR) - np.cross(rate, place)))
+    log = put(log, ANGULAR, back.apply(rows(log, ANGULAR) - rate))
+    log = put(log, POSITION, back.apply(place))
+    return put(log, QUATERNION, (back * turn).as_quat(scalar_first=True))
+
+
+def write(path: Path, log: Columns, form: str = "%.15g") -> Path:
+    np.savetxt(
+        path, rows(log, list(log)), fmt=form, delimiter=",", header=",".join(log), comments=""
+    )
+    return path
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Case:
+    """A log, its model, and what an audit may say."""
+
+    name: str
+    urdf: Path
+    log: Path
+    causes: tuple[str, ...] = ()  # of which one must be named; empty: the log is true
+
+
+def true_logs(folder: Path, seed: int = 0) -> list[Case]:
+    """Twenty true logs: MuJoCo's, SciPy's on Drake's plant, Basilisk's."""
+    draw, found = np.random.default_rng([45, seed]), []
+
+    def add(name: str, made: Craft, log: Columns, form: str = "%.15g") -> None:
+        found.append(_case(folder, len(found), name, made, log, form))
+
+    for joints, period, integrator in (
+        (1, 0.01, "RK4"), (3, 0.02, "RK4"), (6, 0.01, "RK4"), (2, 0.05, "RK4"),
+        (3, 0.01, "EULER"), (5, 0.01, "EULER"), (2, 0.02, "IMPLICITFAST"),
+    ):  # fmt: skip
+        made, seed = craft(int(draw.integers(1000)), joints), int(draw.integers(1000))
+        spin = draw.uniform(0.05, 0.5)
+        log = by_mujoco(made, seed, period=period, integrator=integrator, spin=spin)
+        add(f"MuJoCo {integrator}, {joints} joints, {period} s", made, log)
+    made = craft(int(draw.integers(1000)), 3)
+    log = by_mujoco(made, int(draw.integers(1000)), spin=0.2)
+    add("MuJoCo, rates in world axes, velocity in base axes", made, world_rates(body_velocity(log)))
+    add("MuJoCo, four decimals", made, log, "%.4f")
+    add("MuJoCo, single precision", made, log, "%.7g")
+    noise = {n: 2e-4 * np.random.default_rng(1).normal(size=len(v)) for n, v in log.items()}
+    add("MuJoCo, noisy sensors", made, {n: v + (n != "time") * noise[n] for n, v in log.items()})
+    add("MuJoCo, without rates", made, {n: v for n, v in log.items() if not n.endswith("_rate")})
+    blank = {n: v.copy() for n, v in log.items()}
+    for name in made.names() + made.names("_rate") + made.names("_effort"):
+        blank[name][::2] = np.nan
+    add("MuJoCo, joints at every second row", made, blank)
+    for name, options in {
+        "coarse: 1 rad/s at 150 ms": {"period": 0.15, "spin": 1.0, "duration": 30.0},
+        "coarse: 0.3 rad/s at 500 ms": {"period": 0.5, "spin": 0.3, "duration": 60.0},
+        "the solver's own steps": {"period": None, "spin": 0.3},
+        "loose steps of the solver": {"period": None, "spin": 0.3, "accuracy": 1e-6},
+        "free motion, zero efforts": {"size": 0.0, "spin": 0.3},
+        "period 20 ms": {"spin": 0.2},
+    }.items():
+        made = craft(int(draw.integers(1000)), int(draw.integers(2, 6)))
+        add(f"SciPy, {name}", made, by_scipy(made, int(draw.integers(1000)), folder, **options))
+    made = craft(int(draw.integers(1000)), 0)
+    add("a rigid body, 1 rad/s at 150 ms", made,
+        by_scipy(made, 3, folder, period=0.15, spin=1.0, duration=30.0))  # fmt: skip
+    return found
+
+
+def _set(name: str, places: slice, value: float) -> Callable[[mujoco.MjModel], None]:
+    return lambda model: getattr(model, name).__setitem__(places, value)
+
+
+def _exchanged(log: Columns, joints: tuple[str, ...]) -> Columns:
+    a, b = joints[:2]
+    ends = "", "_rate", "_effort"
+    return log | {a + e: log[b + e] for e in ends} | {b + e: log[a + e] for e in ends}
+
+
+def _case(
+    folder: Path, number: int, name: str, made: Craft, log: Columns, form="%.15g", causes=()
+) -> Case:
+    path = folder / f"{'wrong' if causes else 'true'}_{number}.csv"
+    path.with_suffix(".urdf").write_text(made.urdf)
+    write(path, log, form)
+    return Case(name=name, urdf=path.with_suffix(".urdf"), log=path, causes=causes)
+
+
+def wrong_logs(folder: Path, seed: int = 0) -> list[Case]:
+    """Forty logs with a mistake each, of drawn size, in drawn craft."""
+    draw, found = np.random.default_rng([46, seed]), []
+
+    def add(name: str, made: Craft, log: Columns, *causes: str) -> None:
+        found.append(_case(folder, len(found), name, made, log, causes=causes))
+
+    def factor(least: float = 0.005, most: float = 0.2) -> float:
+        size = math.exp(draw.uniform(math.log(least), math.log(most)))
+        return 1.0 + (size if draw.random() < 0.5 else -size)
+
+    def vector(size: float) -> np.ndarray:
+        found = draw.normal(size=3)
+        return size * found / np.linalg.norm(found)
+
+    def motion(least: int = 2) -> tuple[Craft, Columns, str]:
+        made = craft(int(draw.integers(10_000)), int(draw.integers(least, 6)))
+        period = float(draw.choice([0.005, 0.01, 0.02]))
+        options = {"period": period, "step": 0.0025 if period == 0.005 else 0.002}
+        log = by_mujoco(made, int(draw.integers(1000)), spin=draw.uniform(0.05, 0.4), **options)
+        return made, log, str(draw.choice(made.joints))
+
+    def simulated(name: str, made: Craft, *causes: str, **options) -> None:
+        seed = int(draw.integers(1000))
+        add(name, made, by_mujoco(made, seed, spin=draw.uniform(0.05, 0.3), **options), *causes)
+
+    for least in (0.004, 0.02, 0.08):
+        most = 2.0 * least
+        made, log, joint = motion()
+        size = factor(least, most)
+        add(
+            f"one joint's rate x {size:.4f}",
+            made,
+            scaled(log, size, [f"{joint}_rate"]),
+            "rate_scale",
+        )
+        made, log, _ = motion()
+        size = factor(least, most)
+        add(f"angular velocity x {size:.4f}", made, scaled(log, size, ANGULAR), "rate_scale")
+        made, log, _ = motion()
+        size = factor(least, most)
+        add(f"base velocity x {size:.4f}", made, scaled(log, size, LINEAR), "rate_scale")
+        made, log, _ = motion()
+        size = factor(least, most)
+        add(f"time x {size:.4f}", made, scaled(log, size, ["time"]), "time_scale")
+        made, log, joint = motion()
+        size = factor(least, most)
+        add(
+            f"one effort x {size:.4f}", made, scaled(log, size, [f"{joint}_effort"]), "effort_scale"
+        )
+        made, log, _ = motion()
+        size = factor(least, most)
+        efforts = made.names("_effort")
+        add(f"all efforts x {size:.4f}", made, scaled(log, size, efforts), "mass_or_effort_scale")
+    made, log, joint = motion()
+    add("one effort's sign", made, scaled(log, -1.0, [f"{joint}_effort"]), "effort_sign")
+    made, log, _ = motion()
+    a, b = made.names("_effort")[:2]
+    add("two efforts exchanged", made, log | {a: log[b], b: log[a]}, "joint_order")
+    made, log, joint = motion()
+    size = 0.1 * np.ptp(log[f"{joint}_effort"])
+    add("offset of an effort", made, log | {f"{joint}_effort": log[f"{joint}_effort"] + size},
+        "effort_offset")  # fmt: skip
+    made = craft(int(draw.integers(1000)), 3)
+    size = factor(0.05, 0.3)
+    simulated(f"a link's mass x {size:.3f}", made, "mass", heavier=(3, size))
+    size = 0.1 * float(reflected(made, 0).min())
+    simulated(f"rotor inertia {size:.3g} kg m^2", made, "rotor_inertia",
+              change=_set("dof_armature", slice(6, None), size))  # fmt: skip
+    rub = 0.1 * float(reflected(made, 0).min())
+    simulated(f"joints damped by {rub:.3g} N m s", made, "friction",
+              change=_set("dof_damping", slice(6, None), rub))  # fmt: skip
+    pull = vector(draw.uniform(0.001, 0.01))
+    simulated("gravity", made, "gravity",
+              change=lambda model: model.opt.gravity.__setitem__(slice(None), pull))  # fmt: skip
+    force = np.concatenate([vector(draw.uniform(0.1, 1.0)), np.zeros(3)])
+    simulated("a constant force", made, "external_force", "gravity", push=lambda t: force)
+    simulated("a force for a while", made, "external_force", push=lambda t: force * (1.0 < t < 2.0))
+    for size in (3e-3, 3e-2):
+        made, log, _ = motion()
+        add(f"gyro bias {size:g} rad/s", made,
+            put(log, ANGULAR, rows(log, ANGULAR) + vector(size)), "rate_offset")  # fmt: skip
+    made, log, _ = motion()
+    spin = vector(draw.uniform(1e-3, 1e-2))
+    log = world_rates(log)
+    add("rates relative to a turning frame", made,
+        put(log, ANGULAR, rows(log, ANGULAR) - spin), "frame_rate")  # fmt: skip
+    made, log, _ = motion()
+    log = in_turning_frame(world_rates(log), vector(draw.uniform(3e-3, 1e-2)))
+    add("all in a turning frame", made, log, "frame_rate")
+    for size in (0.05, 1.5):
+        made, log, _ = motion()
+        turn = Rotation.from_rotvec(vector(size))
+        add(f"gyro axes turned by {size} rad", made,
+            put(log, ANGULAR, turn.apply(rows(log, ANGULAR))), "axes")  # fmt: skip
+    for size in (0.1, math.pi / 2.0):
+        made, log, _ = motion()
+        turn = Rotation.from_rotvec(vector(size))
+        log = put(world_rates(log), QUATERNION, (attitude(log) * turn).as_quat(scalar_first=True))
+        add(f"base axes turned by {size:.2f} rad", made, log, "frame")
+    made, log, _ = motion()
+    add("offset of the velocity", made,
+        put(log, LINEAR, rows(log, LINEAR) + vector(0.01)), "rate_offset")  # fmt: skip
+    made, log, joint = motion()
+    late = np.concatenate([[log[f"{joint}_rate"][0]] * 3, log[f"{joint}_rate"][:-3]])
+    add("one joint's rate three samples late", made, log | {f"{joint}_rate": late}, "time_shift")
+    made, log, _ = motion()
+    jump = log["base_position_x"] + 0.05 * (log["time"] > 2.0)
+    add("the position jumps by 5 cm", made, log | {"base_position_x": jump}, "jumps")
+    made, log, joint = motion()
+    add("two joints exchanged", made, _exchanged(log, made.joints), "joint_order", "joint_sign")
+    made, log, joint = motion()
+    add("a joint turns the other way", made, scaled(log, -1.0, [joint, f"{joint}_rate"]),
+        "joint_sign")  # fmt: skip
+    return found
