@@ -19,6 +19,7 @@ import shutil
 import sys
 import threading
 import time
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -454,6 +455,8 @@ class Cycle:
 
 def end_interpreter(given):
     """In a fork: exit code 0, or 1 after an exception, whatever holds the run."""
+    for module in ("gym_vector", *(["fmu"] if "fmu" in KINDS else [])):
+        importlib.import_module(f"ffsm_drake.interfaces.{module}")  # once, for all forks
     ended = forked(lambda _: end_this_interpreter(given), silence=60.0)
     assert ended.code == int(given["raises"]), f"{ended.death} exit code {ended.code}"
 
@@ -462,13 +465,15 @@ def end_this_interpreter(given):
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     owner, run, answer, step = begun(given["what"])
     if given["late"]:
-        atexit._clear()
 
         def late():
             with contextlib.suppress(FfsmError):
                 step()
 
+        # called after the runs have ended, as what was registered before them
+        atexit.unregister(weakref.finalize._exitfunc)
         atexit.register(late)
+        atexit.register(weakref.finalize._exitfunc)
     if given["held_by"] == "global":
         sys.modules["__main__"].held = owner
     elif given["held_by"] == "cycle":
@@ -493,7 +498,7 @@ AREAS = {  # inputs, check, how many are quick, and how many are tried once
     "Foxglove": (CONNECTIONS, connect_to_foxglove, 20, 2000),
     "one folder": (WRITERS, write_together, 20, 2000),
     "Slurm": (SLURM, begin_step, 30, 2000),
-    "endings": (ENDINGS, end_interpreter, 3, 500),
+    "endings": (ENDINGS, end_interpreter, 6, 500),
 }
 NEEDS = {
     "policies": ("onnx", "onnxruntime"),
