@@ -180,11 +180,8 @@ def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
             f"--slurm: SLURM_PROCID must be below SLURM_NTASKS, 3 or more, not {number['PROCID']} "
             f"and {number['NTASKS']}"
         )
-    heeds = signal.getsignal(signal.SIGINT)
-    try:
+    try:  # it takes hold of SIGINT, by which the runner ends its tasks
         jobqueue: Any = importlib.import_module("dask_jobqueue.slurm")
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, heeds)  # which its import takes
     except ImportError:
         raise WorkersError(
             "--slurm: needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
