@@ -39,7 +39,14 @@ from ffsm_drake.systems.controllers.estimators import assumed_noise
 from ffsm_drake.systems.faults import detects, hits
 from ffsm_drake.systems.faulty_sensors import entries_in_state, sensors_of
 from ffsm_drake.systems.part import Figure, Metric, Part, Signal, View
-from ffsm_drake.systems.residuals import Observer, between, slope_of, suspect, times_of
+from ffsm_drake.systems.residuals import (
+    Observer,
+    Suspicion,
+    between,
+    slope_of,
+    suspect,
+    times_of,
+)
 from ffsm_drake.systems.sensing import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -594,6 +601,7 @@ class _Detector(LeafSystem):
         mass = [model.calc_mass_matrix(memory["seen"][: self._nq]) for model in self._models]
         bound = self._bound(mass[0], memory["seen"])
         is_known = not self._is_flexible or bool(memory["largest"].any())
+        suspicions = list[Suspicion]()
         for window in (each for each in _WINDOWS if each <= valid):
             blocks = kept[-window:]
             if learnt[0] >= _OLD:
@@ -606,7 +614,8 @@ class _Detector(LeafSystem):
                 if self._thrusters is not None and is_known:
                     most = np.max([np.abs(np.linalg.inv(each)) @ total for each in mass], axis=0)
                     most += _FLEXIBLE * memory["largest"]
-                    self._look_at_thrusters(memory, blocks, pushes, most)
+                    suspicions.append(self._look_at_thrusters(memory, blocks, pushes, most))
+                    self._confirm(memory, suspicions, window)
 
     def _noise(self, memory: Memory) -> np.ndarray:
         """Standard deviation (nv) of a block's mean of the velocities' noise."""
@@ -698,13 +707,13 @@ class _Detector(LeafSystem):
 
     def _look_at_thrusters(
         self, memory: Memory, blocks: np.ndarray, pushes: np.ndarray, bound: np.ndarray
-    ) -> None:
-        """The hypotheses of ``systems.residuals``; ``bound``: of accelerations (nv)."""
+    ) -> Suspicion:
+        """The best hypothesis of ``systems.residuals``; ``bound``: of accelerations (nv)."""
         assert self._thrusters is not None
         nv, count, base = self._nv, len(self._force), slice(NUM_BASE_VELOCITIES)
         pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
         at = (MODELS + 3) * nv
-        found = suspect(
+        return suspect(
             blocks[:, : MODELS * nv].reshape(-1, MODELS, nv)[:, :, base],
             blocks[:, at : at + count],
             pushes=pushes[base],
@@ -715,12 +724,21 @@ class _Detector(LeafSystem):
             step=_EVERY * self._step,
             band=self._settings.band,
         )
-        looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(len(blocks))]
+
+    def _confirm(self, memory: Memory, suspicions: Sequence[Suspicion], window: int) -> None:
+        """Notice the thruster of the last window, once enough looks in a row name it, with the kind
+        that the window says which explains most: before and after a fault's start two kinds differ
+        by a constant force.
+        """
+        found = suspicions[-1]
+        looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(window)]
         before, looks[:] = looks[found.thruster], 0.0
         if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
             looks[found.thruster] = before + 1.0
             if looks[found.thruster] >= _CONFIRMED:
-                self._notice(memory, self._names[found.thruster], found.kind)
+                same = [each for each in suspicions if each.thruster == found.thruster]
+                kind = max(same, key=lambda each: each.explained).kind
+                self._notice(memory, self._names[found.thruster], kind)
 
 
 def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
