@@ -44,22 +44,36 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-# The modules that take longest; the longest starts first, so that no worker ends alone with one.
+# The modules that take longest among the quick or the slow tests, by processor time; the longest
+# starts first, so that no worker ends alone with one.
 LONGEST = (
+    "matrix",
+    "verdict_cases",
+    "golden",
+    "batches",
     "bad_inputs",
-    "flight",
-    "user_controllers",
-    "cli",
-    "task_space",
-    "report",
     "reproduction",
-    "resolved_motion",
-    "stability",
-    "rehearsal",
-    "campaign_run",
-    "campaign_report",
-    "linearization",
     "example",
+    "planning",
+    "flight",
+    "approach",
+    "remedies",
+    "user_controllers",
+    "design",
+    "first_mission",
+    "rehearsal",
+    "cli",
+    "campaign_run",
+    "beyond_limits",
+    "replay",
+    "free_planning",
+    "door",
+    "lifetime",
+    "parts",
+    "task_space",
+    "verdict_cost",
+    "fault_detection",
+    "audit",
 )
 
 

@@ -183,7 +183,7 @@ def test_no_child_ignores_a_signal():
     assert run_alone(_ignored_in_fork) == "0"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tests_heed_signals_in_the_background():
     """In xdist's workers too, started as nohup and shells start what runs behind."""
     tests = ("test_children.py::test_no_child_ignores_a_signal",

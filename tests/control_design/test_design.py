@@ -143,7 +143,7 @@ def test_what_is_predicted_of_the_given_gains_frees_the_choice():
 
 
 @pytest.mark.parametrize(
-    "after", [4, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 12))]
+    "after", [4, *(pytest.param(count, marks=pytest.mark.long) for count in (1, 12))]
 )
 def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
     scenario = load_scenario("flight_sensors", ["controller=computed_torque", *SHORT])
@@ -163,8 +163,8 @@ def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
 @pytest.mark.parametrize(
     "limit",
     [
-        pytest.param(1.5, marks=pytest.mark.slow),
-        *(pytest.param(limit, marks=pytest.mark.long) for limit in (0.0, 6.0)),
+        pytest.param(limit, marks=pytest.mark.slow if limit == 1.5 else pytest.mark.long)
+        for limit in (0.0, 1.5, 6.0)
     ],
 )
 def test_the_limit_bounds_all_of_a_design(limit):
@@ -180,9 +180,10 @@ def test_the_limit_bounds_all_of_a_design(limit):
     assert any("cut by the time limit" in remark for remark in found.remarks)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_pictures")
 def test_the_table_shows_margins_before_and_after(tmp_path):
-    arguments = ["design", "flight_sensors", "-c", "computed_torque", "--time", "30"]
+    arguments = ["design", "flight_sensors", "-c", "computed_torque", "--time", "300"]
     arguments += ["--set", "duration=8"]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output

@@ -151,6 +151,7 @@ def test_the_base_turns_no_further_than_it_may(arm):
     assert found.plan.duration > arm.plan.duration
 
 
+@pytest.mark.slow
 def test_wheels_take_a_tumble_out_while_the_position_drifts():
     over = [
         "actuation.driven=[base_rotation, joints]",

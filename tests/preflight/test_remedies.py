@@ -30,11 +30,16 @@ UNSTABLE = {
         "controllers.tde_aismc.k_s_max",
     ),
 }
-LONG = {"approach", "gains", "delay", "period"}
+SLOW, LONG = {"gains", "period"}, {"approach", "delay"}
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in UNSTABLE]
+    "kind",
+    [
+        *(kind for kind in UNSTABLE if kind not in SLOW | LONG),
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in UNSTABLE if kind in SLOW),
+        *(pytest.param(kind, marks=pytest.mark.long) for kind in UNSTABLE if kind in LONG),
+    ],
 )
 def test_each_change_makes_the_loop_stable(kind):
     base, overrides, key = UNSTABLE[kind]

@@ -527,7 +527,7 @@ def test_captures_go_side_by_side(shared, runs):
     check_captures(shared, runs)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=10, deadline=None)
 @captures
 def test_more_captures_go_side_by_side(shared, runs):

@@ -111,8 +111,9 @@ def without_stability(monkeypatch):
 
 @pytest.fixture
 def plain(monkeypatch, without_stability):
-    """Leave out the analysis too."""
+    """Leave out the analysis too, and what would help against divergence."""
     monkeypatch.setattr("ffsm_drake.show.report.page.analyze", absent)
+    monkeypatch.setattr("ffsm_drake.preflight.verdict.remedies", lambda *_, **__: ())
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +190,6 @@ def test_numbers_as_text():
     ]  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("plain")
 def test_verdicts_in_words(short, diverged):
     assert results_of([short])[0].status == "settled"

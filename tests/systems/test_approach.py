@@ -35,9 +35,9 @@ def planned(scenario, instants=60):
     return model, times, np.split(rows, [nq, nq + nv], axis=1), path[samples]
 
 
-# One draw each; others among the slow tests.
+# One draw each; others weekly.
 draws = pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))]
 )
 
 
