@@ -104,6 +104,12 @@ def rough_pictures():
 
 
 @pytest.fixture
+def no_remedies(monkeypatch):
+    """Leave out the search for what helps a mission that fails; its own tests have it."""
+    monkeypatch.setattr("ffsm_drake.preflight.verdict.remedies", lambda *_, **__: ())
+
+
+@pytest.fixture
 def few_delays(monkeypatch):
     """Margins of a delay of at most two further samples: each is of a larger loop."""
     for part in ("stability.boundaries", "gains.requirement"):

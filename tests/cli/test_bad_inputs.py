@@ -903,6 +903,7 @@ def check_kept(folder: Path, status: str) -> RunRecord:
         ),
     ],
 )
+@pytest.mark.usefixtures("no_remedies")
 def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))

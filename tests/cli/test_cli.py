@@ -89,6 +89,7 @@ def test_run_goes_to_a_folder_of_the_scenarios_name(tmp_path, monkeypatch):
     assert RunRecord.load("out/paper").outcome.completed
 
 
+@pytest.mark.usefixtures("no_remedies")
 def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
     unstable = [
         "--set",

@@ -110,10 +110,9 @@ def without_stability(monkeypatch):
 
 
 @pytest.fixture
-def plain(monkeypatch, without_stability):
-    """Leave out the analysis too, and what would help against divergence."""
+def plain(monkeypatch, without_stability, no_remedies):
+    """Leave out the analysis too."""
     monkeypatch.setattr("ffsm_drake.show.report.page.analyze", absent)
-    monkeypatch.setattr("ffsm_drake.preflight.verdict.remedies", lambda *_, **__: ())
 
 
 @pytest.fixture(scope="module")
