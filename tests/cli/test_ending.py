@@ -21,6 +21,10 @@ class Freed:
     def __del__(self, write=sys.__stderr__.write if sys.__stderr__ else id):
         write("freed\\n")
 
+def last():
+    while True:  # a signal just before a long sleep would wait for its end
+        time.sleep(0.05)
+
 def end(context, option, code):
     if code is None:
         return
@@ -40,7 +44,7 @@ if __name__ == "__main__":
     log.error("held until the end")
     context = multiprocessing.get_context("fork")
     if {children}:
-        context.Process(target=time.sleep, args=(600.0,), daemon=True).start()  # to be ended
+        context.Process(target=last, daemon=True).start()  # to be ended
         context.Process(target=time.sleep, args=(0.2,)).start()  # to be awaited
     atexit.register(print, "; handler", [child.exitcode for child in
         multiprocessing.active_children()])
