@@ -1,9 +1,11 @@
 """A room imports only rooms before it in this list: data flows one way, and files in no circle.
-Every room's tests have a few that are quick.
+The core imports no plug-in, and a plug-in no other one. Every room's tests have a
+few that are quick.
 """
 
 import ast
 import graphlib
+import re
 from pathlib import Path
 
 import pytest
@@ -28,13 +30,28 @@ ROOMS = (
 # neighbours: neither imports the other
 APART = ({"control_design", "runs"}, {"analysis", "campaign"})
 DRAWING = {"matplotlib", "plotly", "jinja2", "markupsafe"}  # what only pictures and pages need
-DRAWS = {"show", "studies"}
+DRAWS = {"show", "studies", "plugins"}
+PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
+NEEDS: dict[str, set[str]] = {}  # plug-in -> others that it may import
 # What stands at the top for users: the verbs, the command, the conformance kit.
 FACES = ("__init__", "__main__", "testing")
 
 
 def room_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def modules_in(path: Path) -> list[str]:
+    """What a file imports, within functions and for the type checker too."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            short = module in ("ffsm_drake", f"ffsm_drake.{PLUGINS}")
+            found += [f"{module}.{alias.name}" for alias in node.names] if short else [module]
+    return found
 
 
 @pytest.mark.parametrize(
@@ -44,22 +61,29 @@ def test_imports_go_one_way(path):
     room = room_of(path)
     if room in FACES:
         return
-    assert room in ROOMS, "a new room: give it its place in the list"
-    for node in ast.walk(ast.parse(path.read_text())):  # imports within functions too
-        modules = []
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            modules = [node.module or ""]
-            if node.module == "ffsm_drake":
-                modules = [f"ffsm_drake.{alias.name}" for alias in node.names]
-        for module in modules:
-            parts = module.split(".")
-            assert parts[:2] != ["pydrake", "all"], path
-            assert parts[0] not in DRAWING or room in DRAWS, f"{path.name} imports {module}"
-            if parts[0] == "ffsm_drake" and len(parts) > 1 and parts[1] != room:
-                assert ROOMS.index(parts[1]) < ROOMS.index(room), f"{path.name} imports {module}"
-                assert {parts[1], room} not in APART, f"{path.name} imports {module}"
+    assert room in (*ROOMS, PLUGINS), "a new room: give it its place in the list"
+    for module in modules_in(path):
+        parts = module.split(".")
+        assert parts[:2] != ["pydrake", "all"], path
+        assert parts[0] not in DRAWING or room in DRAWS, f"{path.name} imports {module}"
+        if room != PLUGINS and parts[0] == "ffsm_drake" and len(parts) > 1 and parts[1] != room:
+            assert parts[1] in ROOMS, f"{path.name} imports {module}"
+            assert ROOMS.index(parts[1]) < ROOMS.index(room), f"{path.name} imports {module}"
+            assert {parts[1], room} not in APART, f"{path.name} imports {module}"
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: path.name)
+def test_nothing_imports_another_plugin(path):
+    inside = path.relative_to(PACKAGE).parts
+    own = inside[1] if inside[0] == PLUGINS else None
+    text = path.read_text()
+    named = set(re.findall(rf"\bffsm_drake\.{PLUGINS}\.(\w+)", text))  # in strings too
+    named |= {
+        module.split(".")[2]
+        for module in modules_in(path)
+        if module.startswith(f"ffsm_drake.{PLUGINS}.")
+    }
+    assert named <= {own, *NEEDS.get(own, ())}
 
 
 def module_files() -> dict[str, Path]:

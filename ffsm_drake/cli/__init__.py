@@ -10,7 +10,7 @@ import click
 from ffsm_drake.cli.audit import audit
 from ffsm_drake.cli.benchmark import benchmark
 from ffsm_drake.cli.campaign import campaign
-from ffsm_drake.cli.common import CommandGroup
+from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
 from ffsm_drake.cli.paper import reproduce
 from ffsm_drake.cli.plan import plan
@@ -21,7 +21,7 @@ from ffsm_drake.common.workers import ONE_THREAD
 
 
 @click.group(
-    cls=CommandGroup,
+    cls=ExtensibleGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
 @click.version_option(package_name="ffsm-drake")

@@ -25,6 +25,7 @@ from ffsm_drake.common.errors import (
 )
 from ffsm_drake.common.guard import guarded, user_code_is_loaded
 from ffsm_drake.common.interrupts import exit_code
+from ffsm_drake.common.plugins import COMMANDS, load, offered
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -62,6 +63,49 @@ class CommandGroup(click.Group):
             except KeyboardInterrupt as interruption:
                 click.echo(str(interruption) or "interrupted", err=True)
                 sys.exit(exit_code())
+
+
+class ExtensibleGroup(CommandGroup):
+    """Commands, followed by those of plug-ins, each of which is imported when it is asked for.
+
+    A command whose plug-in cannot be loaded says so, in the list and when it runs.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*self.commands, *(name for name in offered(COMMANDS) if name not in self.commands)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        known = super().get_command(ctx, cmd_name)
+        return (
+            _command_of_plugin(cmd_name)
+            if known is None and cmd_name in offered(COMMANDS)
+            else known
+        )
+
+
+def _command_of_plugin(name: str) -> click.Command:
+    try:
+        found = load(COMMANDS, name, f"'{name}'")
+        if isinstance(found, click.Command):
+            return found
+        kind = type(found).__name__
+        problem = FfsmError(
+            f"'{name}': plug-in offers an object of type {kind}, not a click command"
+        )
+    except FfsmError as error:
+        problem = error
+
+    def fail(arguments: tuple[str, ...]) -> None:
+        raise problem
+
+    return click.Command(
+        name,
+        callback=fail,
+        params=[click.Argument(["arguments"], nargs=-1, type=click.UNPROCESSED)],
+        context_settings={"ignore_unknown_options": True},
+        help=str(problem),
+        short_help="cannot be loaded",
+    )
 
 
 class _ForgivingStream:

@@ -1,0 +1,34 @@
+"""Packages with entry points, as an installer leaves them."""
+
+from pathlib import Path
+
+from ffsm_drake.common.plugins import offered
+
+
+def install(folder: Path, modules: dict[str, str], groups: dict[str, dict[str, str]]) -> None:
+    """Write a package with its metadata into an empty folder, which belongs on Python's path.
+
+    Args:
+      folder: where it goes.
+      modules: name -> text.
+      groups: entry point group -> name -> ``module:attribute``.
+    """
+    for name, text in modules.items():
+        (folder / f"{name}.py").write_text(text)
+    information = folder / "a_plugin-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: a-plugin\nVersion: 1.0\n")
+    lines = [
+        f"[{group}]\n" + "".join(f"{name} = {address}\n" for name, address in offers.items())
+        for group, offers in groups.items()
+    ]
+    (information / "entry_points.txt").write_text("\n".join(lines))
+
+
+def installed(folder, monkeypatch, modules, groups):
+    """A fixture's steps: within a test Python finds the package of ``install``."""
+    install(folder, modules, groups)
+    monkeypatch.syspath_prepend(folder)
+    offered.cache_clear()
+    yield
+    offered.cache_clear()
