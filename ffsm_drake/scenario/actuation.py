@@ -20,7 +20,7 @@ from ffsm_drake.scenario.fields import (
     vector_in,
 )
 
-# What ``actuation.driven`` may name, together.
+# Combinations of groups that ``actuation.driven`` may name.
 DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joints"), ("joints",))
 
 
@@ -28,14 +28,15 @@ DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joint
 class Thruster:
     """An on/off thruster, fixed to the base."""
 
-    position: list[float] = vector_in(ORIGIN, "m", "in the base's frame")
+    position: list[float] = vector_in(ORIGIN, "m", "position in the base's frame")
     direction: list[float] = vector_in(
         X_AXIS,
         "",
-        "of its force on the base, against its plume, in the base's frame; of any length",
+        "direction of the thrust on the base, opposite to the plume, in the base's frame; any "
+        "length",
         nonzero=True,
     )
-    force: float = setting(5.0, "N", "when it is open", above=0)
+    force: float = setting(5.0, "N", "thrust while the thruster is open", above=0)
     specific_impulse: float = setting(
         226.1, "s", "impulse per weight of propellant on Earth", above=0
     )
@@ -49,45 +50,47 @@ class Pwpf:
 
     gain: float = unitless(
         10.0,
-        "of the filter, k_m; its input is the wanted share of the thruster's force, less 1 while "
-        "open",
+        "filter gain k_m; the input is the wanted share of the thrust, less 1 while the thruster "
+        "is open",
         above=0,
     )
-    time_constant: float = setting(0.2, "s", "of the filter", above=0)
-    on: float = unitless(0.25, "output of the filter at which the thruster opens", above=0)
-    off: float = unitless(0.15, "output of the filter at which it closes", least=0)
+    time_constant: float = setting(0.2, "s", "filter time constant", above=0)
+    on: float = unitless(0.25, "filter output at which the thruster opens", above=0)
+    off: float = unitless(0.15, "filter output at which the thruster closes", least=0)
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """A trigger that closes below where it opens."""
+        """Check that the trigger closes below its opening threshold."""
         if self.off >= self.on:
             yield f"{key}.off", f"must be from 0 to below on ({self.on:g}), not {self.off:g}"
 
 
 @dataclass
 class Plume:
-    """The plume of each thruster, which pushes what it hits: a source flow in the half space behind
-    the thrust, with cos^exponent of the angle off its axis.
+    """The plume of each thruster: a source flow in the half space behind the thrust, with density
+    cos^exponent of the angle off its axis. It pushes the bodies that it hits.
     """
 
-    exponent: float = unitless(8.0, "of the cosine; more is narrower", above=0, most=1000)
-    rays: int = unitless(100, "of equal momentum, that stand for a plume", least=8, most=10000)
+    exponent: float = unitless(
+        8.0, "exponent of the cosine; a larger one gives a narrower plume", above=0, most=1000
+    )
+    rays: int = unitless(100, "number of rays of equal momentum in a plume", least=8, most=10000)
     ban: float | None = unitless(
         None,
-        "thrusters whose plume returns more than this share of their thrust, in initial_posture or "
-        "target_posture, are not fired; null: none",
+        "thrusters whose plume returns more than this share of their thrust, in initial_posture "
+        "or target_posture, are not fired; null: all are fired",
         above=0,
     )
 
 
 @dataclass
 class Thrusters:
-    """On/off thrusters that give the base's force and torque, in place of an ideal wrench."""
+    """On/off thrusters that provide the base's force and torque, in place of an ideal wrench."""
 
     layout: str | None = choice_of(
         "12x5N", "a shipped layout; null with ``units``", "12x1N", "12x5N", "16x22N"
     )
     units: dict[str, Thruster] = unitless(
-        {}, "user-supplied thrusters, by name, in place of a layout", size=(0, 24)
+        {}, "user-supplied thrusters by name, in place of a layout", size=(0, 24)
     )
     failures: dict[str, str] = unitless(
         {},
@@ -97,39 +100,41 @@ class Thrusters:
     minimum_on_time: float = setting(
         0.02,
         "s",
-        "a thruster that opens stays open for at least this long",
+        "minimum time that a thruster stays open",
         least=0,
         most=1000,
     )
     rise_time: float = setting(
-        0.0, "s", "time constant of the force after it opens; 0: at once", least=0, most=1000
+        0.0, "s", "time constant of the thrust after opening; 0: immediate", least=0, most=1000
     )
-    fall_time: float = setting(0.0, "s", "likewise after it closes", least=0, most=1000)
+    fall_time: float = setting(
+        0.0, "s", "time constant of the thrust after closing; 0: immediate", least=0, most=1000
+    )
     modulator: str = choice_of(
         "sigma_delta",
-        'how the wanted force becomes pulses: "sigma_delta", whole frames; "pulse_width", a part '
-        'of each frame; or "pwpf"',
+        'modulation of the wanted force: "sigma_delta", whole frames; "pulse_width", a part of '
+        'each frame; or "pwpf"',
         "sigma_delta",
         "pulse_width",
         "pwpf",
     )
     threshold: float = unitless(
         0.8,
-        "sigma_delta only: share of its force from which on a thruster opens; 0.5 follows the "
-        "wanted force closest, more wastes less on noise",
+        "sigma_delta only: share of its thrust from which a thruster opens; 0.5 follows the "
+        "wanted force most closely, larger values spend less propellant on noise",
         least=0.5,
         below=1,
     )
     frame: int = in_samples(
-        2, "from one allocation to the next, and of sigma_delta the shortest pulse", least=1
+        2, "period of the allocation; with sigma_delta also the shortest pulse", least=1
     )
     pwpf: Pwpf = setting(Pwpf())
     plume: Plume | None = unitless(
-        None, "the force of their plumes on the spacecraft's own bodies; null: none"
+        None, "force of the plumes on the spacecraft's own bodies; null: none"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Thrusters that exist, and pulses that they can give."""
+        """Check that the thrusters exist and can give the required pulses."""
         if self.layout is not None and self.units:
             yield f"{key}.units", "has no effect beside a layout; set layout: null"
         names = thrusters_of(self)
@@ -153,24 +158,26 @@ class Thrusters:
 
 @dataclass
 class Wheel:
-    """A reaction wheel in the base: balanced, symmetric about its axis, its mass and inertia part
-    of the base's.
+    """A balanced reaction wheel in the base, symmetric about its axis. Its mass and inertia are
+    part of the base's.
     """
 
     axis: list[float] = vector_in(
-        [0.0, 0.0, 1.0], "", "in the base's frame; of any length", nonzero=True
+        [0.0, 0.0, 1.0], "", "direction of the axis in the base's frame; any length", nonzero=True
     )
     inertia: float = setting(0.08, "kg m^2", "about its axis", above=0)
-    torque_limit: float = setting(0.2, "N m", "of its motor, either way", above=0)
-    speed_limit: float = setting(628.0, "rad/s", "relative to the base, either way", above=0)
-    initial_momentum: float = setting(0.0, "N m s", "about its axis, at the start")
+    torque_limit: float = setting(0.2, "N m", "largest motor torque, either way", above=0)
+    speed_limit: float = setting(
+        628.0, "rad/s", "largest speed relative to the base, either way", above=0
+    )
+    initial_momentum: float = setting(0.0, "N m s", "initial angular momentum about the axis")
     coulomb_friction: float = setting(
-        0.0, "N m", "of its bearings; below 0.1 rad/s it fades", least=0
+        0.0, "N m", "bearing friction torque; it fades below 0.1 rad/s", least=0
     )
     viscous_friction: float = setting(0.0, "N m s", "of its bearings", least=0)
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """A start within its speed limit."""
+        """Check that the initial momentum is within the speed limit."""
         largest = self.inertia * self.speed_limit
         if abs(self.initial_momentum) > largest:
             yield (
@@ -182,29 +189,31 @@ class Wheel:
 
 @dataclass
 class Wheels:
-    """Reaction wheels that give the base's torque; thrusters, where there are any, unload them."""
+    """Reaction wheels that provide the base's torque; thrusters, if present, unload them."""
 
     units: dict[str, Wheel] = unitless({}, "wheels, by name", size=(0, 24))
     desaturate_above: float = unitless(
         0.8,
-        "share of a wheel's speed_limit above which motors take out what wheels hold against each "
-        "other, and thrusters what is left above it",
+        "share of a wheel's speed_limit at which unloading starts: motors remove momentum held by "
+        "wheels against each other, thrusters the rest",
         above=0,
         most=1,
     )
     desaturate_below: float = unitless(
-        0.2, "share of every wheel's speed_limit at which either ends", least=0
+        0.2, "share of every wheel's speed_limit at which unloading ends", least=0
     )
-    desaturation_time: float = setting(20.0, "s", "time constant of both", above=0)
+    desaturation_time: float = setting(
+        20.0, "s", "time constant of unloading by motors and by thrusters", above=0
+    )
     assist_above: float | None = unitless(
         None,
-        "multiple of the motors' torque limit above which thrusters give the rest of the wanted "
-        "torque; null: never",
+        "multiple of the motors' torque limit above which thrusters provide the rest of the "
+        "wanted torque; null: never",
         least=1,
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Wheels, and unloading that ends."""
+        """Check that there are wheels and that unloading ends."""
         if not self.units:
             yield f"{key}.units", "give wheels by name, such as {z: {axis: [0, 0, 1]}}"
         above, below = self.desaturate_above, self.desaturate_below
@@ -217,8 +226,8 @@ class Wheels:
 
 @dataclass
 class Drives:
-    """Drives of the joints: motor, gear and friction, all as seen at the joint. Force limit and
-    step: ``actuation``.
+    """Joint drives: motor, gear and friction, in joint coordinates. Force limit and step:
+    ``actuation``.
     """
 
     gear_ratio: PerCoordinate = unitless(
@@ -227,33 +236,33 @@ class Drives:
     rotor_inertia: PerCoordinate | None = setting(
         None,
         "kg m^2",
-        "of the motor about its axis; gear_ratio^2 times this is added to the joint's; null: as in "
-        "the URDF",
+        "rotor inertia about the motor axis; gear_ratio^2 times this is added to the joint's "
+        "inertia; null: as in the URDF",
         least=0,
     )
     nominal_rotor_inertia: PerCoordinate | None = setting(
-        None, "kg m^2", "the same in the controller's model; null: rotor_inertia", least=0
+        None, "kg m^2", "rotor inertia in the controller's model; null: rotor_inertia", least=0
     )
     rate_limit: PerCoordinate | None = setting(
         None,
         "rad/s or m/s",
-        "of the joint; at and above it a drive gives no accelerating force; null: none",
+        "joint rate at and above which a drive gives no accelerating force; null: none",
         above=0,
     )
     knee: PerCoordinate = unitless(
         {"all": 0.9},
-        "share of rate_limit up to which a drive gives all of its actuation.limit, which then "
-        "falls linearly to zero",
+        "share of rate_limit up to which the full actuation.limit is available; beyond it the "
+        "available force falls linearly to zero",
         least=0,
         below=1,
     )
     coulomb_friction: PerCoordinate = setting(
-        ZERO, "N m or N", "against the motion, at any rate", least=0
+        ZERO, "N m or N", "Coulomb friction, independent of the rate", least=0
     )
     static_friction: PerCoordinate | None = setting(
         None,
         "N m or N",
-        "friction as the joint breaks away, above coulomb_friction; null: the same",
+        "breakaway friction, at least coulomb_friction; null: equal to it",
         least=0,
     )
     stribeck_rate: PerCoordinate = setting(
@@ -263,45 +272,47 @@ class Drives:
         above=0,
     )
     viscous_friction: PerCoordinate = setting(
-        ZERO, "N m s/rad or N s/m", "grows with the rate", least=0
+        ZERO, "N m s/rad or N s/m", "viscous friction coefficient", least=0
     )
     smoothing_rate: PerCoordinate = setting(
         {"all": 1e-3},
         "rad/s or m/s",
-        "rate within which friction changes its sign, as tanh(rate / smoothing_rate)",
+        "rate scale of the change of sign of friction, tanh(rate / smoothing_rate)",
         above=0,
     )
 
 
 @dataclass
 class Actuation:
-    """How the actuators change the commanded force: saturation, quantisation, delay, then drives,
+    """Effect of the actuators on the commanded force: saturation, quantisation, delay, then drives,
     wheels, thrusters.
     """
 
     driven: list[str] = unitless(
         ["all"],
-        "groups of coordinates that actuators move and that are tracked: all; [base_rotation, "
-        "joints], where wheels hold the attitude; or [joints]; no force acts on the others, which "
-        "move by conservation of momentum",
+        "tracked groups of coordinates, which have actuators: all; [base_rotation, joints], with "
+        "wheels for the attitude; or [joints]; the other coordinates carry no force and move by "
+        "conservation of momentum",
     )
     limit: PerCoordinate | None = setting(
         None, "N m or N", "largest force either way; null: unlimited", above=0
     )
     quantization: PerCoordinate = setting(ZERO, "N m or N", "step of the force; 0: none", least=0)
-    delay: int = in_samples(0, "age of a command when it acts")
+    delay: int = in_samples(0, "delay from a command to its effect")
     thrusters: Thrusters | None = unitless(
-        None, "that give the base's force and torque; null: they act as commanded"
+        None, "thrusters for the base's force and torque; null: force and torque act as commanded"
     )
     wheels: Wheels | None = unitless(
-        None, "that give the base's torque in place of thrusters; null: none"
+        None, "wheels for the base's torque, in place of thrusters; null: none"
     )
     drives: Drives | None = unitless(
-        None, "of the joints; null: without inertia, friction and rate limit"
+        None, "joint drives; null: no rotor inertia, friction or rate limit"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Groups that can be driven alone, with actuators and a target posture to match."""
+        """Check that the driven groups can be driven alone, with matching actuators and target
+        posture.
+        """
         key, given, undriven = f"{key}.driven", self.driven, scenario.undriven
         distinct = len(set(given)) == len(given)
         if given != ["all"] and not (distinct and set(given) in map(set, DRIVEN)):
@@ -336,5 +347,5 @@ def thruster_layouts() -> dict[str, dict[str, Thruster]]:
 
 
 def thrusters_of(settings: Thrusters) -> dict[str, Thruster]:
-    """The thrusters that settings describe, by name."""
+    """The thrusters described by the settings, by name."""
     return settings.units if settings.layout is None else thruster_layouts()[settings.layout]

@@ -9,7 +9,9 @@ from ffsm_drake.scenario.fields import identifier_problems, name_problems, unitl
 
 @dataclass
 class Block:
-    """The system of a block of the closed loop; a text stands for ``{system: text}``."""
+    """A user-supplied system for a block of the closed loop; a text stands for ``{system:
+    text}``.
+    """
 
     SHORTHAND: ClassVar[str] = "system"  # the field that a text alone gives
 
@@ -17,36 +19,36 @@ class Block:
 
     system: str = unitless(
         "",
-        "module:attribute, or the name of an installed one: a factory (BlockSetup -> Drake system)",
+        "factory (BlockSetup -> Drake system): module:attribute, or the name of an installed one",
     )
     settings: dict[str, Any] = unitless({}, "passed to the factory unchanged")
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """A name that can be looked up."""
+        """Check that the name can be looked up."""
         yield from name_problems(self.system, f"{key}.system")
 
 
 @dataclass
 class Blocks:
-    """User-supplied blocks, in place of those that the scenario's sections of the same names
-    describe, or beside them.
+    """User-supplied blocks, which replace the scenario's sections of the same names or add to
+    them.
     """
 
     reference: Block | None = unitless(None, "the planned motion")
     sensing: dict[str, Block] = unitless(
         {},
-        "by name: further stages from the state to the controller's measurement of it, in a row "
-        "after the section ``sensing``; one named ``sensing`` replaces that section; a block alone "
+        "by name: further stages from the state to the controller's measurement, in series after "
+        "the section ``sensing``; one named ``sensing`` replaces that section; a single block "
         "stands for {own: block}",
     )
-    actuation: Block | None = unitless(None, "from the commanded to the applied force")
+    actuation: Block | None = unitless(None, "system from the commanded to the applied force")
     forces: dict[str, Block] = unitless(
         {},
-        "by name: external forces, summed; ``disturbance`` and ``environment`` replace the "
-        "scenario's sections of those names, any other name adds to them",
+        "external forces by name, summed; ``disturbance`` and ``environment`` replace the "
+        "scenario's sections of those names, any other name adds a force",
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Names that the diagram can have."""
+        """Check that the names are valid in the diagram."""
         yield from identifier_problems(f"{key}.forces", self.forces, "a force's")
         yield from identifier_problems(f"{key}.sensing", self.sensing, "a stage's")

@@ -22,32 +22,33 @@ CAPTURE_AXES = ("target", "world")
 
 @dataclass
 class Approach:
-    """The servicer's motion up to the grasp, without the target: from rest to
-    ``initial_posture``.
-    """
+    """The servicer's motion from rest to ``initial_posture`` at the grasp, without the target."""
 
     duration: float = setting(
-        20.0, "s", "the run begins with it; a whole number of control samples", above=0
+        20.0,
+        "s",
+        "time from the start of the run to the grasp; a whole number of control samples",
+        above=0,
     )
-    posture: Posture = unitless(Posture(), "where the servicer starts, at rest")
+    posture: Posture = unitless(Posture(), "initial posture of the servicer, at rest")
     start: str = choice_of(
         "given",
-        'where the servicer starts: "given", in posture, or "clear": the base near the grasp, the '
-        "joints as in posture or at the grasp, so that the planned approach keeps clear of the "
-        "tumbling target",
+        'initial posture: "given", as in posture, or "clear": base near the grasp, joints as in '
+        "posture or at the grasp, so that the planned approach keeps clear of the tumbling target",
         "given",
         "clear",
     )
     margin: float = setting(
         0.0,
         "m",
-        'beyond clearance, that a "clear" start and the ways to a further try keep, for what the '
-        "navigation is off",
+        'extra clearance for "clear" starts and retries, to cover navigation error',
         least=0,
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Whole samples, and time left after it; every coordinate driven, no frame."""
+        """Check for whole samples, time left after the approach, every coordinate driven and no
+        frame.
+        """
         if scenario.undriven:
             yield key, "needs every coordinate driven (actuation.driven); leave it out"
         if scenario.reference.frame is not None:
@@ -69,12 +70,12 @@ class Approach:
 
 @dataclass
 class Compliance:
-    """The gripper as springs and dampers, for the force and the duration of the grasp; the run
-    takes the plastic grasp.
+    """Springs and dampers in place of the rigid gripper. They give the force and duration of the
+    grasp; the run uses the plastic grasp.
     """
 
-    stiffness: float = setting(5e4, "N/m", "of the spring at the grasp", above=0)
-    damping: float = setting(1e3, "N s/m", "of the damper beside it", above=0)
+    stiffness: float = setting(5e4, "N/m", "stiffness of the spring at the grasp", above=0)
+    damping: float = setting(1e3, "N s/m", "damping of the damper beside it", above=0)
     rotational_stiffness: float = setting(1e4, "N m/rad", "likewise, against rotation", above=0)
     rotational_damping: float = setting(500.0, "N m s/rad", "likewise", above=0)
 
@@ -87,43 +88,51 @@ class Closing:
     most what preloaded jaws hold by friction, and grows with the preload while the jaws close.
     """
 
-    time: float = setting(0.5, "s", "in which the jaws close and the preload grows", above=0)
+    time: float = setting(0.5, "s", "time in which the jaws close and the preload grows", above=0)
     hold: float = setting(
-        0.5, "s", "closed, until the grasp is made or the target has slipped", above=0
+        0.5,
+        "s",
+        "time with closed jaws before the grasp is made, unless the target has slipped",
+        above=0,
     )
-    preload: float = setting(500.0, "N", "of each of the two jaws, closed", above=0)
-    friction: float = setting(0.3, "1", "coefficient between jaws and target", above=0)
+    preload: float = setting(500.0, "N", "preload of each of the two closed jaws", above=0)
+    friction: float = setting(0.3, "1", "friction coefficient between jaws and target", above=0)
     radius: float = setting(
-        0.1, "m", "lever of the friction against rotation: what each jaw bears is spread about it",
+        0.1, "m",
+            "radius over which the load of each jaw is spread; lever of the friction against "
+            "rotation",
         above=0,
     )  # fmt: skip
     axis: list[float] = vector_in(
-        [0.0, 0.0, 1.0], "1", "out of the gripper, in the end effector's axes: the palm pushes so"
+        [0.0, 0.0, 1.0], "1", "direction in which the palm pushes, end-effector axes"
     )
     joints: str = choice_of(
         "limp",
-        'the arm meanwhile: "limp", its motors keep the force that they had and damp, or '
-        '"controlled" as before, by a law that knows of no target yet',
+        'mode of the arm while the jaws close: "limp", motors keep their last force and damp, or '
+        '"controlled", by a law without a model of the target',
         "limp",
         "controlled",
     )
     joint_damping: float = setting(
         2.0,
         "N m s/rad or N s/m",
-        "of a limp joint, about its rate at the first contact",
+        "damping of a limp joint, relative to its rate at the first contact",
         least=0,
     )
     rest: float = setting(
-        0.01, "m/s or rad/s", "the target is held if it then moves less in the gripper", above=0
+        0.01,
+        "m/s or rad/s",
+        "the target is held if its motion in the gripper is slower than this at the end",
+        above=0,
     )
 
     @property
     def duration(self) -> float:
-        """From the first contact to the grasp, s."""
+        """Time from the first contact to the grasp, s."""
         return self.time + self.hold
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """An approach that is longer, whole samples, an axis."""
+        """Check for a longer approach, whole samples and a nonzero axis."""
         approach = scenario.capture.approach
         if approach is None or self.duration >= approach.duration:
             yield key, "needs a capture.approach that lasts longer than time and hold together"
@@ -140,20 +149,28 @@ class Closing:
 
 @dataclass
 class Retreat:
-    """What follows when a closing gripper does not capture the target, which stays apart."""
+    """The motion away from a target that the closing gripper failed to capture."""
 
-    tries: int = setting(2, "1", "to capture the target, the first one included", least=1, most=20)
+    tries: int = setting(
+        2, "1", "attempts to capture the target, including the first", least=1, most=20
+    )
     distance: float = setting(
-        2.0, "m", "by which the base moves straight away from the target", above=0
+        2.0,
+        "m",
+        "straight-line distance of the base from the target at the end of the retreat",
+        above=0,
     )
     duration: float = setting(
-        20.0, "s", "of that motion, in which the arm returns to capture.approach.posture", above=0
+        20.0,
+        "s",
+        "duration of the retreat, in which the arm returns to capture.approach.posture",
+        above=0,
     )
 
 
 @dataclass
 class Envelope:
-    """The largest miss with which the gripper still holds the target at the end of an approach.
+    """The largest miss at the end of an approach at which the gripper still holds the target.
 
     The defaults of position, angle and velocity are the largest misalignment, angle and closing
     rate in the initial contact conditions that the International Docking System Standard recommends
@@ -162,14 +179,22 @@ class Envelope:
     """
 
     position: float | None = setting(
-        0.1, "m", "distance of the grasp frame from the target's; null: any", above=0
+        0.1, "m", "largest distance of the grasp frame from the target's; null: any", above=0
     )
-    angle: float | None = setting(0.07, "rad", "likewise, the angle between them", above=0)
+    angle: float | None = setting(
+        0.07, "rad", "largest angle between the two frames; null: any", above=0
+    )
     velocity: float | None = setting(
-        0.1, "m/s", "velocity of the target from the end effector; null: any", above=0
+        0.1,
+        "m/s",
+        "largest velocity of the target relative to the end effector; null: any",
+        above=0,
     )
     angular_velocity: float | None = setting(
-        None, "rad/s", "likewise, of its rotation; null: any", above=0
+        None,
+        "rad/s",
+        "largest angular velocity of the target relative to the end effector; null: any",
+        above=0,
     )
 
 
@@ -192,7 +217,7 @@ class Capture:
     )
     servicer: str = choice_of(
         "rest",
-        'how the servicer moves at the grasp: "rest"; "track_joints" or "track_all": its joints, '
+        'motion of the servicer at the grasp: "rest"; "track_joints" or "track_all": its joints, '
         'or base and joints, follow the grasp frame in weighted least squares; "given": at '
         "servicer_velocity",
         "rest",
@@ -201,52 +226,53 @@ class Capture:
         "given",
     )
     servicer_velocity: PerCoordinate = setting(
-        ZERO, "rad/s or m/s", 'at the grasp, with servicer "given"'
+        ZERO, "rad/s or m/s", 'velocity at the grasp, with servicer "given"'
     )
     tracking_length: float = setting(
         1.0,
         "m",
-        "tracking weighs 1 rad/s as much as this length times 1 rad/s",
+        "length by which angular rates are multiplied in the tracking error",
         above=0,
     )
     tracking_cost: PerCoordinate = setting(
         {"all": 1.0},
         "s/rad or s/m",
-        "weight of each rate; of rates that track equally well, the least are taken",
+        "weight of each rate; among equally good solutions the smallest rates are taken",
         above=0,
     )
     joints: str = choice_of(
         "free",
-        'how the joints meet the target: "free", or "braked", which stops them at the grasp',
+        'joints at the contact: "free", or "braked", stopped at the grasp',
         "free",
         "braked",
     )
     compliance: Compliance | None = unitless(
-        None, "of the gripper, for the force of the grasp; null: it is not computed"
+        None,
+        "compliance of the gripper, for the force of the grasp; null: the force is not computed",
     )
     approach: Approach | None = unitless(
-        None, "the motion up to the grasp; null: the run begins with the grasp"
+        None, "motion up to the grasp; null: the run begins with the grasp"
     )
     closing: Closing | None = unitless(
-        None, "of the gripper, over a time; null: it closes at once and holds for good"
+        None, "closing of the gripper over time; null: it closes at once and always holds"
     )
     retreat: Retreat | None = unitless(
-        None, "of a closing gripper that missed the target, and further tries; null: the run ends"
+        None, "retreat after a missed grasp, and further attempts; null: the run ends"
     )
     measured: Measured | None = unitless(
-        None, "a target that is measured on the way to it; null: its motion is known"
+        None, "sensing of the target during the approach; null: its motion is known"
     )
     envelope: Envelope = setting(Envelope())
     accepted_drift: PerCoordinate | None = setting(
         None,
         "rad or m",
-        "largest drift of base_rotation and base_position from the grasp on, where they are not "
-        "driven: the time at which it is exceeded is reported; null: no limit",
+        "largest drift of undriven base_rotation and base_position after the grasp; the time at "
+        "which it is exceeded is reported; null: no limit",
         above=0,
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Speeds that do not count as divergence, and settings that have an effect."""
+        """Check for speeds below the divergence limit and for settings without effect."""
         if self.retreat is not None and self.closing is None:
             yield f"{key}.retreat", "has no effect without capture.closing; give that too"
         for name in ("rate", "velocity"):

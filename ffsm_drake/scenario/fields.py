@@ -37,21 +37,21 @@ def vector_in(default: list[float] | None, unit: str, meaning: str, **limits: An
 
 
 def name_problems(name: str, key: str) -> Problems:
-    """What is wrong with the name of a system."""
+    """Problems with the name of a system."""
     if not _NAME.fullmatch(name):
         yield key, f"'{name}' must be a name or module:attribute"
 
 
 def policy_parts(controller: str) -> tuple[str, str] | None:
-    """The file of ``policy:FILE@LAW`` and the law that it changes, empty where the file names it;
-    None for another controller.
+    """The file of ``policy:FILE@LAW`` and the law that the policy changes (empty if the file names
+    it); None for any other controller.
     """
     found = _POLICY.fullmatch(controller)
     return found and (found["file"], found["law"] or "")
 
 
 def controller_problems(name: str, key: str) -> Problems:
-    """What is wrong with the name of a controller."""
+    """Problems with the name of a controller."""
     if not name.startswith(POLICY):
         yield from name_problems(name, key)
     elif policy_parts(name) is None or not name.isprintable():
@@ -59,14 +59,14 @@ def controller_problems(name: str, key: str) -> Problems:
 
 
 def identifier_problems(key: str, names: Iterable[str], whose: str) -> Problems:
-    """What is wrong with names that a user gives."""
+    """Problems with user-supplied names."""
     for name in names:
         if not name.isidentifier():
             yield f"{key}.{name}", f"{whose} name must be letters, digits and underscores"
 
 
 def undriven_problems(name: str, key: str, undriven: Collection[str]) -> Problems:
-    """What is wrong with the name of a base coordinate that no actuator moves."""
+    """Problems with the name of an undriven base coordinate."""
     if name not in undriven:
         close = did_you_mean(name, undriven)
         choice = f"choose one of {', '.join(undriven)}{close}" if undriven else "leave it out"

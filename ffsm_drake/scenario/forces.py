@@ -34,7 +34,7 @@ class SolarPressure:
 
     area: float = setting(10.0, "m^2", "area that faces the sun", least=0)
     coefficient: float = unitless(
-        1.3, "of the pressure: 1 absorbs all light, 2 reflects it back", least=0
+        1.3, "coefficient of the pressure: 1 for full absorption, 2 for full reflection", least=0
     )
     pressure: float = setting(
         4.56e-6, "N/m^2", "pressure of sunlight, by default at the Earth's distance", least=0
@@ -49,40 +49,44 @@ class SolarPressure:
 
 @dataclass
 class Environment:
-    """Forces of a circular orbit on every body; the world frame falls freely with a point of it and
-    does not turn.
+    """Forces of a circular orbit on every body. The world frame falls freely with a point of the
+    orbit and does not turn.
     """
 
     altitude: float | None = setting(
         400e3,
         "m",
-        "of the orbit above the Earth's equator; null with ``mean_motion``",
+        "altitude of the orbit above the Earth's equator; null with ``mean_motion``",
         above=0,
         most=1e9,
     )
     mean_motion: float | None = setting(
         None,
         "rad/s",
-        "the orbit's angular rate, about any body, in place of the altitude",
+        "angular rate of the orbit, about any body, in place of the altitude",
         above=0,
-        most=0.01,  # an orbit of ten minutes, which no body that holds together has
+        most=0.01,  # an orbit of ten minutes, shorter than any real one
     )
     hill_rpy: list[float] = vector_in(
         ORIGIN,
         "rad",
         "roll, pitch, yaw of Hill's frame in the world at the start: x away from the Earth, y "
-        "along the flight, z along the orbit's normal, about which it turns",
+        "along the flight, z along the orbit's normal, the axis of rotation",
     )
     gravity_gradient: bool = unitless(
-        True, "difference of gravity from the spacecraft's centre of mass to each part of a body"
+        True,
+        "include the difference of gravity between the spacecraft's centre of mass and each "
+        "part of a body",
     )
     tidal: bool = unitless(
-        True, "difference of gravity from the world's origin to the spacecraft's centre of mass"
+        True,
+        "include the difference of gravity between the world's origin and the spacecraft's "
+        "centre of mass",
     )
     solar_pressure: SolarPressure | None = unitless(None, "null: none")
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """One way to give the orbit."""
+        """Check that the orbit is given in exactly one way."""
         if self.mean_motion is None and self.altitude is None:
             yield f"{key}.altitude", "give a number of metres, or mean_motion"
         if self.mean_motion is not None and self.altitude is not None:

@@ -18,7 +18,9 @@ _LEAVES = {float: "number", int: "integer", bool: "boolean", str: "string"}
 def scenario_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a scenario file."""
     schema = _schema(Scenario, scenario_to_dict(Scenario()), Setting())
-    extends = "shipped scenario, or file relative to this one, whose settings this one changes"
+    extends = (
+        "base scenario: a shipped one, or a file relative to this one; settings here override it"
+    )
     schema["properties"] = {EXTENDS: {"type": "string", "description": extends}} | (
         schema["properties"]
     )

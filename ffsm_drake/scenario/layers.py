@@ -21,21 +21,21 @@ from ffsm_drake.scenario.resolving import (
 )
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
-MANIFEST_FILE = "manifest.json"  # of a run's folder; holds its scenario
+MANIFEST_FILE = "manifest.json"  # in a run's folder; holds the run's scenario
 MAX_FILE_SIZE = 1_000_000  # bytes
 EXTENDS = "extends"  # key of the scenario that a file extends
 OVERRIDE = "override"  # the source of an override
 
-Override = str | Mapping[str, Any]  # "key=value", or what a file that extends may hold
+Override = str | Mapping[str, Any]  # "key=value", or a mapping as in a file with extends
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What one file or one override gives."""
+    """The data of one file or one override."""
 
-    given: Any  # of a file and a mapping: plain data; of a text: key=value
+    given: Any  # plain data from a file or mapping; key=value from a text
     source: str  # the file, or OVERRIDE, for errors
-    folder: Path | None = None  # where relative paths start; None: they stay
+    folder: Path | None = None  # start of relative paths; None: left relative
 
     @property
     def is_assignment(self) -> bool:
@@ -43,13 +43,15 @@ class Layer:
         return isinstance(self.given, str) and self.source == OVERRIDE
 
     def gives(self, key: str) -> bool:
-        """Whether a dotted key, one within it or one that holds it stands in the layer."""
+        """Whether the layer holds a dotted key, one within it or one that contains it."""
         if self.is_assignment:
             return is_overridden(key, [self.given.partition("=")[0].strip()])
         return isinstance(self.given, Mapping) and is_overridden(key, flatten(self.given))
 
     def onto(self, schema: Any, below: "Stack") -> "Stack":
-        """The layers below, and this one on top; checked but for conditions on several settings."""
+        """The layers below with this one on top, checked except for conditions on several
+        settings.
+        """
         try:
             if self.is_assignment:
                 apply_override(schema, below.whole, self.given)
@@ -70,7 +72,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Stack:
-    """Plain data of some layers: what they give, and the whole, with defaults."""
+    """Plain data of several layers: the given part, and the whole with defaults."""
 
     given: dict[str, Any]
     whole: dict[str, Any]
@@ -114,7 +116,7 @@ def override_layers(overrides: Iterable[Override]) -> list[Layer]:
 
 
 def file_layers(data: Any, source: str) -> list[Layer]:
-    """The layers of a file's plain data: those of the files that it extends, then its own."""
+    """The layers of a file's plain data: first those of its base files, then its own."""
     layers: list[Layer] = []
     seen = [Path(source).resolve()] if source else []
     while True:
@@ -141,7 +143,7 @@ def file_layers(data: Any, source: str) -> list[Layer]:
 
 
 def read_text(path: Path) -> str:
-    """The text of a scenario's file. Raises ScenarioError where it cannot be read."""
+    """Read the text of a scenario's file. Raises ScenarioError if it cannot be read."""
     try:
         if path.stat().st_size > MAX_FILE_SIZE:
             problem = f"larger than {MAX_FILE_SIZE} bytes: not a scenario; give a YAML file"
@@ -155,14 +157,14 @@ def read_text(path: Path) -> str:
 
 
 def parsed(text: str, source: str) -> Any:
-    """The plain data of a file's text. Raises ScenarioError where it is not YAML."""
+    """Parse a file's text to plain data. Raises ScenarioError if it is not YAML."""
     try:
         data = read_yaml(text)
     except StrictYamlError as error:
         raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
     if isinstance(data, dict) and Path(source).name == MANIFEST_FILE:
         data = data.get("scenario", {})
-    if isinstance(data, dict):  # at the top, names with an underscore hold what aliases refer to
+    if isinstance(data, dict):  # top-level names with an underscore hold targets of aliases
         data = {
             key: value
             for key, value in data.items()
@@ -172,7 +174,7 @@ def parsed(text: str, source: str) -> Any:
 
 
 def find_scenario(name: str, folder: Path = Path()) -> Path:
-    """The file of a shipped name, of a path from a folder, or of a run's folder.
+    """Find the file of a shipped scenario, a path relative to a folder, or a run's folder.
 
     Raises:
       ScenarioError: there is none.
@@ -263,8 +265,8 @@ def _policy(file: str, law: str) -> str:
 
 
 def _at_fault(schema: Any, layers: Sequence[Layer], error: ScenarioError) -> str:
-    """The source of the layer that gives a wrong value; if it became wrong by a later layer, of
-    that one.
+    """The source of the layer with a wrong value, or of the later layer that made the value
+    wrong.
     """
     gave = max((k for k, layer in enumerate(layers) if layer.gives(error.key)), default=0)
     for count in range(gave + 1, len(layers)):
@@ -277,9 +279,7 @@ def _at_fault(schema: Any, layers: Sequence[Layer], error: ScenarioError) -> str
 
 
 def _map_paths(data: dict[str, Any], changed: Callable[[str], str]) -> None:
-    """Apply a function to every path of a scenario in plain data that is not a package://
-    address.
-    """
+    """Apply a function to every path of a scenario in plain data, except package:// addresses."""
 
     def path(value: str | None) -> str | None:
         return value if value is None or "://" in value else changed(value)

@@ -26,14 +26,14 @@ def load_scenario(name_or_path: str | Path, overrides: Iterable[Override] = ()) 
 
     Args:
       name_or_path: a name of ``shipped_scenarios()``, the path of a YAML file, or a run's folder or
-        manifest.json: the scenario of that run.
-      overrides: ``key=value`` strings; the key is dotted, the value is YAML
-        (``controllers.tdc.k_d.joint_1=50``). Or mappings, which merge as a file that extends the
-        scenario does (``{"payload": {"truth": {"mass": 80}}}``).
+        manifest.json, for the scenario of that run.
+      overrides: ``key=value`` strings, with a dotted key and a YAML value
+        (``controllers.tdc.k_d.joint_1=50``), or mappings, merged like a file with ``extends``
+        (``{"payload": {"truth": {"mass": 80}}}``).
 
     Raises:
-      ScenarioError: the file, a key or a value cannot be used; the message says where and what
-        would be right.
+      ScenarioError: the file, a key or a value cannot be used; the message gives the place and
+        a valid choice.
     """
     path = find_scenario(str(name_or_path))
     return scenario_from_yaml(read_text(path), overrides, source=str(path))
@@ -58,7 +58,7 @@ def scenario_from_dict(
 
 
 def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] = ()) -> str:
-    """Where a key of a scenario that loads stands: "override", or a file that it extends; else
+    """Source of a key of a scenario that loads: "override", a base file, or else
     ``name_or_path``.
     """
     path = find_scenario(str(name_or_path))
@@ -70,25 +70,27 @@ def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] =
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
-    """The whole scenario as plain data: what ``scenario_from_dict`` takes back unchanged."""
+    """The whole scenario as plain data, which ``scenario_from_dict`` accepts unchanged."""
     data: dict[str, Any] = as_dict(scenario)
     return data
 
 
 def differing_keys(*scenarios: Scenario) -> list[str]:
-    """The dotted keys, but for the description, in which scenarios are not all the same."""
+    """The dotted keys, except the description, in which scenarios differ."""
     flat = [flatten(scenario_to_dict(scenario)) for scenario in scenarios]
     keys = {key for one in flat for key in one} - {"description"}
     return sorted(key for key in keys if len({repr(one.get(key)) for one in flat}) > 1)
 
 
 def scenario_to_yaml(scenario: Scenario) -> str:
-    """The whole scenario as YAML text: what ``load_scenario`` reads back from a file."""
+    """The whole scenario as YAML text, which ``load_scenario`` reads from a file."""
     return write_yaml(scenario_to_dict(scenario))
 
 
 def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """The whole scenario as plain data for a file in ``folder``, with paths relative to that."""
+    """The whole scenario as plain data for a file in ``folder``, with paths relative to the
+    folder.
+    """
     data = scenario_to_dict(scenario)
     relate_paths(data, folder)
     return data
@@ -100,7 +102,7 @@ def override_scenario(scenario: Scenario, overrides: Iterable[Override]) -> Scen
 
 
 def checked(scenario: Scenario) -> Scenario:
-    """A scenario that Python code may have changed, checked like one from a file.
+    """Check a scenario that Python code may have changed, like one from a file.
 
     Raises ScenarioError: a value cannot be used; the message begins with ``Scenario`` and the key.
     """

@@ -1,4 +1,6 @@
-"""The sections ``model``, ``payload`` and the postures: what is simulated, and how it stands."""
+"""The sections ``model``, ``payload`` and the postures: the simulated bodies and their
+placement.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -20,9 +22,9 @@ from ffsm_drake.scenario.fields import (
 
 @dataclass
 class Flexible:
-    """A flexible part of the true spacecraft, which the controller's model treats as rigid.
+    """A flexible part of the true spacecraft; the controller's model treats it as rigid.
 
-    The mass of a panel, a beam, a sloshing mass or a pendulum is part of the body that carries it.
+    The carrying body's mass includes that of a panel, beam, sloshing mass or pendulum.
     """
 
     KIND: ClassVar[str] = "kind"  # another one drops the inherited settings
@@ -53,21 +55,23 @@ class Flexible:
     direction: list[float] = vector_in(
         [0.0, 1.0, 0.0],
         "",
-        "from the hinge, root or pivot outwards, or along which the mass moves, in the body's "
-        "frame; of any length",
+        "direction from the hinge, root or pivot outwards, or of the motion of the mass, in the "
+        "body's frame; any length",
         nonzero=True,
     )
     axis: list[float] = vector_in(
         X_AXIS,
         "",
-        "axis of the hinge or of bending, across ``direction``, in the body's frame; of any length",
+        "axis of the hinge or of bending, across ``direction``, in the body's frame; any length",
         nonzero=True,
     )
     mass: float = setting(
-        2.0, "kg", "of the panel, the beam, the sloshing mass or the pendulum", above=0
+        2.0, "kg", "mass of the panel, the beam, the sloshing mass or the pendulum", above=0
     )
-    length: float = setting(3.0, "m", "of the panel, the beam or the pendulum's rod", above=0)
-    width: float = setting(1.0, "m", "of the panel, along the axis", above=0)
+    length: float = setting(
+        3.0, "m", "length of the panel, the beam or the pendulum's rod", above=0
+    )
+    width: float = setting(1.0, "m", "width of the panel, along the axis", above=0)
     plates: int = unitless(
         1,
         "number of plates of a panel, in a row, of equal length, each on a hinge",
@@ -77,8 +81,8 @@ class Flexible:
     frequency: float | None = setting(
         None,
         "Hz",
-        "natural frequency with the body held: of a panel its lowest; of a joint or gear in the "
-        "zero posture; null with stiffness",
+        "natural frequency with the body held: the lowest of a panel; in the zero posture for a "
+        "joint or gear; null with stiffness",
         above=0,
     )
     frequencies: list[float] = setting(
@@ -91,15 +95,15 @@ class Flexible:
     stiffness: float | None = setting(
         None,
         "N m/rad or N/m",
-        "of each hinge, or of the mass's spring; null with frequency",
+        "stiffness of each hinge, or of the mass's spring; null with frequency",
         above=0,
     )
     damping_ratio: float = unitless(
-        0.005, "at the frequency, or of each mode of a beam", least=0, below=1
+        0.005, "damping ratio at the frequency, or of each mode of a beam", least=0, below=1
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """One stiffness, and only what the kind uses."""
+        """Check that one stiffness is given, and only settings of the kind."""
         of_joint = self.kind in ("joint", "gear")
         along, axis = (np.divide(v, np.linalg.norm(v)) for v in (self.direction, self.axis))
         if not of_joint and self.kind != "mass" and abs(along @ axis) >= 1e-6:
@@ -153,18 +157,18 @@ class Model:
         'with servicer: URDF of the target, model instance "debris"',
     )
     end_effector: str = unitless(
-        "servicer::end_effector", "frame that holds the target; its origin is reported"
+        "servicer::end_effector", "frame that holds the target; reports give its origin"
     )
     grasp: str = unitless(
-        "debris::grasp", "with servicer: the target's frame that is welded to end_effector"
+        "debris::grasp", "with servicer: frame of the target, welded to end_effector"
     )
     packages: dict[str, str] = unitless({}, "package:// name -> folder, for meshes")
     flexible: dict[str, Flexible] = unitless(
-        {}, "by name: flexible parts, which are rigid in the controller's model"
+        {}, "flexible parts by name; the controller's model treats them as rigid"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """One source of the model."""
+        """Check that one source of the model is given."""
         if (self.servicer is None) == (self.directives is None):
             yield key, "give either directives or servicer (a URDF), not both and not neither"
         yield from identifier_problems(f"{key}.flexible", self.flexible, "a part's")
@@ -183,7 +187,7 @@ class MassProperties:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """The inertia of a rigid body."""
+        """Check that the inertia is that of a rigid body."""
         key = f"{key}.inertia"
         if len(self.inertia) not in (3, 6):
             yield (
@@ -211,9 +215,7 @@ class MassProperties:
 
 @dataclass
 class Payload:
-    """The captured body: its true mass properties, and the nominal ones, which the controller works
-    with.
-    """
+    """The captured body: its true mass properties, and the nominal ones, used by the controller."""
 
     body: str = unitless("debris::debris", "scoped name of the captured body in the model")
     truth: MassProperties = setting(MassProperties())

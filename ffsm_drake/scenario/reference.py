@@ -23,15 +23,15 @@ class Shaper:
 
     kind: str = choice_of(
         "zv",
-        '"zv", exact at its frequencies, or "zvd", twice as long and robust to errors of them',
+        '"zv", exact at its frequencies, or "zvd", twice as long and robust to frequency errors',
         "zv",
         "zvd",
     )
     frequencies: list[float] = setting(
         [],
         "Hz",
-        "of the vibrations, with the controlled coordinates held; the shaper takes half a period "
-        "of each out of ``reference.duration``, with zvd a whole one",
+        "frequencies of the vibrations, with the controlled coordinates held; each takes half a "
+        "period of ``reference.duration``, a whole one with zvd",
         above=0,
         most=1000,
         size=(1, 4),
@@ -39,24 +39,23 @@ class Shaper:
     damping_ratio: float = unitless(0.005, "of the vibrations", least=0, below=1)
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Not of a plan."""
+        """Check that the reference is not a plan."""
         if scenario.reference.kind == "optimal":
             yield key, "has no effect on a plan; take kind quintic or septic, or shaper: null"
 
 
 @dataclass
 class FrameGoal:
-    """A frame whose pose the planned motion prescribes; the joints follow by the generalized
-    Jacobian.
+    """A frame with a prescribed pose; the joints follow by the generalized Jacobian.
 
-    The origin goes along a line, the attitude about the eigenaxis. Base coordinates that are driven
-    move as without it.
+    The origin follows a line, the attitude turns about the eigenaxis. Driven base coordinates move
+    as without a frame.
     """
 
     frame: str | None = unitless(None, "scoped name; null: ``model.end_effector``")
     task: str = choice_of(
         "pose",
-        'what is prescribed: the frame\'s "pose", "position" or "attitude", or "none", where the '
+        'prescribed part: the frame\'s "pose", "position" or "attitude", or "none": the '
         "joints go to target_posture.joints as far as ``hold`` allows",
         "pose",
         "position",
@@ -64,29 +63,32 @@ class FrameGoal:
         "none",
     )
     position: list[float] | None = vector_in(
-        None, "m", "goal of its origin, world frame; null: where it starts"
+        None, "m", "goal of the origin, world frame; null: its initial position"
     )
     rpy: list[float] | None = vector_in(
-        None, "rad", "goal of its attitude: roll, pitch, yaw in the world frame; null: as it starts"
+        None,
+        "rad",
+        "goal of the attitude: roll, pitch, yaw in the world frame; null: the initial attitude",
     )
     hold: list[str] = unitless(
         [],
-        "undriven base coordinates, or groups of them, which the joints' motion must leave at "
-        "rest: reaction null space",
+        "undriven base coordinates, or groups of them, kept at rest during the joints' motion "
+        "(reaction null space)",
     )
     priority: str = choice_of(
-        "hold", 'which comes first where not both are possible: "hold", or "frame"', "hold", "frame"
+        "hold", 'priority if both are not possible: "hold", or "frame"', "hold", "frame"
     )
     joints: str = choice_of(
         "least",
-        'what redundant joints do: "least", least rates, or "target_posture", move towards it',
+        'motion of redundant joints: "least", least rates, or "target_posture", towards that '
+        "posture",
         "least",
         "target_posture",
     )
     damping: float = unitless(
         0.05,
-        "singular value of the task's Jacobian, radians of the frame counted as metres, below "
-        "which joints are damped: no twist takes more than 1.09/damping times its size in joint "
+        "singular value of the task's Jacobian (radians of the frame counted as metres) below "
+        "which joints are damped: a twist takes at most 1.09/damping times its size in joint "
         "rates, and the frame leaves the path instead",
         above=0,
     )
@@ -95,7 +97,9 @@ class FrameGoal:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """A goal that the task, the reference's goal and the driven coordinates have a use for."""
+        """Check that the goal is compatible with the task, the reference's goal and the driven
+        coordinates.
+        """
         reference = scenario.reference
         if reference.kind == "optimal":
             yield key, "has no effect on a plan; take kind quintic or septic, or frame: null"
@@ -120,7 +124,7 @@ class FrameGoal:
 
 @dataclass
 class Reference:
-    """The planned motion: from the initial to the target posture by a polynomial, or a plan from a
+    """The planned motion: a polynomial from the initial to the target posture, or a plan from a
     file.
     """
 
@@ -133,31 +137,32 @@ class Reference:
     duration: float | None = setting(
         20.0,
         "s",
-        "the posture at its end is held afterwards; a plan may take no longer; auto (or null): the "
-        "shortest that all limits of actuators and joints allow with the nominal payload",
+        "time to the final posture, which is then held; an upper bound for a plan; auto (or "
+        "null): the shortest that all limits of actuators and joints allow with the nominal "
+        "payload",
         above=0,
     )
     reserve: float = unitless(
         0.3,
-        "with duration auto: share of every force and velocity limit that the motion leaves free",
+        "with duration auto: reserved share of every force and velocity limit",
         least=0,
         below=1,
     )
     goal: str = choice_of(
         "target_posture",
-        'where it ends: "target_posture", or "stop", the cheapest place to stop from the velocity '
-        "after the grasp; without a capture from initial_velocity, with which it then begins",
+        'end of the motion: "target_posture", or "stop", the cheapest place to stop from the '
+        "velocity after the grasp (without a capture, from initial_velocity)",
         *GOALS,
     )
     base_rotation: str = choice_of(
         "eigenaxis",
-        'how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, '
+        'rotation of the base: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, '
         "pitch and yaw each a polynomial, as in the paper",
         *BASE_ROTATIONS,
     )
-    shaper: Shaper | None = unitless(None, "of a polynomial; null: it is not shaped")
+    shaper: Shaper | None = unitless(None, "input shaper for a polynomial; null: not shaped")
     frame: FrameGoal | None = unitless(
-        None, "frame whose pose is prescribed, in place of target_posture.joints; null: none"
+        None, "frame with a prescribed pose, in place of target_posture.joints; null: none"
     )
     plan: str | None = unitless(
         None,
@@ -166,7 +171,9 @@ class Reference:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """A plan where it is followed; a rotation that can begin with a velocity."""
+        """Check that a plan is named where one is followed, and that the rotation can begin with a
+        velocity.
+        """
         turning = scenario.stops_from_start and any(
             number and (name == "all" or name.startswith("base_rotation"))
             for name, number in scenario.initial_velocity.items()
@@ -187,12 +194,12 @@ class Reference:
 
 @dataclass
 class Planning:
-    """How 'ffsm plan' plans: a motion from the initial posture and velocity to
+    """Settings of 'ffsm plan': a motion from the initial posture and velocity to
     ``reference.goal``, at rest, within every limit.
 
-    The limits are those of ``actuation.limit``, the URDFs' of position, velocity and effort,
-    ``clearance`` and the ones here. It minimises time_weight * duration + effort_weight * integral
-    of the squared force, with the nominal payload.
+    The limits are ``actuation.limit``, the position, velocity and effort limits of the URDFs,
+    ``clearance`` and the limits below. The plan minimises time_weight * duration + effort_weight *
+    integral of the squared force, with the nominal payload.
     """
 
     time_weight: float = setting(
@@ -201,40 +208,41 @@ class Planning:
     effort_weight: float = setting(
         1e-4,
         "1/(N^2 m^2 s)",
-        "weight of the integral of the squared force; a small one avoids forces that do not "
+        "weight of the integral of the squared force; a small weight avoids forces that do not "
         "shorten the motion",
         least=0,
     )
     reserve: float = unitless(
         0.4,
-        "share of the force limits that is left to the controller: for noise, disturbances, and "
-        "the error of the nominal payload",
+        "share of the force limits reserved for the controller: noise, disturbances, and the "
+        "error of the nominal payload",
         least=0,
         below=1,
     )
     end_rate: float = setting(
         0.0,
         "rad/s or m/s",
-        "every rate at the end is at most this, and then dies away",
+        "largest rate at the end of the plan; it then dies away",
         least=0,
     )
     velocity_limit: PerCoordinate | None = setting(
-        None, "rad/s or m/s", "largest rate, beside the URDFs'; null: none", above=0
+        None, "rad/s or m/s", "largest rate, in addition to the URDFs' limits; null: none", above=0
     )
     impulse_limit: PerCoordinate | None = setting(
-        None, "N m s or N s", "largest integral of each force's size; null: none", above=0
+        None, "N m s or N s", "largest integral of the magnitude of each force; null: none", above=0
     )
     base_attitude_limit: float | None = setting(
-        None, "rad", "largest rotation of the base from its first attitude; null: none", above=0
+        None, "rad", "largest rotation of the base from its initial attitude; null: none", above=0
     )
     segments: int = unitless(
         24,
-        "of the spline: more segments follow the limits closer and take longer to compute",
+        "number of spline segments: more of them follow the limits closer and take longer to "
+        "compute",
         least=4,
         most=100,
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Something to minimise."""
+        """Check that there is a cost to minimise."""
         if self.time_weight + self.effort_weight == 0:
             yield f"{key}.time_weight", "must be > 0 where effort_weight is 0"

@@ -18,7 +18,7 @@ from ffsm_drake.common.settings import join, require_valid, settings_of
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
 _LEAVES = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
-MAX_NUMBER = 1e20  # so that what is computed from a few values stays finite
+MAX_NUMBER = 1e20  # keeps products of a few values finite
 
 
 def as_dict(value: Any) -> Any:
@@ -52,14 +52,14 @@ def schema_fields(schema: Any) -> dict[str, Any] | None:
 
 
 def without_null(schema: Any) -> Any:
-    """The type of an optional value; any other type as it is. A schema has no further unions."""
+    """The type of an optional value; any other type unchanged. A schema has no further unions."""
     if typing.get_origin(schema) not in (typing.Union, types.UnionType):
         return schema
     return next(kind for kind in typing.get_args(schema) if kind is not types.NoneType)
 
 
 def build(schema: Any, data: Any) -> Any:
-    """The typed object that plain data, complete and checked, stands for."""
+    """Build the typed object from plain data, complete and checked."""
     if data is None:
         return None
     schema = without_null(schema)
@@ -73,13 +73,14 @@ def build(schema: Any, data: Any) -> Any:
 
 
 def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
-    """An instance of a dataclass of settings (see ``common.settings``), from what a file gives.
+    """Build an instance of a dataclass of settings (see ``common.settings``) from the data of a
+    file.
 
     Args:
       cls: the dataclass; fields that are no settings need a default.
-      data: plain data; what it leaves out keeps its default.
+      data: plain data; missing keys keep their defaults.
       key: where ``data`` stands, such as ``blocks.sensing.settings``, for errors.
-      scenario: for the ``check`` of the dataclass; without one that is left out.
+      scenario: passed to the ``check`` of the dataclass; None: no check.
 
     Raises:
       ScenarioError: an unknown key, a wrong type, or a value out of its range.
@@ -207,10 +208,10 @@ def _convert_leaf(schema: Any, data: Any, path: str) -> Any:
 
 
 def merged(schema: Any, below: Any, above: Any) -> Any:
-    """Plain data for ``schema``, not yet checked, of which ``above`` wins over ``below``.
+    """Merge plain data for ``schema``, not yet checked; ``above`` wins over ``below``.
 
-    Mappings merge by key; null takes a name away from a mapping by name, unless null is one of its
-    values. Anything else replaces: a list, a bare number, a group whose ``KIND`` is another.
+    Mappings merge by key; null removes a name from a mapping by name, unless null is one of its
+    values. Anything else replaces: a list, a bare number, a group of another ``KIND``.
     """
     if not below:
         return dict(above) if isinstance(above, Mapping) else above

@@ -37,7 +37,7 @@ from ffsm_drake.scenario.supervisor import Supervisor
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
-_BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
+_BYTES_PER_SAMPLE = 4000  # size of a run's logs and record, for the estimate in an error
 
 
 @dataclass(repr=False)
@@ -47,25 +47,25 @@ class Scenario:
     description: str = unitless("", "title of plots and records")
     random_seed: int = unitless(
         0,
-        "seed of the measurement noise; the same seed gives the same bits",
+        "seed of the measurement noise; equal seeds give equal bits",
         least=0,
         most=2**31 - 1,
     )
     duration: float = setting(
-        20.0, "s", "the run ends at the last control sample within it", above=0
+        20.0, "s", "duration of the run, which ends at the last control sample within it", above=0
     )
     sample_time: float = setting(0.01, "s", "L, the controller's period and delay", above=0)
     divergence_speed: float = setting(
         10.0,
         "rad/s or m/s",
-        "the run is stopped as diverging when a generalized velocity exceeds this",
+        "generalized velocity beyond which the run is stopped as diverging",
         above=0,
     )
     tolerance: PerCoordinate = setting(
         {"all": 1e-3},
         "rad or m",
-        "a run has settled when over its last second every error stays within this; 1e-3 for "
-        "coordinates that are not given",
+        "largest error over the last second of a settled run; 1e-3 for coordinates that are not "
+        "given",
         above=0,
     )
     simulator_config: SimulatorConfig = setting(
@@ -83,9 +83,9 @@ class Scenario:
     initial_velocity: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s",
-        "at the start; base_rotation is the angular velocity in world axes. The reference starts "
-        "at rest, with reference.goal: stop at this; with capture, at the velocity after a grasp "
-        "of the nominal payload, and this is added to the true velocity.",
+        "initial velocity; base_rotation is the angular velocity in world axes. The reference "
+        "starts at rest; with reference.goal: stop, at this velocity; with capture, at the "
+        "velocity after a grasp of the nominal payload, and this is added to the true velocity.",
     )
     capture: Capture | None = unitless(
         None, "the grasp of a moving target; null: the target is held and at rest at the start"
@@ -95,7 +95,7 @@ class Scenario:
     clearance: float = setting(
         0.01,
         "m",
-        "least distance between parts: plans keep it; runs that come nearer are warned of",
+        "least distance between parts: plans keep it; runs that come nearer cause a warning",
         least=0,
     )
     controller: str = unitless(
@@ -105,13 +105,13 @@ class Scenario:
     )
     controllers: dict[str, dict[str, PerCoordinate | None]] = unitless(
         {},
-        "gains: controller (its name, or what follows the colon) -> gain -> by coordinate; gains "
-        "that are not given keep their defaults; null takes an upper bound away",
+        "gains: controller (its name, or the part after the colon) -> gain -> by coordinate; "
+        "gains that are not given keep their defaults; null removes an upper bound",
     )
     blocks: Blocks = setting(Blocks())
     python_path: list[str] = unitless(
         [],
-        "folders to look in for the modules of controllers and blocks, before Python's own; "
+        "folders searched for the modules of controllers and blocks, before Python's own; "
         "relative paths start at the scenario file's folder",
     )
     estimator: Estimator = setting(Estimator())
@@ -123,12 +123,12 @@ class Scenario:
     sensing: Sensing = setting(Sensing())
     actuation: Actuation = setting(Actuation())
     supervisor: Supervisor | None = unitless(
-        None, "damps rates and plans anew where the plan cannot be followed; null: none"
+        None, "rate damping and replanning if the plan cannot be followed; null: none"
     )
-    faults: Faults | None = unitless(None, "what breaks when; null: nothing")
+    faults: Faults | None = unitless(None, "faults of units and their times; null: none")
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
-        """A run of at least one and not too many samples and steps."""
+        """Check for at least one sample, and not too many samples and steps."""
         samples, config = self.duration / self.sample_time, self.simulator_config
         if samples > MAX_SAMPLES:
             yield (
@@ -170,7 +170,7 @@ class Scenario:
         return f"Scenario({title}{self.controller}, {self.duration:g} s, seed {self.random_seed})"
 
     def replace(self, **changes: Any) -> "Scenario":
-        """A new scenario with some settings changed; this one stays as it is.
+        """A new scenario with some settings changed; this one is unchanged.
 
         Args:
           changes: by key, as in a file that extends this scenario: mappings merge
@@ -219,14 +219,14 @@ class Scenario:
 
     @property
     def stops_from_start(self) -> bool:
-        """Whether the reference begins at ``initial_velocity``, which it brings to rest."""
+        """Whether the reference begins at ``initial_velocity`` and brings it to rest."""
         reference = self.reference
         is_polynomial = reference.kind != "optimal"
         return self.capture is None and reference.goal == "stop" and is_polynomial
 
     @property
     def grasp_time(self) -> float:
-        """When the target is grasped, s; 0 where it is held from the start."""
+        """Time of the grasp, s; 0 for a target held from the start."""
         return (
             0.0
             if self.capture is None or self.capture.approach is None
@@ -235,14 +235,14 @@ class Scenario:
 
     @property
     def planned_end(self) -> float | None:
-        """When the planned motion ends, s; None where that is still to be found."""
+        """End of the planned motion, s; None if not yet determined."""
         return (
             None if self.reference.duration is None else self.grasp_time + self.reference.duration
         )
 
     def tolerance_of(self, *names: str) -> float:
-        """The tolerance of what goes by several names (a coordinate's own, its group's): that of
-        the first known.
+        """The tolerance under the first known of several names (a coordinate's own, its
+        group's).
         """
         return next(
             (self.tolerance[name] for name in (*names, "all") if name in self.tolerance), 1e-3
@@ -250,14 +250,14 @@ class Scenario:
 
 
 def from_grasp(scenario: Scenario) -> Scenario:
-    """The scenario from the grasp on, without an approach; one without a capture as it is."""
+    """The scenario from the grasp on, without an approach; unchanged if it has no capture."""
     if scenario.capture is None or scenario.grasp_time == 0.0:
         return scenario
     held = replace(scenario.capture, approach=None, closing=None, retreat=None, measured=None)
     return replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
 
 
-# What a planned motion with the nominal payload does not depend on.
+# Settings without influence on a planned motion with the nominal payload.
 _OF_THE_RUN = (
     "description",
     "random_seed",
@@ -278,10 +278,10 @@ _OF_THE_RUN = (
 
 
 def planned_part(scenario: Scenario) -> Scenario:
-    """The scenario with defaults for all that its planned motion does not depend on.
+    """The scenario with defaults for all settings without influence on its planned motion.
 
-    Runs that differ in nothing else, such as those of several controllers, share what is computed
-    from it.
+    Runs that differ in nothing else, such as those of several controllers, share the results
+    computed from it.
     """
     plain, truth = Scenario(), MassProperties()
     # the target turns about its true centre of mass before the grasp
@@ -295,9 +295,9 @@ def planned_part(scenario: Scenario) -> Scenario:
 
 
 def controller_key(controller: str) -> str:
-    """The key in ``controllers`` of a controller: its name, or what follows the colon of
-    ``module:attribute``; of ``policy:FILE`` the file's name without its ending, an underscore for
-    what is no letter, digit or dash.
+    """The key in ``controllers`` of a controller: its name, the part after the colon of
+    ``module:attribute``, or the file name of ``policy:FILE`` without ending, with underscores for
+    characters other than letters, digits and dashes.
     """
     policy = policy_parts(controller)
     if policy is None:

@@ -1,4 +1,6 @@
-"""The sections ``sensing``, ``estimator`` and ``command_filter``: what the controller hears."""
+"""The sections ``sensing``, ``estimator`` and ``command_filter``: the controller's inputs and the
+filters of its output.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -24,54 +26,53 @@ class Estimator:
     walk: PerCoordinate = setting(
         {"base_position": 1e-3, "base_rotation": 1e-3, "joints": 1e-2},
         "rad/s^2 or m/s^2 per sqrt(s)",
-        "kalman, and coupled for the base's position: N's random walk, its standard deviation "
-        "after one second; what differs between the base's three axes is in the base's axes, as "
-        "for the noises below",
+        "kalman, and coupled for the base's position: random walk of N, its standard deviation "
+        "after one second; values that differ between the base's three axes refer to the base's "
+        "axes, here and for the noises below",
         above=0,
     )
     force_walk: PerCoordinate = setting(
         {"all": 0.2},
         "N m or N per sqrt(s)",
-        "coupled only: random walk of the generalized force that stands for N in attitude and "
-        "joints",
+        "coupled only: random walk of the generalized force equivalent to N in attitude and joints",
         above=0,
     )
     position_noise: PerCoordinate | None = setting(
         None,
         "rad or m",
-        "not for one_sample: standard deviation that it assumes of the positions; null: that of "
-        "``sensing``",
+        "kalman and coupled: assumed standard deviation of the positions; null: as in ``sensing``",
         least=0,
     )
     velocity_noise: PerCoordinate | None = setting(
         None,
         "rad/s or m/s",
-        "not for one_sample: standard deviation that it assumes of the velocities; null: that of "
-        "``sensing``",
+        "kalman and coupled: assumed standard deviation of the velocities; null: as in ``sensing``",
         least=0,
     )
     velocity_bias_walk: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s per sqrt(s)",
-        "not for one_sample: random walk of a bias of the velocities that it estimates with N (of "
-        "the base in its axes), its standard deviation after one second; 0: none is estimated",
+        "kalman and coupled: random walk of a velocity bias estimated with N (base: in its own "
+        "axes), its standard deviation after one second; 0: none is estimated",
         least=0,
     )
     delay: int | None = in_samples(
-        None, "kalman only: age of the measurements that it assumes; null: ``sensing.delay``"
+        None, "kalman only: assumed age of the measurements; null: ``sensing.delay``"
     )
 
 
 @dataclass
 class CommandFilter:
-    """Filters of the force that the control law commands, before any actuator; stability and noise
-    include them.
+    """Filters of the control law's commanded force, before any actuator. Stability and noise
+    analyses include them.
     """
 
     low_pass: PerCoordinate = setting(
         ZERO, "Hz", "cut-off of a first-order low-pass filter; 0: none", least=0
     )
-    notch: PerCoordinate = setting(ZERO, "Hz", "frequency that a notch takes out; 0: none", least=0)
+    notch: PerCoordinate = setting(
+        ZERO, "Hz", "centre frequency of a notch filter; 0: none", least=0
+    )
     notch_width: PerCoordinate = unitless(
         {"all": 0.5}, "the notch's width at half power, as a share of its frequency", above=0
     )
@@ -81,7 +82,7 @@ class CommandFilter:
 class Sensing:
     """The sensors' errors, in this order: bias, noise, quantisation, sampling and delay.
 
-    Those of the base's sensors are in the base's axes, which they turn with.
+    Errors of the base's sensors are in the base's axes and turn with them.
     """
 
     velocity_noise: PerCoordinate = setting(
@@ -102,7 +103,7 @@ class Sensing:
         ZERO,
         "rad/s or m/s",
         "constant error of the velocities; of the base's in the base's axes: base_rotation_z is "
-        "that of the gyro about z",
+        "the bias of the gyro about z",
     )
     position_bias: PerCoordinate = setting(
         ZERO,
@@ -127,7 +128,7 @@ class Sensing:
     position_correlated_noise: PerCoordinate = setting(
         ZERO,
         "rad or m",
-        "likewise of the positions; the same for the three base rotations",
+        "the same for the positions; equal for the three base rotations",
         least=0,
     )
     correlation_time: PerCoordinate = setting(
@@ -144,17 +145,17 @@ class Sensing:
     )
     velocity_period: dict[str, int] = in_samples(
         {"all": 1},
-        "between two measurements of the velocities; the same for the base's three rotations, and "
-        "for its three positions, as for the three keys below",
+        "period of the velocity measurements; equal for the base's three rotations, and for its "
+        "three positions, also in the three keys below",
         least=1,
     )
     position_period: dict[str, int] = in_samples(
-        {"all": 1}, "between two measurements of the positions", least=1
+        {"all": 1}, "period of the position measurements", least=1
     )
     delay: int = in_samples(0, "age of a measurement when the controller first reads it")
     velocity_delay: dict[str, int] = in_samples(
-        {"all": 0}, "further age of the velocities, beyond delay"
+        {"all": 0}, "additional age of the velocities, beyond delay"
     )
     position_delay: dict[str, int] = in_samples(
-        {"all": 0}, "further age of the positions, beyond delay"
+        {"all": 0}, "additional age of the positions, beyond delay"
     )

@@ -1,4 +1,4 @@
-"""YAML for settings, read strictly: what PyYAML would silently ignore, or expand without limit, is
+"""Strict YAML for settings: input that PyYAML would silently ignore or expand without limit is
 refused.
 """
 
@@ -15,14 +15,12 @@ _TAG = "tag:yaml.org,2002:"
 
 
 class StrictYamlError(ValueError):
-    """Text that is not YAML, or not YAML for settings; its text is one line that starts with the
-    place.
-    """
+    """Text that is not valid YAML for settings; the error is one line, beginning with the place."""
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Safe YAML of the 1.2 core schema with merge keys: without keys given twice, without further
-    tags, and no deeper than settings can be.
+    """Safe YAML of the 1.2 core schema with merge keys; it refuses duplicate keys, other tags, and
+    deep nesting.
     """
 
     _depth = 0
@@ -58,19 +56,19 @@ class _StrictLoader(yaml.SafeLoader):
         except (yaml.YAMLError, StrictYamlError):
             raise
         except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
-            # PyYAML builds dates and numbers without looking: what Python objects to comes through
-            # as it is.
+            # PyYAML builds dates and numbers without checks; an error raised by Python passes
+            # unchanged.
             text = " ".join(str(error).split()) or type(error).__name__
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
     def construct_text(self, node: yaml.ScalarNode) -> str:
-        """A text, whose escaped characters beyond U+FFFF may be pairs, as JSON writes them."""
+        """A text; escaped characters beyond U+FFFF may be surrogate pairs, as in JSON."""
         text = str(self.construct_scalar(node))
         return text.encode("utf-16", "surrogatepass").decode("utf-16", "surrogatepass")
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that this reader or a usual one would take for something else."""
+    """Quotes text that this or a usual reader would take for another type."""
 
 
 # The words and numbers of YAML 1.2's core schema and JSON. YAML 1.1, which PyYAML reads, takes on
@@ -127,8 +125,8 @@ def read_yaml(text: str) -> Any:
 
 
 def write_yaml(data: Any, **layout: Any) -> str:
-    """Plain data as YAML text that ``read_yaml`` reads back as it was; PyYAML's words for its
-    layout.
+    """Plain data as YAML text that ``read_yaml`` reads back unchanged; layout options are
+    PyYAML's.
     """
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, **layout)
     return text
@@ -154,9 +152,7 @@ def _place(mark: Any) -> str:
 
 
 def _expanded_size(node: yaml.Node, known: dict[int, int | None]) -> int:
-    """Number of nodes with every alias written out; ``known`` holds None while a node's own size is
-    being found.
-    """
+    """Number of nodes with every alias written out; ``known`` holds None for a node in progress."""
     if id(node) in known:
         size = known[id(node)]
         if size is None:
