@@ -21,7 +21,8 @@ class Freed:
     def __del__(self, write=sys.__stderr__.write if sys.__stderr__ else id):
         write("freed\\n")
 
-def last():
+def last(started):
+    started.set()
     while True:  # a signal just before a long sleep would wait for its end
         time.sleep(0.05)
 
@@ -44,7 +45,9 @@ if __name__ == "__main__":
     log.error("held until the end")
     context = multiprocessing.get_context("fork")
     if {children}:
-        context.Process(target=last, daemon=True).start()  # to be ended
+        started = context.Event()
+        context.Process(target=last, args=(started,), daemon=True).start()  # to be ended
+        started.wait()  # a signal that comes while Python forks is lost
         context.Process(target=time.sleep, args=(0.2,)).start()  # to be awaited
     atexit.register(print, "; handler", [child.exitcode for child in
         multiprocessing.active_children()])
