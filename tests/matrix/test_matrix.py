@@ -161,7 +161,8 @@ def test_a_mission_settles_as_predicted(row, workshop, tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.preflight.verdict.verdict", known)
     for line in commands(row, file, tmp_path):
         result = ffsm(*line)
-        assert result.exit_code == 0, (line, result.output[-2000:], result.stderr[-2000:])
+        codes = (0, 3) if line[0] == "stability" and found.is_alarm else (0,)
+        assert result.exit_code in codes, (line, result.output[-2000:], result.stderr[-2000:])
 
 
 @pytest.mark.parametrize("combination", WARNED, ids=name_of_combination)

@@ -15,6 +15,7 @@ from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.load import advice, predicted_load
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.preflight.verdict import helpful_remarks, verdict
+from ffsm_drake.runs.limits import CLEARANCE
 from ffsm_drake.scenario import override_scenario
 from ffsm_drake.systems.limits import base_limits
 
@@ -57,7 +58,10 @@ def test_it_settles_at_every_rate_with_either_law():
 @pytest.mark.long
 def test_no_false_alarm():
     found = verdict(mission(8.0), margins=True)
-    assert found.conclusion.startswith("expected to go as planned")
+    assert found.run.ending.is_settled
+    assert [*found.run.limits] == [CLEARANCE]  # base and target, rightly
+    assert "rehearsed" in found.warnings[0]
+    assert not any(word in found.warnings[0] for word in ("linear", "under its limits"))
     assert found.margins.verdict.startswith("stable with its actuators: ")
 
 
