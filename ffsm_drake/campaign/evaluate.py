@@ -23,7 +23,7 @@ from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
+from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
@@ -36,6 +36,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
+from ffsm_drake.systems.registry import section_parts
 
 # refused: no motion keeps the limits
 UNSETTLED = ("not_settled", "growing", *NOT_CAPTURED, "diverged")

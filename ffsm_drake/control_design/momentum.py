@@ -19,7 +19,6 @@ from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.common.so3 import in_body_axes, quaternion_rate
-from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -35,6 +34,7 @@ from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.limits import joint_limits, limits_of
 from ffsm_drake.systems.part import MomentumStorage
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.registry import section_parts
 
 LONGEST = 1000.0  # s; the budget looks no further
 _INSTANTS = 201  # instants of the planned motion, and of the time after it as densely

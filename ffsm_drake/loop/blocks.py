@@ -11,7 +11,7 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -19,36 +19,26 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
-from ffsm_drake.scenario import Block, Scenario, build_settings
+from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
-from ffsm_drake.systems.actuation import SECTIONS, actuation_of, wide_actuation_of
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
 from ffsm_drake.systems.controllers.joined import join_controllers
-from ffsm_drake.systems.deflections import Deflections
-from ffsm_drake.systems.disturbance import HarmonicDisturbance
-from ffsm_drake.systems.environment import OrbitalEnvironment
-from ffsm_drake.systems.fault_detection import FaultDetection
 from ffsm_drake.systems.faults import settled
-from ffsm_drake.systems.faulty_sensors import FaultySensors
 from ffsm_drake.systems.frame_path import FRAME_SIZE
-from ffsm_drake.systems.gripper import Gripper
-from ffsm_drake.systems.jam import JammedJoints
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
-from ffsm_drake.systems.plumes import Plumes
-from ffsm_drake.systems.reference import reference_of, wide_reference_of
 from ffsm_drake.systems.registry import (
     Factory,
     call_factory,
     call_wide_factory,
     find_factory,
     module_file,
+    section_kinds,
+    section_parts,
 )
-from ffsm_drake.systems.sensing import sensing_of, wide_sensing_of
 from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
-from ffsm_drake.systems.supervisor import SupervisorPart
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
@@ -148,38 +138,6 @@ BLOCKS: dict[str, Ports] = {
     ),
 }
 DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
-# The parts of the scenario's own sections: forces, and what acts within another block.
-_SECTION_PARTS: dict[str, type[Part]] = {
-    **{f"actuation.{name}": kind for name, kind in SECTIONS.items()},
-    "flexible": Deflections,
-    "supervisor": SupervisorPart,
-    "sensing.faults": FaultySensors,
-    "sensing.detection": FaultDetection,
-    DISTURBANCE: HarmonicDisturbance,
-    "forces.environment": OrbitalEnvironment,
-    GRIPPER: Gripper,
-    "forces.jam": JammedJoints,
-    "forces.plume": Plumes,
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class _Section:
-    """The factory of the block of a scenario's section; see ``systems.side_by_side``."""
-
-    build: Callable[[BlockSetup], System | None]  # None for an ideal actuator
-    build_wide: Callable[[Sequence[BlockSetup]], System | None] = lambda setups: None
-
-    def __call__(self, setup: BlockSetup) -> System | None:
-        return self.build(setup)
-
-
-# Those of its other sections.
-_SECTIONS: dict[str, Factory] = {
-    "reference": _Section(reference_of, wide_reference_of),
-    "sensing": _Section(sensing_of, wide_sensing_of),
-    "actuation": _Section(actuation_of, wide_actuation_of),
-}
 # Blocks of which there may be several.
 _SEVERAL = ("sensing.<name>", "forces.<name>")
 # Names of systems that are part of every loop.
@@ -187,24 +145,6 @@ _TAKEN = (
     *("plant", "measurement", "states", "reference", "sensing", "controller", "actuation"),
     "supervisor",
 )
-
-
-def kind_of(name: str) -> str:
-    """The row of BLOCKS of a block's name: "forces" for "forces.friction"."""
-    return name.partition(".")[0]
-
-
-def stage_name(name: str) -> str:
-    """The block of a stage of ``blocks.sensing``; ``sensing`` is that of the scenario's section."""
-    return name if name == "sensing" else f"sensing.{name}"
-
-
-def block_choices(scenario: Scenario) -> dict[str, Block]:
-    """The blocks that ``blocks`` in the scenario fills in place of their own section, by name."""
-    named = {name: getattr(scenario.blocks, name) for name in ("reference", "actuation")}
-    named |= {stage_name(name): block for name, block in scenario.blocks.sensing.items()}
-    named |= {f"forces.{name}": block for name, block in scenario.blocks.forces.items()}
-    return {name: block for name, block in named.items() if block is not None}
 
 
 def make_blocks(
@@ -252,7 +192,7 @@ class _Making:
             settle_faults(scenario, nominal.coordinates)
             for scenario, nominal in zip(scenarios, nominals, strict=True)
         ]
-        self._choices = [block_choices(scenario) for scenario in scenarios]
+        self._choices = [scenario.blocks.choices() for scenario in scenarios]
         # the parts of each copy's own sections
         self._owns = [section_parts(scenario, given) for scenario in scenarios]
         if len({tuple(own) for own in self._owns}) > 1:
@@ -398,25 +338,12 @@ def _in_order(names: Collection[str]) -> tuple[str, ...]:
     return ("reference", "sensing", *stages, "controller", *supervisor, "actuation", *forces)
 
 
-def section_parts(scenario: Scenario, given: Iterable[str] = ()) -> dict[str, Part]:
-    """The parts of the scenario's own sections, by block and section; none of a block that is
-    filled otherwise, as those ``given`` are.
-    """
-    filled = {*block_choices(scenario), *given}
-    found = {
-        name: kind.of(scenario)
-        for name, kind in _SECTION_PARTS.items()
-        if not filled & {name, kind_of(name)}
-    }
-    return {name: part for name, part in found.items() if part is not None}
-
-
 def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
     """The scenario with its faults drawn, of what may break as its parts say; errors as of
     ``settled``.
     """
     known: dict[str, Sequence[str]] = {}
-    for kind in _SECTION_PARTS.values():
+    for kind in section_kinds().values():
         known |= kind.known_faults(scenario, coordinates)
     return settled(scenario, known)
 
@@ -438,9 +365,9 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
       ScenarioError: an unknown name; a setting is unknown, or its value is not allowed.
       BlockError: the block's system cannot be loaded.
     """
-    choice, key = block_choices(scenario).get(name), f"blocks.{name}"
+    choice, key = scenario.blocks.choices().get(name), f"blocks.{name}"
     if given is None and choice is None:
-        return section_parts(scenario).get(name) or _SECTIONS[name]
+        return section_parts(scenario)[name]
     if given is None and choice is not None:
         path = scenario.python_path
         given = find_factory(kind_of(name), choice.system, key=key, python_path=path)
@@ -470,7 +397,7 @@ def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict
     given = given or {}
     found = {
         name: factory_of(name, scenario, given.get(name))
-        for name in dict.fromkeys((*block_choices(scenario), *given))
+        for name in dict.fromkeys((*scenario.blocks.choices(), *given))
         if name != "controller"
     }
     return {name: part for name, part in found.items() if isinstance(part, Part)}
@@ -482,7 +409,7 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
     sections = ("reference", "sensing", "actuation", *forces)
     names = {name: f"scenario: {name.rpartition('.')[2]}" for name in sections}
     names |= {"controller": scenario.controller}
-    names |= {name: choice.system for name, choice in block_choices(scenario).items()}
+    names |= {name: choice.system for name, choice in scenario.blocks.choices().items()}
     sources = {}
     for name, system in names.items():
         sources[name], file = {"system": system}, module_file(system)

@@ -36,10 +36,9 @@ from ffsm_drake.loop.blocks import (
     OF_ACTUATORS,
     THRUST,
     TOLD,
-    kind_of,
     make_blocks,
 )
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.copies import Copies

@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
 )
 
 from ffsm_drake.common.lifetime import weak_callback
-from ffsm_drake.loop.blocks import DISTURBANCE, block_choices, factory_of
+from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
 from ffsm_drake.scenario import Block
 from ffsm_drake.spacecraft.plant import find_body
 from ffsm_drake.systems.registry import call_factory
@@ -35,7 +35,7 @@ def make_operated_disturbance(
         sample on.
     """
     builder = DiagramBuilder()
-    choice = block_choices(setup.scenario).get(DISTURBANCE, Block())
+    choice = setup.scenario.blocks.choices().get(DISTURBANCE, Block())
     original = dataclasses.replace(setup, settings=choice.settings)
     factory = factory_of(DISTURBANCE, setup.scenario)
     disturbance = builder.AddSystem(call_factory(factory, original, place=f"blocks.{DISTURBANCE}"))

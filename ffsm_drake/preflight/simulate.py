@@ -14,7 +14,7 @@ from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.control_design.momentum import momentum_budget
-from ffsm_drake.loop.blocks import block_choices, block_sources
+from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.preflight.remarks import LimitWarning, plan_remarks
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
@@ -218,7 +218,10 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
         elif name != "controller":
             setattr(named, name, block)
     scenario = dataclasses.replace(scenario, blocks=named)
-    addresses = [scenario.controller, *(block.system for block in block_choices(scenario).values())]
+    addresses = [
+        scenario.controller,
+        *(block.system for block in scenario.blocks.choices().values()),
+    ]
     folders = [str(folder) for folder in map(module_folder, addresses) if folder is not None]
     return dataclasses.replace(
         scenario, python_path=list(dict.fromkeys([*scenario.python_path, *folders]))

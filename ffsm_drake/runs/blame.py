@@ -9,8 +9,8 @@ from pydrake.systems.framework import Context, Diagram, System
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import failure, user_frame
-from ffsm_drake.loop.blocks import kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.scenario import kind_of
 
 # Of each kind of block: signal -> output port, and whether it is a state [q; v].
 _OUTPUTS = {

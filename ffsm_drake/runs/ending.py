@@ -9,10 +9,10 @@ from contextlib import suppress
 import numpy as np
 
 from ffsm_drake.common.numbers import number
-from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.part import Signals
+from ffsm_drake.systems.registry import section_parts
 
 # Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"

@@ -16,7 +16,6 @@ from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, read_together
 from ffsm_drake.common.numbers import LARGEST, usable
 from ffsm_drake.common.shapes import misfit
-from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
 from ffsm_drake.runs.table import OF_LAWS, VARIABLES
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
@@ -33,6 +32,7 @@ from ffsm_drake.systems.part import (
     TIMELINE,
     PartRecord,
 )
+from ffsm_drake.systems.registry import section_parts
 
 if TYPE_CHECKING:
     import xarray as xr

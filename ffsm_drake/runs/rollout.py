@@ -24,13 +24,12 @@ from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
-from ffsm_drake.loop.blocks import block_choices, kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.blame import bad_output, failure_of
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
-from ffsm_drake.scenario import Scenario, scenario_to_dict
+from ffsm_drake.scenario import Scenario, kind_of, scenario_to_dict
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import signals_of
@@ -479,7 +478,7 @@ def user_supplied(
     scenario: Scenario, blocks: Mapping[str, Factory] | None = None
 ) -> dict[str, str]:
     """The user-supplied blocks of a closed loop, in words by name."""
-    names = {name: choice.system for name, choice in block_choices(scenario).items()}
+    names = {name: choice.system for name, choice in scenario.blocks.choices().items()}
     names["controller"] = scenario.controller
     names = {name: own for name, own in names.items() if not is_shipped(kind_of(name), own)}
     names |= {

@@ -11,7 +11,7 @@ from ffsm_drake.scenario.actuation import (
     thruster_layouts,
     thrusters_of,
 )
-from ffsm_drake.scenario.blocks import Block, Blocks
+from ffsm_drake.scenario.blocks import Block, Blocks, kind_of
 from ffsm_drake.scenario.capture import CAPTURE_AXES, Approach, Capture
 from ffsm_drake.scenario.faults import Detection, Fault, Faults
 from ffsm_drake.scenario.fields import PerCoordinate, policy_parts
@@ -124,6 +124,7 @@ __all__ = [
     "Wheel",
     "Wheels",
     "from_grasp",
+    "kind_of",
     "inertia_matrix",
     "planned_part",
     "is_overridden",

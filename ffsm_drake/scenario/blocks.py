@@ -48,7 +48,20 @@ class Blocks:
         "scenario's sections of those names, any other name adds a force",
     )
 
+    def choices(self) -> dict[str, Block]:
+        """The blocks that are filled here in place of their own section, by name."""
+        named = {name: getattr(self, name) for name in ("reference", "actuation")}
+        for name, stage in self.sensing.items():  # one called sensing replaces the section
+            named[name if name == "sensing" else f"sensing.{name}"] = stage
+        named |= {f"forces.{name}": block for name, block in self.forces.items()}
+        return {name: block for name, block in named.items() if block is not None}
+
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that the names are valid in the diagram."""
         yield from identifier_problems(f"{key}.forces", self.forces, "a force's")
         yield from identifier_problems(f"{key}.sensing", self.sensing, "a stage's")
+
+
+def kind_of(name: str) -> str:
+    """The kind of a block with that name: "forces" for "forces.friction"."""
+    return name.partition(".")[0]

@@ -28,8 +28,8 @@ from ffsm_drake.spacecraft.copies import CopiesModel, copies_of
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.systems.actuation import own_parts
 from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.registry import own_actuators
 from ffsm_drake.systems.setup import BlockSetup
 
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
@@ -264,7 +264,7 @@ class OrbitalEnvironment(Part):
 
 def _locked(scenario: Scenario) -> Scenario:
     """With what its actuators let move held."""
-    for part in own_parts(scenario):
+    for part in own_actuators(scenario):
         scenario = part.locked(scenario)
     return scenario
 

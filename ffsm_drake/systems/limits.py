@@ -12,8 +12,8 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
 from ffsm_drake.spacecraft.plant import coordinates_of
-from ffsm_drake.systems.actuation import own_parts
 from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.registry import own_actuators
 
 # Axes, edges and corners of a cube.
 _DIRECTIONS = np.array(
@@ -40,7 +40,7 @@ def base_limits(scenario: Scenario) -> BaseLimits:
     """The limits of a scenario's base actuators; ScenarioError as for ``make_actuation``."""
     torque = helped = force = np.full(len(_DIRECTIONS), np.inf)
     names = list[str]()
-    for part in own_parts(scenario):
+    for part in own_actuators(scenario):
         most = part.most(scenario, _DIRECTIONS)
         if most is not None:  # the torque of the last one counts, where it gives any itself
             own = most.get("torque", torque)
@@ -63,7 +63,7 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
     """What base actuators that are nearly degenerate give along their weakest direction; errors as
     for ``base_limits``.
     """
-    for part in own_parts(scenario):
+    for part in own_actuators(scenario):
         principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
         directions = np.vstack([_DIRECTIONS, *(-each for each in principal), *principal])
         for what, most in (part.most(scenario, directions) or {}).items():
@@ -106,7 +106,7 @@ def joint_limits(
 ) -> list[Limit]:
     """``limits_of`` without the force that actuators give: limits that nothing enforces."""
     coordinates = coordinates_of(plant)
-    given = own_parts(scenario) if parts is None else parts
+    given = own_actuators(scenario) if parts is None else parts
     own = (limit for part in given for limit in part.limits(coordinates))
     return [*urdf_limits(scenario.model, plant), *own]
 

@@ -32,6 +32,7 @@ from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.free_motion import FreeMotion
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
@@ -243,18 +244,21 @@ def without_target(scenario: Scenario) -> Scenario:
     )
 
 
-def reference_of(setup: BlockSetup) -> Diagram:
-    """The reference of a scenario's section."""
-    return make_reference([setup.scenario], setup.coordinates)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlannedReference(Part):
+    """The section ``reference``."""
 
+    def build(self, setup: BlockSetup) -> Diagram:
+        """The reference of a scenario."""
+        return make_reference([setup.scenario], setup.coordinates)
 
-def wide_reference_of(setups: Sequence[BlockSetup]) -> Diagram | None:
-    """The references of several copies of the spacecraft, see ``systems.side_by_side``; None where
-    only some prescribe a frame.
-    """
-    if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:
-        return None
-    return make_reference([setup.scenario for setup in setups], setups[0].coordinates)
+    def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram | None:
+        """The references of several copies of the spacecraft, see ``systems.side_by_side``; None
+        where only some prescribe a frame.
+        """
+        if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:
+            return None
+        return make_reference([setup.scenario for setup in setups], setups[0].coordinates)
 
 
 def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> Diagram:

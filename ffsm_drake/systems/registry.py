@@ -1,11 +1,13 @@
-"""Finding a block's factory: by shipped name, installed entry point, or ``module:attribute``."""
+"""The one list of what this package brings to the closed loop, and how else a block's factory is
+found: by installed entry point, or ``module:attribute``.
+"""
 
 import functools
 import importlib
 import re
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -13,13 +15,15 @@ from typing import Any
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes, where
-from ffsm_drake.scenario import policy_parts
+from ffsm_drake.scenario import Scenario, kind_of, policy_parts
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
 
-_LAWS = "ffsm_drake.systems.controllers.laws"
-# Block -> name -> address. A new law is one line here.
+_SYSTEMS = "ffsm_drake.systems"
+_LAWS = f"{_SYSTEMS}.controllers.laws"
+# Block -> name -> address. A new law, or a part of a section of the scenario, is one line here.
 SHIPPED: dict[str, dict[str, str]] = {
     "controller": {
         "tdc": f"{_LAWS}.tdc:Tdc",
@@ -33,6 +37,25 @@ SHIPPED: dict[str, dict[str, str]] = {
         "resolved_rate": f"{_LAWS}.resolved_rate:ResolvedRate",
         "task_computed_torque": f"{_LAWS}.task_computed_torque:TaskComputedTorque",
         "task_time_delay": f"{_LAWS}.task_time_delay:TaskTimeDelay",
+    },
+    # What fills a block by the scenario's own section of that name, and what acts within a block,
+    # or beside it.
+    "section": {
+        "reference": f"{_SYSTEMS}.reference:PlannedReference",
+        "sensing": f"{_SYSTEMS}.sensing:Sensors",
+        "actuation": f"{_SYSTEMS}.actuation:ActuatorRow",
+        "actuation.thrusters": f"{_SYSTEMS}.actuation.thrusters:FiredThrusters",
+        "actuation.wheels": f"{_SYSTEMS}.actuation.wheels:ReactionWheels",
+        "actuation.drives": f"{_SYSTEMS}.actuation.drives:JointDrives",
+        "flexible": f"{_SYSTEMS}.deflections:Deflections",
+        "supervisor": f"{_SYSTEMS}.supervisor:SupervisorPart",
+        "sensing.faults": f"{_SYSTEMS}.faulty_sensors:FaultySensors",
+        "sensing.detection": f"{_SYSTEMS}.fault_detection:FaultDetection",
+        "forces.disturbance": f"{_SYSTEMS}.disturbance:HarmonicDisturbance",
+        "forces.environment": f"{_SYSTEMS}.environment:OrbitalEnvironment",
+        "forces.gripper": f"{_SYSTEMS}.gripper:Gripper",
+        "forces.jam": f"{_SYSTEMS}.jam:JammedJoints",
+        "forces.plume": f"{_SYSTEMS}.plumes:Plumes",
     },
 }
 # A policy found so far -> the folder that its file's name is relative to, and the file.
@@ -58,6 +81,34 @@ def block_names(block: str) -> tuple[str, ...]:
 def is_shipped(block: str, name: str) -> bool:
     """True if a name stands for a part of this package."""
     return name in SHIPPED.get(block, {})
+
+
+def section_parts(
+    scenario: Scenario, given: Iterable[str] = (), *, of: str = ""
+) -> dict[str, Part]:
+    """The parts of a scenario's own sections, by block and section; none of a block that is filled
+    otherwise, as those ``given`` are.
+
+    ``of``: those that act within one block only, such as the actuators of ``actuation``.
+    """
+    filled = {*scenario.blocks.choices(), *given}
+    found = {
+        name: kind.of(scenario)
+        for name, kind in section_kinds().items()
+        if name.startswith(f"{of}." if of else "") and not filled & {name, kind_of(name)}
+    }
+    return {name: part for name, part in found.items() if part is not None}
+
+
+def own_actuators(scenario: Scenario) -> list[Part]:
+    """The parts of a scenario's section ``actuation``; none where a block replaces it."""
+    return [*section_parts(scenario, of="actuation").values()]
+
+
+@functools.cache
+def section_kinds() -> dict[str, type[Part]]:
+    """The parts of this package that stand in a section of the scenario, by block and section."""
+    return {name: _load(at, name, ()) for name, at in SHIPPED["section"].items()}
 
 
 def find_factory(

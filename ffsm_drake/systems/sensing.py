@@ -46,6 +46,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import matrix_of, product_matrix, turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 from ffsm_drake.systems.side_by_side import SideBySide
 
@@ -216,24 +217,32 @@ class Sensing(CompositeBlock):
                 stage.set_random(self.GetMutableSubsystemContext(stage, context), generators)
 
 
-def sensing_of(setup: BlockSetup) -> Sensing:
-    """The sensors of a scenario's section."""
-    return make_sensing([setup.scenario.sensing], setup.coordinates, sample_time=setup.sample_time)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sensors(Part):
+    """The section ``sensing``."""
 
+    def build(self, setup: BlockSetup) -> Sensing:
+        """The sensors of a scenario."""
+        settings = [setup.scenario.sensing]
+        return make_sensing(settings, setup.coordinates, sample_time=setup.sample_time)
 
-def wide_sensing_of(setups: Sequence[BlockSetup]) -> Sensing | None:
-    """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None where
-    only some sensors are slow, or drift, or have errors in the base's axes.
-    """
-    settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
-    each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
-    kinds = [
-        (*measurement_times(of.settings, coordinates), *(of.drift_gains() > 0.0), of.axes_matter())
-        for of in each
-    ]
-    if any((np.concatenate(kind) != np.concatenate(kinds[0])).any() for kind in kinds):
-        return None
-    return make_sensing(settings, coordinates, sample_time=setups[0].sample_time)
+    def build_wide(self, setups: Sequence[BlockSetup]) -> Sensing | None:
+        """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None where
+        only some sensors are slow, or drift, or have errors in the base's axes.
+        """
+        settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
+        each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
+        kinds = [
+            (
+                *measurement_times(of.settings, coordinates),
+                *(of.drift_gains() > 0.0),
+                of.axes_matter(),
+            )
+            for of in each
+        ]
+        if any((np.concatenate(kind) != np.concatenate(kinds[0])).any() for kind in kinds):
+            return None
+        return make_sensing(settings, coordinates, sample_time=setups[0].sample_time)
 
 
 def make_sensing(

@@ -11,7 +11,6 @@ from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.one_axis import axis_loop
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
@@ -29,7 +28,7 @@ def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
     late = (sensing.position_delay, sensing.velocity_delay, estimator.velocity_bias_walk)
     slow = (sensing.position_period, sensing.velocity_period)
     if (
-        block_choices(scenario)
+        scenario.blocks.choices()
         or scenario.actuation.delay
         or sensing.delay
         or estimator.delay

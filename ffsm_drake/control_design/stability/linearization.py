@@ -34,7 +34,7 @@ from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMa
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.loop.blocks import block_choices, is_rehearsed, parts_of
+from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
@@ -90,7 +90,7 @@ class Linearizer:
             factories = {"actuation": make_mean_actuation, **factories}
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
-        self._choices = block_choices(self.given)
+        self._choices = self.given.blocks.choices()
         self.loop = make_closed_loop(self.scenario, blocks=factories)
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self.begin, self.end = self.motion.begin, self.motion.end  # s

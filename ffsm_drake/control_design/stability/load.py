@@ -10,7 +10,6 @@ import numpy as np
 
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.scenario import Scenario, controller_key, from_grasp, override_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, tightest
@@ -19,6 +18,7 @@ from ffsm_drake.systems.controllers import complete_gains, controller_factory, g
 from ffsm_drake.systems.limits import actuation_limit, limits_of
 from ffsm_drake.systems.part import Advice, GroupLoad, Load, Signals
 from ffsm_drake.systems.reference import timed
+from ffsm_drake.systems.registry import section_parts
 
 _ANSWER = 1.0  # s; response of the loop to a wrong velocity at the start
 _INSTANTS = 101  # of the plan after that

@@ -24,7 +24,6 @@ from ffsm_drake.control_design.stability.planned_dynamics import (
     PlannedDynamics,
     make_demand,
 )
-from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.plume import allocated
@@ -34,6 +33,7 @@ from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.registry import section_parts
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 

@@ -6,10 +6,10 @@ import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
-from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.part import Solid
+from ffsm_drake.systems.registry import section_parts
 
 
 def solids_of(scenario: Scenario) -> list[Solid]:

@@ -11,31 +11,17 @@ import numpy as np
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
-from ffsm_drake.scenario import Actuation, Scenario
+from ffsm_drake.scenario import Actuation
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.plume import allocated
 from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock, Hit
-from ffsm_drake.systems.actuation.drives import DriveSet, JointDrives, JointFriction, RateLimit
-from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
-from ffsm_drake.systems.actuation.wheels import ReactionWheels, WheelSet
+from ffsm_drake.systems.actuation.drives import DriveSet, JointFriction, RateLimit
+from ffsm_drake.systems.actuation.thrusters import ThrusterSet
+from ffsm_drake.systems.actuation.wheels import WheelSet
 from ffsm_drake.systems.faults import detects, first_sample, hits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.sensing import Quantizer
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
-
-# What the sections of ``actuation`` bring to records and pages.
-SECTIONS: dict[str, type[Part]] = {
-    "thrusters": FiredThrusters,
-    "wheels": ReactionWheels,
-    "drives": JointDrives,
-}
-
-
-def own_parts(scenario: Scenario) -> list[Part]:
-    """Those of a scenario's own actuators; none where a block replaces them."""
-    if scenario.blocks.actuation is not None:
-        return []
-    return [part for kind in SECTIONS.values() if (part := kind.of(scenario)) is not None]
 
 
 class Actuators(CompositeBlock):
@@ -99,32 +85,35 @@ class Actuators(CompositeBlock):
         values.reshape(shape)[:, copy] = start.reshape(shape)[:, copy]
 
 
-def actuation_of(setup: BlockSetup) -> Actuators | None:
-    """The actuators of a scenario's section; None of ideal ones."""
-    return wide_actuation_of([setup])
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ActuatorRow(Part):
+    """The section ``actuation``; its thrusters, wheels and drives are parts of their own."""
 
+    def build(self, setup: BlockSetup) -> Actuators | None:
+        """The actuators; None of ideal ones."""
+        return self.build_wide([setup])
 
-def wide_actuation_of(setups: Sequence[BlockSetup]) -> Actuators | None:
-    """The actuators of several copies of the spacecraft, see ``loop.side_by_side``; None where they
-    are ideal, or differ in more than limits of the force and quantisation.
-    """
-    settings = [allocated(setup.scenario) for setup in setups]
-    first = settings[0]
-    if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
-        return None
-    scenario, step = setups[0].scenario, setups[0].sample_time
-    faults = [
-        (unit, fault, first_sample(fault, step))
-        for part in ("thrusters", "wheels")
-        for unit, fault in hits(scenario, part)
-    ]
-    return _make_actuation(
-        settings,
-        setups[0].coordinates,
-        sample_time=step,
-        faults=faults,
-        detects=detects(scenario),
-    )
+    def build_wide(self, setups: Sequence[BlockSetup]) -> Actuators | None:
+        """Those of several copies of the spacecraft, see ``systems.side_by_side``; None where they
+        are ideal, or differ in more than limits of the force and quantisation.
+        """
+        settings = [allocated(setup.scenario) for setup in setups]
+        first = settings[0]
+        if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
+            return None
+        scenario, step = setups[0].scenario, setups[0].sample_time
+        faults = [
+            (unit, fault, first_sample(fault, step))
+            for part in ("thrusters", "wheels")
+            for unit, fault in hits(scenario, part)
+        ]
+        return _make_actuation(
+            settings,
+            setups[0].coordinates,
+            sample_time=step,
+            faults=faults,
+            detects=detects(scenario),
+        )
 
 
 def _by_copy(settings: Actuation) -> dict[str, Any]:
