@@ -75,12 +75,12 @@ def check_controller(
 
     Ports and sizes; a force that is finite and held over each period; no memory outside the context
     (a reset and a second run give the same force, two runs do not disturb each other); forces that
-    follow the joints' names when the model lists them in another order; an update that takes less
-    than a period.
+    follow the joints' names if the model lists them in another order; an update time below the
+    period.
 
     Args:
-      factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name as
-        for ``--controller``.
+      factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name
+        (see ``--controller``).
       scenario: the spacecraft to check it with.
       gains: gains as under ``controllers.<name>`` in a scenario.
 
@@ -119,7 +119,7 @@ def check_block(
 ) -> Conformance:
     """Check a user-supplied block in the closed loop; for controllers see ``check_controller``.
 
-    Ports and sizes; signals that are finite; no memory outside the context (a second run, and a
+    Ports and sizes; finite signals; no memory outside the context (a second run, and a
     second closed loop, give the same bits).
 
     Args:

@@ -1,7 +1,7 @@
 """The benchmark: published missions, every law, three seeds; lower bounds beside the figures.
 
-A mission's runs are a campaign of three cases that differ in their random seed. It is resumed after
-an interruption, and a database holds the laws that were asked for together.
+A mission's runs are a campaign of three cases with different random seeds. It is resumed after an
+interruption, and a database holds the laws of one request.
 """
 
 import collections
@@ -91,19 +91,19 @@ class Mission:
 
     @property
     def checked_laws(self) -> tuple[str, ...]:
-        """Those with published figures; without one, the scenario's."""
+        """Laws with published figures; without one, the scenario's."""
         laws = dict.fromkeys(filter(None, (each.controller for each in self.checks)))
         return tuple(laws) or (self.scenario.controller,)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Standing:
-    """A law's row in the leaderboard of a mission: means over the seeds that settled, or over those
-    that ran to their end where none did, and ``law_figures``.
+    """A law's row in the leaderboard of a mission: means over the settled seeds (if none settled,
+    over the completed ones), and ``law_figures``.
     """
 
     controller: str
-    outcomes: tuple[str, ...]  # of each seed
+    outcomes: tuple[str, ...]  # outcome of each seed
     figures: Mapping[str, float | None]  # by column; None: there is none
     message: str = ""  # why it does not apply, or the first failure
 
@@ -195,7 +195,7 @@ def _spec(scenario: Scenario, controllers: Sequence[str]) -> Spec:
             "cases": SEEDS,
             "sampling": "random",
             "predictions": False,  # ``law_figures`` has them, once
-            # as it is: only the seeds differ
+            # unchanged: only the seeds differ
             "parameters": {"duration": {"distribution": "list", "values": [scenario.duration]}},
         }
     )
@@ -210,14 +210,14 @@ def run_mission(
     stop: Stop | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Board:
-    """Run laws on a mission, or what is left of it, and rank them with those that ran before.
+    """Run laws on a mission, or the rest of it, and rank them with earlier results.
 
     Args:
       controllers: the laws; none: every law.
-      folder: of the databases.
+      folder: folder of the databases.
 
     Raises:
-      CampaignError, InterruptedCampaign, WorkersError: as for ``start_campaign``.
+      CampaignError, InterruptedCampaign, WorkersError: see ``start_campaign``.
     """
     misfits, usable = dict[str, str](), list[str]()
     for name in controllers or controller_names():
@@ -225,7 +225,7 @@ def run_mission(
             check_cases(_spec(override_scenario(mission.scenario, [f"controller={name}"]), [name]))
             usable.append(name)
         except FfsmError as error:
-            if controllers:  # asked for by name
+            if controllers:  # requested by name
                 raise
             misfits[name] = one_line(error)
     if usable:
@@ -257,7 +257,7 @@ def _read_figures(path: Path) -> dict[str, float | None] | None:
 def _find_figures(
     mission: Mission, laws: Sequence[str], folder: Path, *, workers: Workers, stop: Stop | None
 ) -> None:
-    """Find the ``law_figures`` that are not in the folder yet. Errors as for ``run_mission``."""
+    """Compute the ``law_figures`` missing in the folder. Raises the errors of ``run_mission``."""
     missing = [name for name in laws if _read_figures(_figures_of(mission, name, folder)) is None]
 
     def arguments(name: str) -> tuple[str]:
@@ -312,7 +312,9 @@ def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
 
 
 def _rows(mission: Mission, folder: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """The finished runs of each law in a folder's databases of the mission as it is now."""
+    """The finished runs of each law in a folder's databases of the current version of the
+    mission.
+    """
     for path in sorted(folder.glob(f"{mission.name}-*.db")):
         with contextlib.suppress(CampaignError), open_store(path) as store:
             if (
@@ -344,9 +346,9 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
 
 
 def bounds_of(mission: Mission) -> dict[str, float]:
-    """Least times of a mission, s (``least_times``): the bound of momentum over what the actuators
-    give, the time that they take at the start's posture, and that of the plan where there is an
-    optimal one.
+    """Least times of a mission, s (``least_times``): the bound from momentum and the actuators'
+    limits, the least time at the start's posture, and the duration of an optimal plan, if there is
+    one.
     """
     scenario, bounds = mission.scenario, dict[str, float]()
     model, start = make_nominal_plant(scenario), _at_start(scenario)
@@ -377,7 +379,7 @@ def _planned_time(scenario: Scenario) -> float:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Start:
-    """What must be taken out, at the start or after the grasp as planned."""
+    """Momentum to be removed, at the start or after the planned grasp."""
 
     # by group of the base: angular about the centre of mass, N m s, and linear, N s
     momenta: Mapping[str, np.ndarray]

@@ -57,10 +57,10 @@ def case_seed(seed: int, case: int) -> int:
 class Distribution:
     """The distribution of a parameter or factor."""
 
-    value: Callable[[float, int], Any]  # of the case with a number, at the quantile u in (0, 1)
+    value: Callable[[float, int], Any]  # (quantile u in (0, 1), case number) -> value
     uses_point: bool = True  # whether it uses a dimension of the sampling
     is_logarithmic: bool = False
-    levels: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # of a list, by name
+    levels: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # levels of a list, by name
 
 
 _DISTRIBUTIONS = {
@@ -149,10 +149,10 @@ _SOLIDS = {"solid_cube": 1.0 / 6.0, "solid_sphere": 0.4}  # inertia over mass ti
 
 
 def parse_rule(data: Any, *, place: str) -> Rule:
-    """The rule that one entry of ``derive`` describes.
+    """Parse the rule in one entry of ``derive``.
 
     Raises:
-      CampaignError: an unknown rule or field, or one that is missing or of the wrong type.
+      CampaignError: an unknown rule or field, or a field missing or of the wrong type.
     """
     kind = _kind_of(
         data, "rule", _RULES, place=place, example="rule: scale, of: payload.truth.mass, by: 0.8"

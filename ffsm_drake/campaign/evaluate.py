@@ -40,7 +40,7 @@ from ffsm_drake.systems.registry import section_parts
 
 # refused: no motion keeps the limits
 UNSETTLED = ("not_settled", "growing", *NOT_CAPTURED, "diverged")
-COMPLETED = ("settled", "not_settled", "growing")  # those that ran to their end
+COMPLETED = ("settled", "not_settled", "growing")  # runs that reached their end
 OUTCOMES = ("settled", *UNSETTLED, "refused", "error")
 _BY_GROUP = [
     (kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS
@@ -173,7 +173,7 @@ class Evaluator:
         """The logs of those cases that can run side by side, by their number."""
         scenarios: dict[int, Scenario] = {}
         for case in batch.cases if len(batch.cases) > 1 else ():
-            with contextlib.suppress(Exception):  # its row tells
+            with contextlib.suppress(Exception):  # the row reports the error
                 scenarios[case.index] = timed(scenario_of(self._spec, case, batch.controller))
         numbers = list(scenarios)
         groups = batches_of(list(scenarios.values()), len(numbers))
@@ -298,6 +298,6 @@ def resident_memory() -> float:
 
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """Columns that differ, among those that a repeated run must reproduce bit for bit."""
+    """Columns with differences, among those to be reproduced bit for bit by a repeated run."""
     compared = {*first} & {*second} - {*CIRCUMSTANCES, *PREDICTIONS, LOAD, DIVERGENCE}
     return [name for name in first if name in compared and first[name] != second[name]]

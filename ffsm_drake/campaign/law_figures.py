@@ -1,5 +1,5 @@
-"""What is found of a law on a mission without flying it: margins, distance to the LQG front,
-processor time. This runs in the workers; no seed changes it.
+"""Figures of a law on a mission without a simulation: margins, distance to the LQG front,
+processor time. They are computed in the workers and do not depend on the seed.
 """
 
 import contextlib
@@ -35,12 +35,12 @@ _LONGEST = 120.0  # s, for one figure
 def law_figures(scenario: str) -> dict[str, float | None]:
     """The figures of a scenario's law, by name; None: there is none. Takes a scenario as YAML.
 
-    Of the linear loop as wired in the posture nearest to instability: ``spectral_radius`` at the
-    gains that adaptation is expected to reach; at the starting gains ``payload_factor`` (by which
-    the nominal payload may be over-estimated further) and ``delay_margin`` (further delay of the
-    sensors, s, that the estimator does not know), of which at most 30, and 30 samples, are looked
-    at. ``error_over_lqg``: the rms error by noise and by what the law does not know, over the least
-    possible at its effort (``find_limit``).
+    For the linear loop as wired, in the posture nearest to instability: ``spectral_radius`` at the
+    gains expected after adaptation; at the starting gains ``payload_factor`` (tolerated further
+    over-estimation of the nominal payload, up to 30) and ``delay_margin`` (tolerated further delay
+    of the sensors, unknown to the estimator, s, up to 30 samples). ``error_over_lqg``: the rms
+    error due to noise and unknown effects, over the least possible at the same effort
+    (``find_limit``).
     ``law_time``: processor time of the controller at one control sample, s.
     """
     try:

@@ -1,4 +1,4 @@
-"""Stability predicted from the closed loop as it is wired: for every run, and as a map.
+"""Stability predicted from the wired closed loop: for every run, and as a map.
 
 A map is the predicted boundary over two of a campaign's values, the others at their medians.
 """
@@ -30,11 +30,10 @@ REFINEMENT, LEAST_REFINEMENT = 3, 2  # finer by this near the boundary; the latt
 def predict(scenario: Scenario) -> tuple[float, ...]:
     """Predictors of settling; all below 1: the run is predicted to settle.
 
-    The first two are spectral radii of the closed loop as it is wired, in the posture of the
-    planned motion with the most over-estimated inertia: at the starting gains, and with every K_s
-    at the largest value that adaptation is expected to reach. With a capture ``predicted_load``
-    follows; with parts that are rehearsed also whether the linearised loop diverges under their
-    limits, 0 or 1 (``rehearse``).
+    The first two are spectral radii of the wired closed loop, in the posture of the planned motion
+    with the most over-estimated inertia: at the starting gains, and with every K_s at its largest
+    expected value after adaptation. With a capture ``predicted_load`` follows; with rehearsed
+    parts also 1 if the linearised loop diverges under their limits, else 0 (``rehearse``).
 
     Raises ModelError, ScenarioError or BlockError: a value cannot be used, or a block cannot be
     linearised.
@@ -51,7 +50,7 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
 
 
 def expected_radius(scenario: Scenario) -> float:
-    """The second of ``predict`` alone; errors as for that."""
+    """The second value of ``predict`` alone. Raises the same errors."""
     with Linearizer(from_grasp(scenario)) as linearizer:
         return _radii(linearizer)[1]
 

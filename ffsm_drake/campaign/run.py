@@ -160,7 +160,7 @@ def start_campaign(
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run a campaign, or only the cases of a ``shard``, into a new database; ``stop`` ends it
-    early, ``progress`` is called after every batch of results; ``batch`` as for ``run_campaign``.
+    early, ``progress`` is called after every batch of results; ``batch``: see ``run_campaign``.
 
     Raises:
       CampaignError, RecordError: a value cannot be used, or the database cannot be made.
@@ -180,14 +180,14 @@ def resume_campaign(
     batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Run the remaining cases of a database; arguments and errors as for ``start_campaign``."""
+    """Run the remaining cases of a database. Arguments and errors: see ``start_campaign``."""
     with open_store(path, writing=True) as store:
         _drive(store, workers, stop, batch, progress)
 
 
 def merge_campaigns(databases: Sequence[Path], out: Path) -> None:
-    """Join databases of one campaign, such as its shards, in a new one: that of a single run.
-    ``resume_campaign`` runs what none of them holds.
+    """Join databases of one campaign, such as its shards, into a new one, equal to that of a single
+    run. ``resume_campaign`` then runs the cases missing in all of them.
 
     Raises:
       CampaignError: they are not of one campaign, two hold the same run, or ``out`` exists.
@@ -252,7 +252,7 @@ def _drive(
 
 
 def _stored(done: int, store: Store) -> str:
-    """What is left of a campaign that cannot go on."""
+    """Description of the unfinished part of a stopped campaign."""
     return (
         f"{done} of {store.runs} runs are stored, 'ffsm campaign resume {store.path}' runs "
         "the others"

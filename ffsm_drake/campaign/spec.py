@@ -81,11 +81,13 @@ class Settled:
     rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
     def time(self, time: np.ndarray, tracked: "Tracked", *, velocity: np.ndarray) -> float | None:
-        """The time (s) from which error and velocity stay within these; None when the run is not
-        settled.
+        """The time (s) from which error and velocity stay within these bounds; None for a run that
+        is not settled.
 
-        Takes the control samples (n,), s, the errors that count (n, k), and the velocity of the
-        driven coordinates (n, na), rad/s or m/s.
+        Args:
+          time: control samples (n,), s.
+          tracked: the tracked errors (n, k).
+          velocity: velocity of the driven coordinates (n, na), rad/s or m/s.
         """
         bound = np.array([self.tolerance[group] for group in tracked.groups])
         within = (np.abs(tracked.error) <= bound).all(axis=1)  # NaN is not

@@ -39,7 +39,7 @@ class Runs:
     controller: str
     case: np.ndarray
     outcome: np.ndarray  # text
-    # of ``metrics_of``, ``predictions_of``, outcome_time and wall_time
+    # columns of ``metrics_of``, ``predictions_of``, outcome_time and wall_time
     metrics: Mapping[str, np.ndarray]
     first_limit: np.ndarray | None = None  # text, "" for none; of campaigns with a capture
 
@@ -126,7 +126,7 @@ class Difference:
 
     first: str
     second: str
-    cases: int  # that both have run
+    cases: int  # number of cases run by both
     success: Interval  # success rate of the first minus that of the second
     both: int  # cases that both settled
     itae_ratio: Interval | None  # median over those of ITAE, first over second; None with too few
@@ -196,7 +196,7 @@ class Sensitivity:
     name: str
     controller: str
     correlation: float  # Spearman's, with failure; positive: larger values fail more often
-    share: float  # of the variance of failure that the value alone explains, by equally filled bins
+    share: float  # explained share of the variance of failure, by equally filled bins
     chance: float  # 95 % quantile of the share of a value without effect
 
     @property
@@ -303,7 +303,7 @@ class GridPoint:
     levels: Mapping[str, str]  # the names of the values
     controller: str
     outcomes: Mapping[str, int]  # number of runs, of outcomes that there are
-    means: Mapping[str, float]  # of every metric over the runs that reached the end; NaN: none
+    means: Mapping[str, float]  # mean of every metric over the completed runs; NaN: none
 
 
 def grid_points(spec: Spec, table: Table) -> list[GridPoint]:
@@ -354,7 +354,7 @@ class Findings:
 
     @property
     def drivers(self) -> list[str]:
-        """Of ``influential``, what explains failures of some controller beyond chance."""
+        """The ``influential`` values that explain failures of some controller beyond chance."""
         matter = {item.name for item in self.sensitivities if item.matters}
         return [name for name in self.influential if name in matter]
 

@@ -52,7 +52,7 @@ class Store:
         self.spec = spec
         self.shard = shard  # the part of the cases that runs into this database
         self._results = result_columns(spec)
-        # of the view ``runs``
+        # columns of the view ``runs``
         self.columns = (
             *("case_index", "controller", "random_seed"), *spec.names, *self._results, "software",
         )  # fmt: skip
@@ -323,9 +323,8 @@ def check_columns(spec: Spec) -> None:
 def create_store(
     path: Path, spec: Spec, cases: Iterable[Case], *, shard: Shard | None = None
 ) -> Iterator[Store]:
-    """Make a new database with all cases, of which it will run those of ``shard`` (default: all),
-    and hold it for writing; where that or the block fails before any result is stored, it is
-    removed.
+    """Make a new database with all cases, to run those of ``shard`` (default: all), and hold it for
+    writing; it is removed if the block fails before any result is stored.
 
     Raises:
       CampaignError: the file exists, or cannot be used.
@@ -544,7 +543,7 @@ def result_columns(spec: Spec) -> tuple[str, ...]:
 
 
 def _to_column(value: Any) -> Any:
-    """A value as SQLite stores it: a number or text as it is, anything else as JSON text.
+    """Convert a value for SQLite: a number or text unchanged, anything else to JSON text.
 
     Text that looks like JSON is written as JSON too.
     """

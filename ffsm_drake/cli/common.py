@@ -66,9 +66,9 @@ class CommandGroup(click.Group):
 
 
 class ExtensibleGroup(CommandGroup):
-    """Commands, followed by those of plug-ins, each of which is imported when it is asked for.
+    """Commands, followed by those of plug-ins, imported on first use.
 
-    A command whose plug-in cannot be loaded says so, in the list and when it runs.
+    A command with an unloadable plug-in reports this, in the list and when it runs.
     """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -170,13 +170,13 @@ def end_threads(code: Any) -> None:
 
 
 def end_process(code: Any, caller: FrameType | None) -> None:
-    """End the process as Python does, but without freeing every object, which takes a tenth of a
-    run's time: exit handlers run, and what streams hold is written.
+    """End the process like Python, but without freeing every object (a tenth of a run's time): exit
+    handlers run, and streams are flushed.
 
-    Returns, for Python to end it, where more than that is needed: ``caller``, the frame that runs
-    the command line, is not the command's own, or a debugger, profiler or test waits for its end;
-    the interpreter is to say or show something at the end; objects of user-supplied code may write
-    when they are freed, as open files do; ``code`` is no exit code; a stream cannot be written.
+    Returns, to let Python end it, if more is needed: ``caller``, the calling frame of the command
+    line, is not the command's own, or a debugger, profiler or test waits for its end; the
+    interpreter is to print something at the end; objects of user-supplied code may write when
+    freed, like open files; ``code`` is no exit code; a stream cannot be written.
     """
     if (
         not (code is None or (isinstance(code, int) and 0 <= code <= 255))
@@ -203,7 +203,7 @@ def _flush() -> None:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and not stream.closed:
             stream.flush()
-    if "ctypes" in sys.modules:  # of NumPy: the streams of C
+    if "ctypes" in sys.modules:  # NumPy uses it: the streams of C
         sys.modules["ctypes"].CDLL(None).fflush(None)
 
 

@@ -231,7 +231,7 @@ def design(
 
 
 def _told(mission: "Verdict | None") -> str:
-    """What is expected of a mission; None: it was not looked at."""
+    """Expectations for a mission; None: not evaluated."""
     if mission is None:
         return "no time was left to look at its mission: see 'ffsm stability'"
     return "\n".join([*mission.lines, mission.conclusion])

@@ -35,10 +35,9 @@ def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: boo
     """Plan the least-time or least-effort motion to rest within every limit.
 
     'planning' in SCENARIO sets the goal. Takes seconds to minutes. Prints the plan's duration and
-    effort, and how near it comes to each limit. With reference.kind 'optimal' the plan is also
-    written to the file that reference.plan names, and 'run' follows it. Exits with 2 when no motion
-    keeps every limit, and names the one in the way. Last stands what is expected of a run that
-    follows it.
+    effort, and the used share of each limit. With reference.kind 'optimal' the plan is also written
+    to the file reference.plan, and 'run' follows it. Exits with 2 if no motion keeps every limit,
+    and names the active one. The last lines give the expectation for a run along the plan.
 
     \b
     Examples:

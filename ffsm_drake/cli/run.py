@@ -287,7 +287,7 @@ def _kept(directory: Path, before: Any) -> Iterator[None]:
     except BlockError as error:
         if error.record is not None:
             directory = _saved(error.record, directory, before)
-            (directory / REPORT_FILE).unlink(missing_ok=True)  # of an earlier run
+            (directory / REPORT_FILE).unlink(missing_ok=True)  # report of an earlier run
             end = error.record.outcome.time
             click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)
         raise
@@ -348,7 +348,7 @@ def _finish(
     if report:
         write_outputs(records, directory, figures=False, recording=False, distances=distances)
     else:
-        (directory / REPORT_FILE).unlink(missing_ok=True)  # of earlier runs
+        (directory / REPORT_FILE).unlink(missing_ok=True)  # report of earlier runs
     if as_json:
         print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:

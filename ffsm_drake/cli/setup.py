@@ -222,12 +222,12 @@ def scenarios(name: str | None, full: bool, as_json: bool) -> None:
 def validate(
     scenarios: tuple[str, ...], overrides: tuple[str, ...], rehearsal: bool, as_json: bool
 ) -> None:
-    """Check scenarios, their models and controllers, and say what is expected of the mission.
+    """Check scenarios, their models and controllers, and print a verdict on the mission.
 
-    Valid means: it loads, its model and controller can be built, and it starts. What is expected of
-    the whole mission follows in lines that say what each covers. Exits with 2 if a scenario cannot
-    be used. An unstable loop, or a plan that leaves the joints' limits, can be run: it gives a
-    warning and exit code 0. With --json, 'warnings' lists them.
+    Valid means: it loads, its model and controller can be built, and it starts. The verdict on the
+    whole mission follows, in lines with their scope. Exits with 2 if a scenario cannot be used. An
+    unstable loop, or a plan beyond the joints' limits, can be run: it gives a warning and exit code
+    0. With --json, 'warnings' lists them.
 
     \b
     Examples:

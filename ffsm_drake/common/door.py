@@ -1,9 +1,8 @@
-"""The way from a browser to a server that obeys every page: a small proxy that refuses what the
-server cannot.
+"""A small proxy between browsers and a server without access control.
 
-The server listens at a random loopback address that is not printed; pages reach it through a door,
-which answers to its own address only, lets in whom ``refusal`` does, and passes on only what
-``passed`` returns of a page's frames.
+The server listens on a private, random loopback address; a door (the proxy) serves the page at its
+own address, refuses connections according to ``refusal``, and forwards the frames returned by
+``passed``.
 """
 
 import asyncio
@@ -74,7 +73,7 @@ class Door:
         raise NotImplementedError
 
     def passed(self, frame: str | bytes) -> str | bytes | None:
-        """What the server is told of a page's frame; None: nothing. Raises BadFrame."""
+        """The part of a page's frame for the server; None: nothing. Raises BadFrame."""
         raise NotImplementedError
 
     def file(self, page: ServerConnection, path: str) -> Response:

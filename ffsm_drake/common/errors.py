@@ -1,4 +1,4 @@
-"""Errors caused by bad input. Each is one line: where, what is wrong, and what would be right."""
+"""Errors caused by bad input. Each is one line: place, problem, and a valid choice."""
 
 import difflib
 import functools
@@ -72,7 +72,7 @@ class CampaignError(FfsmError):
 
 
 class InterruptedCampaign(KeyboardInterrupt):
-    """The campaign was asked to stop; finished runs are stored."""
+    """The campaign was interrupted; finished runs are stored."""
 
     def __init__(self, done: int, total: int) -> None:
         super().__init__(

@@ -49,7 +49,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def stamp(path: Path) -> tuple[int, ...] | None:
-    """What changes when a file is written anew; None: it is not there."""
+    """File status that changes with every rewrite; None: the file does not exist."""
     try:
         info = path.stat()
     except (OSError, ValueError):
@@ -65,16 +65,16 @@ def published(
     is_taken: Callable[[], bool] = lambda: False,
     elsewhere: list[Path] | None = None,
 ) -> Iterator[Path]:
-    """Yield a new folder for files, which replace those of ``directory`` when the block succeeds.
+    """Yield a new folder for files; they replace those of ``directory`` when the block succeeds.
 
     If ``directory`` does not exist, the new folder is renamed to it. An existing one stays (it may
     be somebody's current folder, and hold other files): its files of the same names and the
     ``outdated`` ones are replaced, or all restored; ``read_together`` sees no mixture.
 
     Args:
-      is_taken: asked before files of ``directory`` are replaced: whether they are another's that
-        must stay. The new folder is then renamed to the next free NAME_2, NAME_3, ...
-      elsewhere: gets that folder.
+      is_taken: called before files of ``directory`` are replaced; True if they belong to another
+        run. The new folder is then renamed to the next free NAME_2, NAME_3, ...
+      elsewhere: list; receives that folder.
 
     Raises:
       RecordError: the place cannot be written.
@@ -100,13 +100,13 @@ def published(
                             _exchange(new, place, outdated)
     except OSError as error:
         raise _unwritten(directory, error, new) from error
-    except RecordError as error:  # of a file in the new folder, which has gone
+    except RecordError as error:  # error of a file in the new folder, now removed
         raise RecordError(str(error).replace(str(new), str(directory))) from error
 
 
 def read_together(paths: Sequence[Path], read: Callable[[], Result]) -> Result:
-    """What a function reads of files of one folder, all old or all new while others are
-    ``published`` there. Raises what it raises of files that stay.
+    """Read files of one folder, all old or all new while others are ``published`` there. Raises the
+    errors of the function for existing files.
     """
     while True:
         before = [stamp(path) for path in paths]
@@ -158,8 +158,8 @@ def _next_free(new: Path, place: Path) -> Path:
 
 @contextmanager
 def _alone(directory: Path) -> Iterator[None]:
-    """A block in which no other program exchanges a folder's files, if that can be had in time:
-    some file systems have no locks, and who holds one may be stopped.
+    """Lock a folder against exchanges of its files by other programs, if possible in time: some
+    file systems have no locks, and the holder of a lock may be stopped.
     """
     folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:

@@ -23,8 +23,8 @@ _OURS = ("ffsm_drake", "pydrake")
 
 
 def passes(error: BaseException) -> bool:
-    """True for an exception that the guard lets through: Ctrl-C, as from the keyboard or from this
-    package's panel, a time limit, the caller's own, an error that says already what is wrong.
+    """True for exceptions that pass the guard unchanged: Ctrl-C, from the keyboard or this
+    package's panel, a time limit, the caller's own, and errors with a message of this package.
     """
     return (
         isinstance(error, (FfsmError, TimeLimit))
@@ -36,7 +36,7 @@ def passes(error: BaseException) -> bool:
 
 @contextmanager
 def callers_own() -> Iterator[None]:
-    """A call of a function that the caller gave, whose exceptions are the caller's to handle."""
+    """Mark a call of the caller's function: its exceptions are left to the caller."""
     try:
         yield
     except BaseException as error:
@@ -50,9 +50,9 @@ def is_user_supplied(kind: type) -> bool:
 
 
 class Guard(ContextDecorator):
-    """A block, or a function, in which user-supplied code is called from many places.
+    """A block, or a function, with many calls of user-supplied code.
 
-    An exception that arose in such code becomes a BlockError, any other is raised as it is.
+    An exception from such code becomes a BlockError, any other is raised unchanged.
     """
 
     def __enter__(self) -> None: ...
@@ -77,7 +77,9 @@ guarded = Guard()
 
 
 def calling(place: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What user-supplied code returns. Raises BlockError naming ``place`` where it fails."""
+    """Call user-supplied code and return its result. Raises BlockError naming ``place`` if it
+    fails.
+    """
     try:
         return function(*arguments)
     except BaseException as error:
@@ -87,7 +89,7 @@ def calling(place: str, function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def failure(error: BaseException, place: str, time: float | None = None) -> BlockError:
-    """The error that says which block failed (``place``), when (s), how, and in which line."""
+    """The error for a failed block: its place, time (s), cause, and source line."""
     at = "" if time is None else f" at t = {time:.2f} s"
     kind = type(error).__name__
     said = f"{kind}: {one_line(error)}{where(error)}{_advice(error)}"
@@ -139,8 +141,8 @@ def _is_ours(error: BaseException) -> bool:
 
 
 def _suspect(error: BaseException) -> str | None:
-    """The class of the user-supplied object that this package was using when it failed on what the
-    object had returned; None: there was none.
+    """The class of the user-supplied object in use when this package failed on the object's result;
+    None: there was none.
     """
     found, place = None, error.__traceback__
     while place is not None and isinstance(error, Exception) and not isinstance(error, OSError):

@@ -74,7 +74,7 @@ def exit_code() -> int:
 
 
 def from_keyboard(error: BaseException) -> bool:
-    """True for a KeyboardInterrupt that a signal raised, false for one that code raised itself."""
+    """True for a KeyboardInterrupt from a signal, false for one raised by code."""
     if not isinstance(error, KeyboardInterrupt):
         return False
     if (interrupts := current()) is not None:

@@ -1,7 +1,7 @@
 """Release of diagrams with Python systems, so that one process can build thousands.
 
-Drake 1.51: a Python system and its ports hold each other through an attribute that the garbage
-collector visits twice, so it takes the system for one in use. ``untie`` solves that. Drake 1.51 to
+Drake 1.51: a Python system and its ports hold each other through an attribute visited twice by the
+garbage collector, so it takes the system for one in use. ``untie`` solves that. Drake 1.51 to
 1.55: a bound method as a callback holds its system from the C++ side, invisible to the collector.
 ``weak_callback`` solves that. Without them memory grows by 2.3 MiB a run. Drake 1.56 to 1.58 frees
 diagrams by itself. (Measured over 200 runs of ``postcapture`` with each.)
@@ -36,9 +36,9 @@ def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
 def untie(system: System) -> None:
     """Remove the references between a system (with its subsystems) and its ports.
 
-    The garbage collector can then free it. Accessing a port creates the references again. A port
-    that outlives its system must not be used. With a Drake release that frees diagrams by itself
-    this does nothing.
+    The garbage collector can then free it. Accessing a port creates the references again. Do not
+    use a port after the end of its system. With Drake releases that free diagrams themselves this
+    does nothing.
     """
     if not holds_diagrams():
         return

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 NONE = "–"
-LARGEST = 1e100  # of what a run may write; the square of more overflows, or its product with more
+LARGEST = 1e100  # bound on the numbers of a run; squares and products of larger ones overflow
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

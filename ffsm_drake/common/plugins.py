@@ -1,6 +1,6 @@
 """Objects that installed packages offer by entry points, the plug-ins of this package among them.
 
-Each is imported when it is asked for, and not before.
+Each is imported on first use.
 """
 
 import functools
@@ -29,7 +29,7 @@ def load(group: str, name: str, place: str) -> Any:
     Args:
       group: an entry point group, such as ``COMMANDS``.
       name: the entry point's name.
-      place: who asks, for errors.
+      place: place of the name, for errors.
 
     Raises:
       FfsmError: no installed package offers the name.

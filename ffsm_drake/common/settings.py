@@ -7,8 +7,8 @@
         regime: str = setting("free", "", "of the flow", one_of=("free", "slip"))
 
 Loading, checks and their errors, the JSON Schema and the scenario reference are derived from them.
-Conditions on several settings go into a method ``check(key, scenario)`` of the dataclass, which
-yields ``(key, problem)`` pairs.
+Conditions on several settings go into a method ``check(key, scenario)`` of the dataclass; it yields
+``(key, problem)`` pairs.
 """
 
 import copy
@@ -101,7 +101,7 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
     return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
 
 
-@functools.cache  # asked of every part whenever a scenario is loaded
+@functools.cache  # called for every part whenever a scenario is loaded
 def settings_of(kind: Any) -> dict[str, Setting]:
     """Name -> setting, of a dataclass or Drake's ``SimulatorConfig``; empty for anything else."""
     if kind is SimulatorConfig:

@@ -9,13 +9,13 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 
 def misfit(value: Any, shape: Any, place: str) -> str:
-    """The first thing in a value that does not fit a shape, as text; "" where everything does.
+    """The first mismatch between a value and a shape, as text; "" if it fits.
 
     Args:
       value: the data; numbers must be finite.
       shape: a type hint of ``str``, ``bool``, ``int``, ``float``, ``None``, their unions, lists,
-        tuples and mappings by name, or a dataclass of such; a mapping of keys to shapes, where a
-        key with a trailing ``?`` may be left out; or a list of shapes, one of which must fit.
+        tuples and mappings by name, or a dataclass of such; a mapping of keys to shapes (a key
+        with a trailing ``?`` is optional); or a list of alternative shapes.
       place: name of the value in the text.
     """
     return next(_misfits(value, shape, place), "")

@@ -210,7 +210,7 @@ def attitude_motion(
     # by the square
     db = np.where(small, -1 / 24 + square / 360 - square**2 / 13440, (a - 2 * b) / (2 * safe))
     dc = np.where(small, -1 / 120 + square / 2520 - square**2 / 120960, (b - 3 * c) / (2 * safe))
-    growth = 2 * (phi * rate).sum(axis=0)  # of the square
+    growth = 2 * (phi * rate).sum(axis=0)  # growth of the square
     once = cross(phi, rate)
     twice = cross(phi, once)
     w = rate + b * once + c * twice

@@ -4,10 +4,9 @@ and tasks repeated.
 ``map_tasks`` is for a list of tasks on this machine; ``run_tasks`` takes tasks one by one, also on
 a Dask cluster.
 
-A process that dies breaks its local pool: every task in flight is lost, and the culprit is not
-known. So the lost tasks are repeated one at a time. A task whose worker dies while it runs alone is
-split into its parts, if it has any; one whose worker dies ``ATTEMPTS`` times is given up as
-WorkerLost.
+A dead process breaks its local pool: every task in flight is lost, and the culprit is not known. So
+the lost tasks are repeated one at a time. If a worker dies with a single task, the task is split
+into its parts, if it has any; after ``ATTEMPTS`` dead workers it is given up as WorkerLost.
 """
 
 import contextlib
@@ -54,7 +53,7 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
-# Of a cluster's workers: one ends after a time, and another begins with fresh memory.
+# Lifetime of a cluster's workers: each ends after a time, and another begins with fresh memory.
 _RENEWED = {"lifetime": "30m", "lifetime_stagger": "5m", "lifetime_restart": True}
 _IDLE = "10m"  # after which a scheduler without tasks ends
 _MAX_ADDRESS = 100_000  # bytes of the file that holds a scheduler's
@@ -190,7 +189,7 @@ def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
     file = f"scheduler-{'-'.join(number[n] for n in ('JOB_ID', 'STEP_ID', 'RESTART_COUNT'))}.json"
     if int(number["PROCID"]) > 0:
         _await_scheduler(Path(file), patience)
-    os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "critical")  # of processes that it starts
+    os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "critical")  # for child processes
     with _quiet_dask():
         runner = jobqueue.SLURMRunner(
             scheduler_file=file,
@@ -261,7 +260,7 @@ def _check_address(address: str) -> None:
 
 
 class InThisProcess(Executor):
-    """Runs each task as it is submitted."""
+    """Runs each task on submission."""
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -339,7 +338,7 @@ def run_tasks(
     Args:
       function: importable by its name in the workers; only its FfsmErrors are passed on unchanged.
       should_renew: predicate on a result: True if its process should be replaced.
-      split: the parts of a task, which replace one whose worker died while it ran alone.
+      split: the parts of a task; they replace a task after the death of its worker, when run alone.
 
     Raises:
       FfsmError: what ``function`` raised.

@@ -1,4 +1,4 @@
-"""The blocks of the closed loop, their ports, and the systems that fill them.
+"""The blocks of the closed loop, their ports and systems.
 
 A block is a named place in the diagram. The scenario's own section fills it (``sensing``,
 ``actuation``, ...), unless ``blocks`` in the scenario, or a factory given in Python, puts another
@@ -46,11 +46,11 @@ FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
 BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
 ABORT = "abort_request"
-TOLD = "told_force"  # what actuators with faults seem to apply to whom the faults are unknown
+TOLD = "told_force"  # force that the actuators report (faults not included)
 THRUST = "thruster_force"  # an output of actuators that some forces follow from
-# What a stage of sensing that looks for faults reads of the actuators, and tells them.
+# Ports between fault detection and the actuators.
 OF_ACTUATORS, ISOLATED = (TOLD, "gyroscopic_force", "told_units", "wheel_momentum"), "isolated"
-HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
+HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # nh: number of hidden coordinates (``model.flexible``)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -116,7 +116,7 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE, ISOLATED: UNITS},
         outputs={"applied_force": VELOCITY},
-        # What acts on the plant beside it and is not held over a sample.
+        # Forces on the plant beside the applied force, not held over a sample.
         optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY},
     ),
     "forces": Ports(
@@ -153,13 +153,13 @@ def make_blocks(
     factories: Mapping[str, Factory] | None = None,
     split: StateSplit | None = None,
 ) -> tuple[dict[str, System], tuple[dict[str, PlacedPart], ...]]:
-    """All blocks by name, checked, and, of each copy of the spacecraft, the parts that fill
-    blocks; no ``actuation`` if it is ideal.
+    """All blocks by name, checked, and the parts among them for each copy of the spacecraft; no
+    ``actuation`` if it is ideal.
 
     Args:
-      scenarios: of each copy; they name the systems that fill the blocks.
-      nominals: of each, the plant with the nominal payload; the controller's own.
-      factories: block -> factory in place of what the scenarios name; "forces.<name>" for a force.
+      scenarios: the scenario of each copy, with the systems of its blocks.
+      nominals: for each copy, the plant with the nominal payload; the controller's own.
+      factories: block -> factory in place of the scenarios' choice; "forces.<name>" for a force.
       split: known and hidden coordinates of the true plant.
 
     Raises:
@@ -177,7 +177,7 @@ def make_blocks(
 
 
 class _Making:
-    """The blocks of a loop, made one after another; arguments and errors as for ``make_blocks``."""
+    """The blocks of a loop, made one after another. Arguments and errors: see ``make_blocks``."""
 
     def __init__(
         self,
@@ -214,7 +214,9 @@ class _Making:
         return _in_order((*self._owns[0], *self._choices[0], *self._given))
 
     def make_controller(self) -> None:
-        """That of all copies: one around their laws if these are wide, else side by side."""
+        """Make the controller of all copies: one around their laws if these are wide, else side by
+        side.
+        """
         factory, fed = self._given.get("controller"), self._fed
         named = getattr(factory, "__name__", self._scenarios[0].controller)
         each = [
@@ -307,7 +309,7 @@ def _make_block(
 
 
 def _fed(blocks: Mapping[str, System], split: StateSplit) -> set[str]:
-    """The input ports that a loop feeds, by what the blocks before give."""
+    """The input ports connected in a loop, given the outputs of the blocks before."""
     fed = {name for ports in BLOCKS.values() for name in (*ports.inputs, "state", "true_state")}
     optional = {name for ports in BLOCKS.values() for name in ports.optional_outputs}
     fed |= {"applied_force", *(("hidden_state",) if split.names else ())}
@@ -354,11 +356,11 @@ def is_rehearsed(scenario: Scenario) -> bool:
 
 
 def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
-    """What fills a block except the controller: a part with its settings, or another factory.
+    """The factory of any block except the controller: a part with its settings, or another factory.
 
     Args:
       name: block name.
-      scenario: names it, or has a section for it.
+      scenario: names the factory, or has a section for the block.
       given: a factory or part that replaces the scenario's choice.
 
     Raises:
@@ -391,8 +393,8 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
 
 
 def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict[str, Part]:
-    """The parts that fill a scenario's blocks in place of its own sections, by block; arguments and
-    errors as for ``factory_of``.
+    """The parts in a scenario's blocks that replace its own sections, by block. Arguments and
+    errors: see ``factory_of``.
     """
     given = given or {}
     found = {
@@ -426,14 +428,14 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
 def check_ports(
     system: Any, block: str, coordinates: Coordinates, *, place: str, copies: int = 1
 ) -> None:
-    """Raise BlockError unless a system has a block's ports, with the right sizes.
+    """Raise BlockError for a system without a block's ports, or with other sizes.
 
     Args:
-      system: the system that fills the block.
+      system: the system of the block.
       block: a key of BLOCKS.
-      coordinates: the spacecraft's, which determine the sizes.
+      coordinates: the spacecraft's; they determine the sizes.
       place: names the block in the error.
-      copies: of the spacecraft, whose values the ports hold.
+      copies: number of copies of the spacecraft in the ports.
     """
     ports = BLOCKS[block]
     if not isinstance(system, System):

@@ -57,9 +57,9 @@ from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.sensing import wire_stages
 from ffsm_drake.systems.side_by_side import SideBySide
 
-# Signals of every closed loop. Added to them: the OPTIONAL_OUTPUTS that the controller has, those
-# of the actuators, "hidden_state" with hidden coordinates, and "force_<name>" for each external
-# force if there are several.
+# Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
+# outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external
+# forces.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -80,7 +80,7 @@ class ClosedLoop:
     with the values of copy after copy.
     """
 
-    scenario: Scenario  # of the first copy
+    scenario: Scenario  # scenario of the first copy
     plant: MultibodyPlant  # the true one, with hidden coordinates
     coordinates: Coordinates
     split: StateSplit
@@ -89,9 +89,9 @@ class ClosedLoop:
     blocks: Mapping[str, System]
     # signal -> the system and the name of its output port
     sources: Mapping[str, tuple[System, str]]
-    parts: Parts = dataclasses.field(default_factory=dict)  # those of ``blocks`` that are parts
+    parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
     copies: Copies | None = None  # None: there is one
-    scenarios: tuple[Scenario, ...] = ()  # of several copies
+    scenarios: tuple[Scenario, ...] = ()  # scenarios of several copies
     parts_of_copies: tuple[Parts, ...] = ()
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
@@ -268,8 +268,8 @@ class ClosedLoop:
         *,
         afresh: bool = False,
     ) -> None:
-        """Continue the plant and the blocks from another loop of the same wiring, as they are; with
-        ``afresh`` the controller begins at the plant's state, and the supervisor with it.
+        """Continue the plant and the blocks from the state of another loop with the same wiring;
+        with ``afresh`` the controller starts from the plant's state, and the supervisor with it.
         """
         self.set_whole_states(root_context, before.whole_states(context_before))
         for name, block in self.blocks.items():
@@ -309,14 +309,14 @@ def add_closed_loop(
 
     Args:
       builder: the diagram's builder.
-      scenario: the scenario to build; several are run side by side, in one plant that holds a copy
-        of the spacecraft for each (``spacecraft.copies``), with every port as many times as wide.
+      scenario: the scenario to build; several run side by side, in one plant with a copy of the
+        spacecraft for each (``spacecraft.copies``), and every port is as many times as wide.
         They have the same model, sample time and kinds of blocks (``systems.side_by_side``).
-      blocks: block -> factory (BlockSetup -> Drake system) that replaces the scenario's choice,
+      blocks: block -> factory (BlockSetup -> Drake system) in place of the scenario's choice,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
         otherwise one without geometry is added.
-      joint_force: the joints' actuators give this (joints), whatever is commanded.
+      joint_force: (joints), constant force of the joints' actuators in place of the command.
 
     Raises:
       ModelError: the model does not load.
@@ -377,7 +377,7 @@ def _check_coordinates(
 def make_closed_loop(
     scenario: Scenario | Sequence[Scenario], *, blocks: Mapping[str, Factory] | None = None
 ) -> ClosedLoop:
-    """The closed loop of a scenario as a diagram of its own; arguments and errors as for
+    """The closed loop of a scenario as a diagram of its own. Arguments and errors: see
     ``add_closed_loop``.
     """
     builder = DiagramBuilder()
@@ -441,7 +441,7 @@ class _Wiring:
         if row.measurement_is_new is not None and self._controller.HasInputPort(new):
             self._builder.Connect(row.measurement_is_new, self._controller.GetInputPort(new))
         self.sources["estimated_state"] = (stages[-1], "estimated_state")
-        # That of the controller's last sample, for the record.
+        # Measurement of the controller's last sample, for the record.
         self.sources["measurement"] = self._hold("estimated_state", "measurement")
 
     def follow(self) -> None:
@@ -457,7 +457,7 @@ class _Wiring:
                     self._connect(name, self._controller.GetInputPort(name))
 
     def actuate(self, joint_force: np.ndarray | None) -> None:
-        """The actuators behind the controller, which hears of the force that they apply."""
+        """Wire the actuators; the controller receives the applied force."""
         controller, actuation, name = self._controller, self._actuation, "applied_force"
         self.sources["generalized_force"] = applied = (controller, "generalized_force")
         if self._supervisor is not None:
@@ -487,7 +487,7 @@ class _Wiring:
         self._tell_of_actuators(applied)
 
     def _tell_of_actuators(self, told: Source) -> None:
-        """The stages of sensing that look for faults, and what they tell the actuators."""
+        """Wire the fault-detecting stages of sensing to the actuators."""
         for stage in self._of_kind("sensing").values():
             found = {TOLD: told}
             if self._actuation is not None:
@@ -503,7 +503,7 @@ class _Wiring:
                 self._builder.Connect(_port(found[name]), stage.GetInputPort(name))
 
     def _supervise(self, supervisor: System) -> Source:
-        """The force that a supervisor commands, from the law's and what blocks ask for."""
+        """The command of a supervisor, from the law's force and the blocks' requests."""
         self._connect("estimated_state", supervisor.GetInputPort("estimated_state"))
         self._connect("generalized_force", supervisor.GetInputPort("generalized_force"))
         asking = [each for each in self._blocks.values() if each.HasOutputPort(ABORT)]
@@ -552,12 +552,12 @@ class _Wiring:
             self.sources |= {f"force_{each.partition('.')[2]}": now[each] for each in now}
 
     def record_controller(self) -> None:
-        """What the controller gives for the record only."""
+        """Record the controller's optional outputs."""
         names = filter(self._controller.HasOutputPort, (*OPTIONAL_OUTPUTS, SMALLEST))
         self.sources |= {name: (self._controller, name) for name in names}
 
     def record_parts(self, parts: Parts) -> None:
-        """The signals of parts; those of sensing as they were at the controller's last sample."""
+        """Record the signals of parts; those of sensing at the controller's last sample."""
         for name, part in parts.items():
             for signal in part.signals:
                 if signal.name in self.sources:
@@ -582,7 +582,7 @@ class _Wiring:
             self._connect(name, system.GetInputPort(name))
 
     def _hold(self, source: str, name: str) -> Source:
-        """A signal as it was at the last control sample."""
+        """The value of a signal at the last control sample."""
         port = _port(self.sources[source])
         hold = self._builder.AddNamedSystem(name, ZeroOrderHold(self._sample_time, port.size()))
         self._builder.Connect(port, hold.get_input_port())
@@ -634,12 +634,14 @@ class _Wiring:
     def _select(
         self, name: str, inputs: Mapping[str, int], outputs: Mapping[str, list[tuple[int, int]]]
     ) -> Selector:
-        """A system whose outputs are entries of its inputs: which input, and where in it."""
+        """A system with entries of its inputs as outputs: for each, the input and the place in
+        it.
+        """
         selector: Selector = self._builder.AddNamedSystem(name, make_selector(inputs, outputs))
         return selector
 
     def _sum(self, name: str, terms: list[Source]) -> Source:
-        """The sum of ports; a single one is returned as it is."""
+        """The sum of ports; a single port is returned unchanged."""
         if len(terms) == 1:
             return terms[0]
         ports = list(map(_port, terms))

@@ -52,18 +52,18 @@ def make_operated_disturbance(
 
 
 class OperatorInputs(LeafSystem):
-    """The disturbance as an operator changes it.
+    """The disturbance under control of an operator.
 
     Inputs:
       disturbance: (nv).
       state: [q; v] (nq + nv).
     Outputs:
-      generalized_force: scale * disturbance + J^T F (nv), J being that of the payload's centre of
-        mass.
+      generalized_force: scale * disturbance + J^T F (nv), with the Jacobian J of the payload's
+        centre of mass.
       next_generalized_force: the same just after the update of a control sample, for a logger,
-        which sees the state before the update of its instant.
-    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and that of
-    the next sample.
+        since loggers see the state before the update of their instant.
+    State (discrete, period ``sample_time``): the current [scale, F (3; world frame, N)], and the
+    values for the next sample.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class OperatorInputs(LeafSystem):
         initial: np.ndarray,
         poll: Callable[[float, np.ndarray], np.ndarray],
     ) -> None:
-        """Args: as for ``make_operated_disturbance``."""
+        """See ``make_operated_disturbance`` for the arguments."""
         super().__init__()
         scenario, self._model = setup.scenario, setup.true
         self._payload_frame = find_body(

@@ -1,6 +1,6 @@
-"""Remarks on a scenario before it runs: limits that its postures and its plan exceed.
+"""Remarks on a scenario before it runs: limits exceeded by its postures and its plan.
 
-Nothing enforces the URDF's limits; ``actuation.limit`` is what saturates the force.
+The URDF's limits are not enforced; ``actuation.limit`` saturates the force.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_rema
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 
-_POSTURES = 201  # of the plan that are evaluated
+_POSTURES = 201  # number of instants of the plan evaluated
 _SAME_MASS = 1e-3  # relative
 _SAME_START = 1e-6  # rad, m, and per second
 # Integrator with fixed steps -> power of w h in its numerical damping ratio, and divisor.
@@ -59,7 +59,7 @@ class LimitWarning(UserWarning):
 
 
 def plan_remarks(scenario: Scenario) -> list[str]:
-    """A line for each limit that a scenario exceeds, or value of its model that it overrides.
+    """A line for each limit exceeded by a scenario, and for each overridden value of its model.
 
     Raises:
       ModelError, ScenarioError: the model or a posture cannot be used.
@@ -283,7 +283,7 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
 def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
     """Harmonics that the integrator's fixed steps sample too coarsely.
 
-    Near a whole number of periods a step, a mean force appears that no harmonic has.
+    Near a whole number of periods a step, aliasing adds a spurious mean force.
     """
     config = scenario.simulator_config
     if config.use_error_control or "disturbance" in scenario.blocks.forces:

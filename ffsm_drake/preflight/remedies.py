@@ -1,10 +1,10 @@
-"""What helps a mission that is not expected to go as planned: single changes, each tried before it
-is told.
+"""Remedies for a mission not expected to go as planned: single changes, each tried before it is
+reported.
 
-Where the linear loop of a leg is unstable, a lighter nominal payload, a smaller K_s, smaller gains,
-a shorter control period, less delay. Where it is stable, but the force's limits end the run under
-some noises, larger limits, smaller gains, a longer motion. Where unknown faults end it, detection.
-Of each the mildest is told that helps alone. Base actuators that saturate have advice of their own
+For an unstable linear loop of a leg: a lighter nominal payload, a smaller K_s, smaller gains, a
+shorter control period, less delay. For a stable loop that diverges under its force limits with some
+noise sequences: larger limits, smaller gains, a longer motion. For unknown faults: detection. The
+mildest sufficient change of each kind is reported. Saturated base actuators have their own advice
 (``load.advice``).
 """
 
@@ -29,21 +29,21 @@ from ffsm_drake.systems.part import Advice
 
 # factors, the mildest first
 _LESS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02)
-_TOO_LIGHT = 9  # of these, for a nominal payload
+_TOO_LIGHT = 9  # number of these that are too many for a nominal payload
 _MUCH_LESS = (0.7, 0.5, 0.35, 0.25)
-_SOONER = (0.8, 0.5, 0.4, 0.25, 0.2, 0.1)  # of which other durations are whole numbers
+_SOONER = (0.8, 0.5, 0.4, 0.25, 0.2, 0.1)  # shorter values, with other durations as multiples
 _MORE = (1.1, 1.25, 1.5, 2.0, 3.0)
 _LIGHTER = "a lighter nominal payload"
 Changes = dict[str, Any]
 
 
 def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
-    """What helps a mission whose linear loop is unstable, or whose run ``fails``; seconds, and
-    none for one that goes as planned.
+    """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
+    seconds, but no time for a mission expected to go as planned.
     """
     try:
         return _found(scenario, fails, tuple(files_read(scenario)))
-    except FfsmError:  # what cannot be linearised, or built
+    except FfsmError:  # the loop cannot be linearised or built
         return ()
 
 
@@ -59,7 +59,7 @@ def _found(scenario: Scenario, fails: bool, files: tuple[Path, ...]) -> tuple[Ad
 
 
 def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Advice]:
-    """What makes the linear loop stable."""
+    """Changes that stabilise the linear loop."""
 
     def may_help(changed: Scenario) -> bool:
         return all(_radius(changed, leg) < 1.0 for leg in legs)
@@ -83,7 +83,7 @@ def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Adv
 
 
 def _of_limits(scenario: Scenario) -> Iterator[Advice]:
-    """What keeps the loop from diverging under its limits, where noise takes it there."""
+    """Changes that keep the loop from diverging under its limits, if noise drives it there."""
     if scenario.actuation.limit is None or is_rehearsed(scenario):
         return
 

@@ -39,20 +39,20 @@ def simulate(
 ) -> RunRecord:
     """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
 
-    A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted
-    from the keyboard ends early with the record up to then; ``record.outcome`` says so.
+    On divergence (a velocity beyond ``divergence_speed``, or not finite) or an interrupt from the
+    keyboard the run ends early with the record up to then; ``record.outcome`` gives the reason.
 
     Args:
-      scenario: what to run.
+      scenario: the scenario to run.
       blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law)
-        in place of what the scenario says, such as ``{"sensing": Vicon, "forces.friction":
-        Friction}``. The record's scenario names what can be imported by name, so that the run can
-        be repeated from its record. The diagram is freed with the run: of a system that a factory
-        keeps, the attributes may be read afterwards, but not its place in the diagram.
+        in place of the scenario's choice, such as ``{"sensing": Vicon, "forces.friction":
+        Friction}``. The record's scenario names importable factories, to repeat the run from its
+        record. The diagram is freed with the run: the attributes of a system kept by a factory may
+        be read afterwards, but not its place in the diagram.
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate``
         to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
-      check_stability: look ahead, as ``prepare`` does.
+      check_stability: check the mission before the run, see ``prepare``.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -80,13 +80,12 @@ def prepare(
     meshcat: Meshcat | None = None,
     check_stability: bool = True,
 ) -> Rollout | CaptureRollout:
-    """All that ``simulate`` does before it runs; arguments and errors as there.
+    """The preparations of ``simulate`` before the run, with the same arguments and errors.
 
-    With ``check_stability`` it warns (StabilityWarning) when the mission is not expected to go as
+    With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as
     planned (``verdict``, without a rehearsal) or adaptation may take the loop out of its stable
-    range, unless there are user-supplied blocks, which a check would have to
-    run; and (LimitWarning) when a posture or the plan leaves the joints' limits, or the scenario
-    overrides the target's mass.
+    range, except with user-supplied blocks (a check would have to run them); and (LimitWarning) if
+    a posture or the plan leaves the joints' limits, or the scenario overrides the target's mass.
     """
     with guarded, same_folder():
         scenario = checked(scenario)
@@ -137,12 +136,12 @@ def compare(
     order.
 
     Args:
-      scenario: what to run; its own ``controller`` does not matter.
-      controllers: names, as for ``Scenario.controller``; default: the paper's four.
-      progress: as for ``simulate``.
+      scenario: the scenario to run; its own ``controller`` is ignored.
+      controllers: names, see ``Scenario.controller``; default: the paper's four.
+      progress: see ``simulate``.
 
     Raises:
-      ModelError, ScenarioError, BlockError: as ``simulate``.
+      ModelError, ScenarioError, BlockError: see ``simulate``.
     """
     chosen = [dataclasses.replace(scenario, controller=name) for name in controllers]
     return [simulate(each, progress=progress) for each in chosen]
@@ -151,22 +150,22 @@ def compare(
 def simulate_many(
     scenarios: Sequence[Scenario], *, batch: int | None = None, keep_errors: bool = False
 ) -> list[RunRecord]:
-    """Run scenarios and return their records, in their order, each with the bits that ``simulate``
-    gives, but without a look ahead.
+    """Run scenarios and return their records, in their order, with the same bits as ``simulate``,
+    but without checks before the run.
 
-    Those that may go together run side by side in one diagram, which takes about a third of the
-    time: scenarios with the same model, controller, blocks, integrator and number of samples. They
-    may differ in seed, payload, postures, and in the numbers of all other sections (docs/speed.md).
-    The others run alone, as does, once more, a run that diverges.
+    Compatible scenarios run side by side in one diagram, in about a third of the time: scenarios
+    with the same model, controller, blocks, integrator and number of samples. They may differ in
+    seed, payload, postures, and in the numbers of all other sections (docs/speed.md). The others
+    run alone; a diverging run is repeated alone.
 
     Args:
-      scenarios: what to run.
-      batch: at most so many side by side, 1: none; default: as many as the processor's
-        second-level cache holds.
-      keep_errors: put the exception that a run raises in the place of its record.
+      scenarios: the scenarios to run.
+      batch: largest number side by side, 1: none; default: as many as fit the processor's
+        second-level cache.
+      keep_errors: put the exception of a failed run in the place of its record.
 
-    Raises: what ``simulate`` raises, for the first of the scenarios that fails, after all have run;
-    nothing with ``keep_errors``.
+    Raises: the errors of ``simulate``, for the first failed scenario, after all have run; nothing
+    with ``keep_errors``.
     """
     start = time.perf_counter()
     results: list[Any] = [None] * len(scenarios)
@@ -195,7 +194,7 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
     """The scenario from which a run can be repeated.
 
     All gains of its controller are written out, the factories given in Python are named (one
-    without an address as it is called), and ``python_path`` leads to their modules.
+    without an address by its own name), and ``python_path`` leads to their modules.
     """
     if "controller" in blocks:
         scenario = dataclasses.replace(scenario, controller=address_of(blocks["controller"]))

@@ -1,10 +1,10 @@
-"""The verdict on a mission before it runs, in lines that say what each covers.
+"""The verdict on a mission before it runs, in lines with their scope.
 
 Linear: the wired loop of every leg, moving as planned, without limits and without noise. Load: the
-force that a capture asks for, against its limits. Rehearsed: a run of the mission as it is, with
-its limits, its noise and its grasp; for actuators that saturate or quantise, and limits of force
-that the run comes near, also the linearised loop under them with several noises. Where they
-disagree, that is the finding.
+force required by a capture, compared with its limits. Rehearsed: a run of the actual mission, with
+its limits, its noise and its grasp; for saturating or quantising actuators, and force limits nearly
+reached in the run, also the linearised loop under them with several noise sequences. A disagreement
+is itself a finding.
 """
 
 import dataclasses
@@ -41,13 +41,13 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, checked, from_grasp
 from ffsm_drake.systems.part import Advice
 
-_RARE = 0.02  # share of noises; the linearised loop tells no smaller chance of a run that diverges
-_FAR = 100.0  # tolerances; a run that ends further off did not do what it was for
+_RARE = 0.02  # share of noise sequences; resolution of the linearised loop
+_FAR = 100.0  # tolerances; beyond it a run has not done its task
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RehearsedRun:
-    """A run of the mission as it is, with its own random seed."""
+    """A run of the mission with its own random seed."""
 
     ending: Ending
     limits: dict[str, float]  # limits that it exceeded -> when first, s
@@ -80,28 +80,27 @@ class RehearsedRun:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What is expected of a mission; a part that was not asked for, or does not apply, is None."""
+    """Expectations for a mission; a part that was not requested, or does not apply, is None."""
 
     linear: LinearVerdict | None
     not_linear: str  # why there is no linear verdict; empty where there is one
-    load: float | None  # of a capture: largest force as a fraction of its limit
+    load: float | None  # with a capture: largest force as a fraction of its limit
     # the linearised loop under actuators or limits that saturate, several noises
     noises: Rehearsal | None
     run: RehearsedRun | None
     planned: tuple[str, ...] = ()  # without a run: ``plan_limits``
     margins: Margins | None = None
-    not_margins: str = ""  # why there are no margins; empty where there are, or none were asked for
+    not_margins: str = ""  # why there are no margins; empty if there are, or none were requested
     adaptation: str = ""  # ``adaptation_remark``
-    advice: tuple[Advice, ...] = ()  # what helps where actuators of the base saturate
-    remedies: tuple[Advice, ...] = ()  # what helps where it is not expected to go as planned
+    advice: tuple[Advice, ...] = ()  # remedies for saturated base actuators
+    remedies: tuple[Advice, ...] = ()  # remedies if it is not expected to go as planned
 
     @property
     def is_alarm(self) -> bool:
         """Whether the mission is not expected to go as planned.
 
-        A run of the mission as it is outweighs the linear verdict, which is an alarm beside it only
-        where the run, too, ends without settling, and the load and the plan, which are one only
-        without a run.
+        A run of the mission takes precedence: with a run, the linear verdict is an alarm only if
+        the run, too, ends without settling, and the load and the plan are no alarms.
         """
         if self.planned or self._diverges_by_noise:
             return True
@@ -139,7 +138,7 @@ class Verdict:
 
     @property
     def lines(self) -> list[str]:
-        """What each part found, a line each, and where they disagree."""
+        """The results of each part, a line each, and their disagreements."""
         return list(self._lines())
 
     def _lines(self) -> Iterator[str]:
@@ -184,7 +183,7 @@ class Verdict:
 
     @property
     def conclusion(self) -> str:
-        """One line: what is expected, and what that covers."""
+        """One line: the expectation and its scope."""
         covers = [
             name
             for name, part in (
@@ -255,9 +254,9 @@ def verdict(
 
     Args:
       scenario: the mission.
-      rehearsal: run it, in the time of a run; otherwise only what is found without a run.
-      margins: find those from the grasp on, too; a loop without them says why.
-      advises: with a rehearsal, look for what helps a mission that fails (``remedies``): seconds.
+      rehearsal: run the mission, in the time of a run; otherwise only results without a run.
+      margins: find the margins from the grasp on, too; a reason replaces missing ones.
+      advises: with a rehearsal, search ``remedies`` for a failing mission (seconds).
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -297,7 +296,7 @@ def verdict(
 
 
 def helps(found: Iterable[Advice]) -> str:
-    """What helps where actuators saturate, in one line."""
+    """Remedies for saturated actuators, in one line."""
     return f"what helps: {'; '.join(map(str, found))}"
 
 
@@ -351,7 +350,7 @@ def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Sce
 
 
 def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
-    """Rehearse more noises where a run that has not failed came so near to ``actuation.limit`` that
+    """Rehearse more noise sequences if a successful run came so near to ``actuation.limit`` that
     other noise may exceed it.
     """
     linear = found["linear"]

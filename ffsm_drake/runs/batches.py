@@ -22,8 +22,8 @@ from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
 
-# Sections in which such runs may differ: what is read for each run before it or after it, what its
-# own context holds, and what blocks have a row for, or stand there once for each run.
+# Sections in which runs side by side may differ: they affect only computations before or after a
+# run, its own context, or blocks with a row or an instance for each run.
 _FREE = (
     "description",
     "random_seed",
@@ -80,14 +80,14 @@ def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[
 def run_many(
     scenarios: Sequence[Scenario], *, batch: int | None = None
 ) -> Iterator[tuple[int, RunLog | Exception]]:
-    """Run scenarios, side by side where they can be; in no certain order.
+    """Run scenarios, side by side where possible, in no fixed order.
 
     Args:
-      scenarios: what to run, durations in seconds (``timed``).
-      batch: at most so many side by side; default: ``usual_batch``.
+      scenarios: the scenarios, with durations in seconds (``timed``).
+      batch: largest number side by side; default: ``usual_batch``.
 
-    Yields: the index of a scenario and its log, which has the bits of ``Rollout.run``, or the
-    exception that its run alone raises.
+    Yields: the index of a scenario and its log, with the same bits as ``Rollout.run``, or the
+    exception of its run alone.
 
     Raises KeyboardInterrupt: interrupted from the keyboard.
     """
@@ -99,7 +99,7 @@ def run_many(
             if len(chosen) > 1:
                 try:
                     logs = together.rollout(chosen, chosen[0]).run_all(chosen)
-                except Exception:  # whose it is, and what it says, the runs tell alone
+                except Exception:  # a run failed; the runs are repeated alone to find it
                     together.drop()
             for index, scenario, log in zip(indices, chosen, logs, strict=True):
                 yield index, _alone(alone, scenario) if log is None else log
@@ -118,8 +118,8 @@ def _alone(kept: "Kept", scenario: Scenario) -> RunLog | Exception:
 
 
 class Kept:
-    """The last rollout, for runs that it takes. A user's block may be built from what a run can
-    change, so that those are built anew.
+    """The last rollout, reused for matching runs. Blocks built by users from settings that may
+    differ between runs are built anew.
     """
 
     def __init__(self, make: Callable[[Any], Any]) -> None:
@@ -127,7 +127,7 @@ class Kept:
         self._make, self._rollout = make, None
 
     def rollout(self, scenario: Any, first: Scenario) -> Any:
-        """That of a scenario or of several, which are alike in their blocks with the first."""
+        """The rollout of a scenario or of several, with the same blocks as the first."""
         if self._rollout is None or user_supplied(first) or not self._rollout.accepts(scenario):
             self.drop()
             self._rollout = self._make(scenario)
@@ -141,7 +141,7 @@ class Kept:
 
 
 def _group(scenario: Scenario) -> str | None:
-    """What runs that go side by side have in common; None: this one runs alone."""
+    """Key shared by runs that can run side by side; None: this one runs alone."""
     config = scenario.simulator_config
     if (
         config.use_error_control

@@ -12,7 +12,7 @@ from ffsm_drake.common.guard import failure, user_frame
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.scenario import kind_of
 
-# Of each kind of block: signal -> output port, and whether it is a state [q; v].
+# For each kind of block: signal -> output port, and whether it is a state [q; v].
 _OUTPUTS = {
     "reference": {
         "desired_state": ("desired_state", True),
@@ -27,7 +27,7 @@ _UNIT = 0.1  # a quaternion's norm may differ from 1 by this
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BadOutput:
-    """What a user-supplied block gave at a control sample that cannot be used."""
+    """The first unusable output of a user-supplied block at a control sample."""
 
     sample: int
     problem: str
@@ -39,13 +39,13 @@ def failure_of(
     suspects: Mapping[str, str],
     root_context: Context,
 ) -> BlockError:
-    """The error that names the block in which an exception arose.
+    """The error that names the source block of an exception.
 
     Args:
       error: the exception.
-      loop: the closed loop that ran.
-      suspects: its user-supplied blocks, in words by name.
-      root_context: of the diagram, when it failed.
+      loop: the closed loop of the run.
+      suspects: its user-supplied blocks: name -> words.
+      root_context: context of the diagram at the failure.
     """
     time = root_context.get_time()
     if user_frame(error) is None and (problem := _bad_now(loop, suspects, root_context)):
@@ -101,13 +101,13 @@ def _systems(block: System | None) -> Iterator[System]:
 def bad_output(
     sound: np.ndarray, series: Mapping[str, np.ndarray], suspects: Mapping[str, str]
 ) -> BadOutput | None:
-    """The first output of a user-supplied block, other than the controller, that cannot be used
-    though the state is within bounds; None: there is none.
+    """The first unusable output of a user-supplied block, other than the controller, while the
+    state is within bounds; None: there is none.
 
     Args:
       sound: whether the state is within bounds, at each control sample (n,).
       series: the signals at the control samples.
-      suspects: as for ``failure_of``.
+      suspects: see ``failure_of``.
     """
     found = []
     for name, block in suspects.items():
@@ -115,7 +115,7 @@ def bad_output(
         for signal, (port, is_state) in _OUTPUTS.get(kind, {}).items():
             values = series.get(own, series[signal])
             right = _right(values, is_state)
-            if kind == "actuation":  # of a force that is finite
+            if kind == "actuation":  # the force is finite
                 right |= ~np.isfinite(series["generalized_force"]).all(axis=1)
             bad = np.flatnonzero(sound & ~right)
             if bad.size:

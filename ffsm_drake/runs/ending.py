@@ -1,4 +1,4 @@
-"""How a run ended, in one word that says what it covers: settled, not settled, growing, missed,
+"""The ending of a run, in one word: settled, not settled, growing, missed,
 slipped, bounced, diverged, interrupted, failed.
 """
 
@@ -24,17 +24,17 @@ SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
 # A completed run is one of the first three; best first.
 ENDINGS = (SETTLED, NOT_SETTLED, GROWING, *NOT_CAPTURED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared with the tolerance
-_WINDOWS = 3  # of that length, at the end, whose peaks show whether errors grow
+_WINDOWS = 3  # number of windows of that length, at the end, for the growth of the peak error
 _GROWTH = 1.5  # times, from each to the next
 _FAST_GROWTH = 5.0  # times, from the largest before to the last
 _PAST = 15.0  # s, before the last window
-_BEYOND_PAST = 2.0  # times the peak over that time, which a growing error exceeds
-_NOTABLE = 0.3  # of the tolerance; below it a rising peak is no growth
+_BEYOND_PAST = 2.0  # factor of a growing error over the peak of that time
+_NOTABLE = 0.3  # share of the tolerance; below it a rising peak is no growth
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What ended a run."""
+    """Cause of the end of a run."""
 
     status: str  # one of OUTCOMES
     time: float  # s, end of the record
@@ -74,7 +74,7 @@ def ending_of(
     tracked: Callable[[], Tracked],
     signals: Signals,
 ) -> Ending:
-    """The ending of a run with an outcome and its parts' signals; other arguments as for
+    """The ending of a run with an outcome and its parts' signals. Other arguments: see
     ``ending_of_completed``.
     """
     if outcome.completed:
@@ -87,7 +87,7 @@ def ending_of(
     if outcome.status == INTERRUPTED:
         count = time.size or "no"
         message += f"; {count} sample{'s were' if time.size > 1 else ' was'} recorded"
-    # a controller's name at the beginning stays as it is written
+    # a controller's name at the beginning keeps its case
     first = (
         message if message.startswith(scenario.controller) else message[:1].upper() + message[1:]
     )
@@ -99,19 +99,19 @@ def ending_of(
 def ending_of_completed(
     scenario: Scenario, time: np.ndarray, tracked: Tracked, *, given_up: str = ""
 ) -> Ending:
-    """The ending of a run that was completed.
+    """The ending of a completed run.
 
     Settled: over the last second every tracked error is within its tolerance. Growing: from each of
     the last three seconds to the next the peak of a coordinate rises by half, or fivefold at once,
-    to twice the peak of the 15 s before, and to at least 0.3 of its tolerance; while the planned
-    motion lasts, beyond it. An error that only swings does not grow.
+    to twice the peak of the 15 s before, and to at least 0.3 of its tolerance; during the
+    planned motion, beyond it. An oscillating error does not grow.
 
     Args:
-      scenario: what was run: its tolerances and the end of its planned motion.
+      scenario: scenario of the run, for its tolerances and the end of its planned motion.
       time: control samples (n,), s.
-      tracked: the errors that count.
-      given_up: what it does at its end in place of its plan, in words; such a run has not settled,
-        however small its errors are.
+      tracked: the tracked errors.
+      given_up: final action in place of the plan, in words; such a run is not settled, even with
+        small errors.
     """
     tolerance = np.array([
         scenario.tolerance_of(name, group)

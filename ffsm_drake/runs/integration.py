@@ -1,5 +1,5 @@
-"""The integrator's errors in a record: momentum that appeared from nothing, an attitude that is no
-rotation any more.
+"""The integrator's errors in a record: violated momentum balance, attitude that is no longer a
+rotation.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from ffsm_drake.spacecraft.plant import configuration
 
 # Explicit Euler at the control period misses the momentum of slow motions by less than 1e-3, the
 # accurate integration of the shipped scenarios by 1e-8; their quaternions have norm 1 to 3e-6.
-MOMENTUM_TOLERANCE = 1e-2  # of the momentum that the kinetic energy stands for
+MOMENTUM_TOLERANCE = 1e-2  # share of the momentum equivalent to the kinetic energy
 NORM_TOLERANCE = 1e-4
 
 

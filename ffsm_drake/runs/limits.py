@@ -32,8 +32,8 @@ INSTANTS = 51  # at which the clearance of a plan is evaluated; twice as many fo
 
 
 def run_remarks(record: RunRecord) -> list[str]:
-    """A line for each kind of limit that a run exceeded, one for saturated forces, and one for each
-    balance that the integrator broke.
+    """A line for each kind of exceeded limit, one for saturated forces, and one for each balance
+    violated by the integrator.
 
     Raises:
       ModelError: the scenario's model does not load any more.
@@ -64,9 +64,9 @@ def run_remarks(record: RunRecord) -> list[str]:
 
 
 def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
-    """A line for each kind of limit that a run exceeded and nothing enforces: positions, rates and
-    applied forces of the joints, limits of parts, clearance. A run that breaks one does not go as
-    planned, settled or not.
+    """A line for each kind of exceeded limit without enforcement: positions, rates and applied
+    forces of the joints, limits of parts, clearance. Such a run does not go as planned, settled or
+    not.
 
     Raises:
       ModelError: the scenario's model does not load any more.
@@ -257,13 +257,13 @@ def remarks_on(
     *,
     who: tuple[str, str],
 ) -> Iterator[str]:
-    """A line for each limit that a motion exceeds.
+    """A line for each limit exceeded by a motion.
 
     Args:
-      limits: those of quantities that are not in the motion are skipped.
+      limits: the limits; those of quantities missing in the motion are skipped.
       motion: values (samples, nv) by quantity.
       at: sample -> words for its time.
-      who: what exceeds positions and rates, and what exceeds forces, in words.
+      who: subjects of the lines, for positions and rates, and for forces.
     """
     for limit in limits:
         if limit.quantity in motion:

@@ -29,7 +29,7 @@ from ffsm_drake.systems.part import (
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class GraspLog:
-    """What happened at the grasp, and the target before it; world axes, SI units."""
+    """The grasp in numbers, and the target before it; world axes, SI units."""
 
     sample: int  # index of the first sample of the run at which the target is held
     contact: Contact | None  # None: the run ended before
@@ -79,7 +79,7 @@ class GraspLog:
                 energy=grasp.energy_after,
                 velocity=known(grasp.velocity),
             ),
-            # of the actuators in the base, N m s
+            # angular momentum stored by actuators in the base, N m s
             **({} if self.stored is None else {"stored_momentum": self.stored.tolist()}),
             "compliant": {} if compliant is None else {
                 "peak_force": compliant.peak_force,  # N
@@ -107,7 +107,7 @@ class GraspLog:
         """Servicer and target together, and the servicer's velocity, on one side of the grasp."""
         return {
             "linear_momentum": momentum[3:].tolist(),  # N s
-            # of the bodies, without what actuators store, N m s
+            # momentum of the bodies, without that stored in actuators, N m s
             "angular_momentum": momentum[:3].tolist(),  # about the origin
             "spin": spin.tolist(),  # about the centre of mass
             "kinetic_energy": energy,  # J

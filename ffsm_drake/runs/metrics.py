@@ -141,15 +141,15 @@ def tracking_metrics(
       effort: tau held from each to the next (n, nv), N m or N.
       period: control period, s.
       group: group of each coordinate (nv).
-      counted: the errors that count (n, k), see ``tracking.Tracked``; None: all of them.
+      counted: the tracked errors (n, k), see ``tracking.Tracked``; None: all of them.
 
     Keys:
-      itae: sum of t |e|_1 L (equation (22)), e of what is tracked.
+      itae: sum of t |e|_1 L (equation (22)), with the tracked errors e.
       isv: sum of |tau|_2^2 L (equation (23)).
       peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of
         the last sample (rad or m), the largest |tau| (N m or N), each over the group's coordinates;
-        e of an undriven group, and of joints that serve a frame, is the distance from their motion
-        with the nominal payload.
+        for an undriven group, and for joints controlled through a frame, e is the distance from
+        their motion with the nominal payload.
     """
     members = {
         name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)
@@ -183,9 +183,9 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
 
     Only the base's force and torque are external; joint torques act between bodies. The control
     force is constant over each period, the disturbance smooth over all of them, and the base's path
-    is a cubic through recorded positions and velocities, so that for an exact integrator the
-    residual is small against every force's impulse. It ends before the first sample that is not
-    finite, the last of some diverged runs.
+    is a cubic through recorded positions and velocities; for an exact integrator the residual is
+    then small against every force's impulse. It ends before the first sample that is not finite
+    (the last one of some diverged runs).
     """
     dataset = _usable_start(dataset, _IN_BALANCE)
     linear, angular = (dataset[f"{name}_momentum"].values for name in ("linear", "angular"))

@@ -92,17 +92,15 @@ class Monitor:
 
 
 _SKIPS = 3  # steps that are not looked at
-_SLOW = 0.1  # of the bound, below which a copy does not run away in so many
+_SLOW = 0.1  # share of the bound; slower copies cannot exceed it within so many steps
 
 
 class CopiesMonitor:
-    """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: it is
-    put back to its start, a step after it left its bounds, so that the log has the update of its
-    last sample, and again whenever it leaves them. As a simulator's monitor, it stops a run when
-    all are parked.
+    """Parks diverging copies of the spacecraft to keep the others unaffected: a copy is reset to
+    its start a step after it left its bounds (so the log has the update of its last sample), and
+    again whenever it leaves them. As a simulator's monitor, it stops a run when all are parked.
 
-    While all are slow it looks at every fourth step only, if the log is to show what happened in
-    between.
+    While all are slow it checks every fourth step only, if the log can show the steps in between.
     """
 
     message = ""
@@ -118,8 +116,8 @@ class CopiesMonitor:
         self.loop, self.copies = loop, loop.copies
         self.parked = set(parked)
         self._looked = -math.inf  # time at which a copy was beyond its bounds, s
-        self._leaving = set[int]()  # those to be parked after a step
-        self.lost = set[int]()  # those parked before the update of their last sample
+        self._leaving = set[int]()  # copies to be parked after a step
+        self.lost = set[int]()  # copies parked before the update of their last sample
         self._bounds = np.array([scenario.divergence_speed for scenario in loop.scenarios])
         self._least = float(self._bounds.min())
         self._skips, self._skipped = 0 if every_step else _SKIPS, 0
@@ -168,7 +166,7 @@ class CopiesMonitor:
         return True
 
     def check_force(self, context: Context) -> bool:
-        """True: what fails is not told from what diverges; each run is then repeated alone."""
+        """True: failure and divergence are not distinguished; each run is then repeated alone."""
         return True
 
     def _park(

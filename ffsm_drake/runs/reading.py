@@ -1,5 +1,5 @@
-"""Reading a record back: its files belong together, are as they were written, and hold what a run
-of their scenario writes. Nothing behind this file checks a record again.
+"""Reading a record: checks that its files belong together, are unchanged, and have the contents of
+a run of their scenario. No other code checks a record again.
 """
 
 import hashlib
@@ -41,16 +41,17 @@ DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
 REPORT_FILE = "report.html"
 FORMAT = 4
-# of record.nc, in the files that go with it; in reports an attribute of their head
+# hash of record.nc, in the accompanying files; in reports an attribute of their head
 IDENTIFIER = "record_sha256"
-SEAL = "manifest_sha256"  # of the manifest's other entries, in itself
-_HEAD = 100_000  # bytes of a report within which that is
+SEAL = "manifest_sha256"  # hash of the manifest's other entries, in itself
+_HEAD = 100_000  # bytes of a report searched for the hash
 _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
 _MAX_PER_SAMPLE = 100_000  # bytes, unpacked
 _COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
 _REQUIRED = [name for name in VARIABLES if name not in OF_LAWS]
-# Finite in a run that came to its end or to the grasp, but for what a user-supplied sensor says.
+# Variables that are finite in a run up to its end or the grasp, except outputs of user-supplied
+# sensors.
 _FINITE = [name for name in _REQUIRED if not name.startswith("measured")]
 # Finite in all but the last samples of other runs.
 _STATE = ("position", "velocity")
@@ -58,7 +59,7 @@ _OF_FRAME = {"frame_error": True, "frame_prescribed": False, "frame_tracked": Fa
 _OF_TARGET = {"target_position": "axis", "target_quaternion": "quaternion"}
 # further tries are numbered; the target is held from "stop" on
 _PHASE = re.compile(r"(approach|closing|retreat)(_\d+)?|stop")
-_NORM_TOLERANCE = 0.5  # of a quaternion: coarse integration is remarked on, and still a record
+_NORM_TOLERANCE = 0.5  # quaternion norm: coarse integration causes a remark, not an error
 
 _VECTOR = tuple[float, float, float]
 
@@ -146,7 +147,7 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
 
 
 def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
-    """The fields of a record that its manifest holds. Raises what wrong contents lead to."""
+    """The fields of a record in its manifest. Raises the errors of wrong contents."""
     scenario = scenario_from_dict(manifest["scenario"], source=str(path))
     blocks = _fitting(manifest["blocks"], dict[str, dict[str, str]], "blocks")
     sources = {
@@ -205,7 +206,7 @@ def _read_dataset(path: Path, fields: dict[str, Any]) -> "xr.Dataset":
 
 
 def _problems(dataset: "xr.Dataset", fields: dict[str, Any]) -> Iterator[str]:
-    """What is wrong with a dataset; what a line takes for granted, the lines before it yield."""
+    """Problems with a dataset; each check relies on the ones before it."""
     scenario, outcome = fields["scenario"], fields["outcome"]
     yield from _of_columns(dataset)
     yield from _of_times(dataset, scenario, outcome)
@@ -223,7 +224,7 @@ def _problems(dataset: "xr.Dataset", fields: dict[str, Any]) -> Iterator[str]:
 
 
 def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
-    """Every variable that a run has, of the dimensions and types that it has there."""
+    """Check every variable of a run, with its dimensions and types."""
     missing = [name for name in (*_COORDINATES, *_REQUIRED) if name not in dataset.variables]
     if missing:
         yield f"lacks {', '.join(missing)}; it comes from another version or program"
@@ -258,8 +259,8 @@ def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
 def _coordinates_of(
     dataset: "xr.Dataset", scenario: Scenario
 ) -> tuple[Coordinates, StateSplit | None]:
-    """The coordinates of the scenario's model; the dataset's joints and no hidden coordinates where
-    that does not load any more, for what can be shown without.
+    """The coordinates of the scenario's model; the dataset's joints without hidden coordinates if
+    the model no longer loads, for displays without the model.
     """
     try:
         model = make_flexible_plant(scenario)
@@ -356,7 +357,7 @@ def _of_numbers(dataset: "xr.Dataset", outcome: Outcome) -> Iterator[str]:
         if name in dataset:
             quaternion = dataset[name].values[:, :4]
             norm = np.linalg.norm(quaternion, axis=1)
-            # a run that diverges ends in any norm but zero, and but one that is no number any more
+            # a diverging run may end with any norm but zero
             off = np.abs(norm - 1.0) >= _NORM_TOLERANCE if whole else norm < 1.0 - _NORM_TOLERANCE
             off &= usable(quaternion)
             if off.any():

@@ -78,7 +78,7 @@ class RunRecord:
     software: dict[str, str]
     # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
-    # of a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
+    # for a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
     grasp: dict[str, Any] | None = None
     parts: tuple[PartRecord, ...] = ()
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
@@ -145,13 +145,11 @@ class RunRecord:
         """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the
         directory.
 
-        Removes the files that a report or an analysis of an earlier run left there (``OUTPUTS``).
-        A record that was not there at the start stays: this one is then written to the next free
-        DIRECTORY_2, DIRECTORY_3, ...
+        Removes report and analysis files of an earlier run (``OUTPUTS``). A record written there
+        in the meantime is kept: this one then goes to the next free DIRECTORY_2, DIRECTORY_3, ...
 
         Args:
-          replacing: the record that may be replaced (``record_stamp``); default: the one that is
-            there now.
+          replacing: the record to be replaced (``record_stamp``); default: the present one.
 
         Raises:
           RecordError: the directory cannot be written.
@@ -195,7 +193,7 @@ class RunRecord:
             elsewhere=elsewhere,
         ) as folder:
             try:
-                # As ``to_netcdf``, which would load Dask's ``distributed`` where that is installed.
+                # Same as ``to_netcdf``, without its import of Dask's ``distributed``, if installed.
                 open_store: Any = NetCDF4DataStore.open  # without types
                 store = open_store(folder / DATASET_FILE, mode="w", lock=NETCDF4_PYTHON_LOCK)
                 with contextlib.closing(store):
@@ -229,7 +227,9 @@ class RunRecord:
 
 
 def record_stamp(directory: Path) -> tuple[int, ...] | None:
-    """What tells the record in a folder from a later one; None: there is none."""
+    """Identification of the record in a folder, different from that of a later one; None: no
+    record.
+    """
     return stamp(directory / MANIFEST_FILE)
 
 

@@ -134,8 +134,8 @@ def with_role(dataset: "Labelled", role: str) -> list[str]:
 
 
 def held_force(dataset: "Labelled") -> np.ndarray:
-    """The force (n, nv) that is held over each sample: what actuators apply, and external forces
-    with that role.
+    """The force (n, nv) held over each sample: actuators' forces, and external forces with that
+    role.
     """
     total: np.ndarray = dataset["applied_force"].values
     for name in with_role(dataset, HELD_FORCE):

@@ -25,8 +25,8 @@ class Curve:
     width: float = 1.4
     steps: bool = False  # held from each point to the next
     marker: str = ""  # at each point: "circle", "diamond", "square", "star", "x", ...
-    line: bool = True  # that joins the points
-    size: float = 8.0  # of the markers
+    line: bool = True  # line through the points
+    size: float = 8.0  # marker size
     opacity: float = 1.0
     filled: bool = False  # tinted down to zero
     points: int = 0  # the largest number drawn; 0: the backend's
@@ -66,7 +66,7 @@ class Chart:
     log_x: str = ""  # "": a linear axis, else Plotly's format of its tick labels
     log_y: str = ""
     range_x: Sequence[float] | None = None  # None: that of the curves
-    range: Sequence[float] | None = None  # of y
+    range: Sequence[float] | None = None  # range of y
     levels: Sequence[Level] = ()
     bands: Sequence[Band] = ()
     legend: bool = False
@@ -77,7 +77,7 @@ class Chart:
 
     @property
     def label_y(self) -> str:
-        """Of the y axis; none for a number without a unit."""
+        """Label of the y axis; none for a number without a unit."""
         return "" if self.y == "1" else self.y
 
 

@@ -38,7 +38,7 @@ class Result:
     record: RunRecord
     label: str
     style: Style
-    status: str  # of ``Ending``
+    status: str  # status in ``Ending``
     verdict: str  # one sentence
     itae: float
     isv: float
@@ -46,7 +46,7 @@ class Result:
 
     @property
     def comparable(self) -> bool:
-        """Whether the run lasted as long as it was meant to, so that its sums may be compared."""
+        """Whether the run lasted for its whole duration, so that its sums may be compared."""
         return self.record.outcome.completed
 
     @property
@@ -57,7 +57,7 @@ class Result:
 
     @property
     def units(self) -> dict[str, str]:
-        """Of each coordinate, "rad" or "m"."""
+        """Unit of each coordinate, "rad" or "m"."""
         data = self.record.dataset
         names, units = (data[name].values.astype(str).tolist() for name in ("coordinate", "unit"))
         return dict(zip(names, units, strict=True))

@@ -14,7 +14,7 @@ from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.results import HELD, Result, values_of
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, NEUTRAL, Style
 
-RMS_POINTS = 500  # of a curve that smooth
+RMS_POINTS = 500  # number of points of a smooth curve
 _REFERENCE = Style(NEUTRAL, "dot")
 _STARTING_STEPS = 5  # in which the loop builds up the force from zero
 
@@ -43,9 +43,9 @@ def run_curve(
 def coordinate_charts(
     results: Sequence[Result], variable: str, unit: str, *, smooth: bool = False
 ) -> list[Chart]:
-    """A chart for each coordinate of any run, the runs that have the variable overlaid.
+    """A chart for each coordinate of any run; overlays the runs with the variable.
 
-    In ``unit``, {unit} is the coordinate's own and {effort} that of its force or torque.
+    In ``unit``, {unit} is the coordinate's own and {effort} the unit of its force or torque.
     """
     return [
         _chart(
@@ -125,7 +125,7 @@ def attitude_charts(results: Sequence[Result]) -> list[Chart]:
 def position_charts(results: Sequence[Result]) -> list[Chart]:
     """Position of the base and of every joint, and their references."""
     kinds: dict[str, str] = {}
-    places: list[dict[str, int]] = []  # of each run, name -> place
+    places: list[dict[str, int]] = []  # for each run, name -> place
     for result in results:
         data = result.record.dataset
         units = result.units

@@ -50,8 +50,8 @@ def _radii(loops: Sequence[LinearLoop]) -> tuple[np.ndarray, np.ndarray]:
 def forecast_chart(
     margins: Margins, axes: AxisMargins, title: str, *, result: Result | None = None
 ) -> Chart:
-    """K_s of every coordinate as expected; or of each group that of the coordinate that comes
-    highest, with what a run recorded of it.
+    """Expected K_s of every coordinate; or for each group K_s of the coordinate with the highest
+    one, with the values recorded in a run.
     """
     recorded = None if result is None else values_of(result.record, "reaching_gain")
     names = [] if result is None else list(result.units)

@@ -84,7 +84,7 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
     ):
         yield "forces and ISV as commanded; the actuators apply something else, see the report"
     yield from (grasp_line(record.grasp) for record in records if record.grasp is not None)
-    # of the plan, which all have
+    # momentum of the plan, common to all
     yield from momentum_lines((records[0].grasp or {}).get("momentum_budget"))
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
@@ -94,7 +94,7 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
 
 
 def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:
-    """The figures of parts by which runs are compared; of the first run that has each."""
+    """Figures of parts for the ranking of runs, from the first run with each."""
     found = {
         (figure.part, figure.key): figure
         for record in reversed(records)

@@ -1,6 +1,6 @@
-"""What a URDF must hold before anything reads it: UTF-8 text, names that can be addressed, finite
-numbers, and lengths, masses and counts within bounds. Drake itself aborts on some of these, and
-blames others on what comes later.
+"""Checks of a URDF before it is read: UTF-8 text, addressable names, finite numbers, and lengths,
+masses and counts within bounds. Drake itself aborts on some violations, and reports others as
+errors in later elements.
 """
 
 import contextlib
@@ -31,8 +31,8 @@ _NAMED = ("link", "joint", "frame", f"{DRAKE}joint")
 class _Numbers:
     """Allowed values of an attribute."""
 
-    most: float  # of their size; infinite where they may be
-    least: float = 0.0  # of their size, where they are not zero
+    most: float  # largest size; infinite if infinity is allowed
+    least: float = 0.0  # least size of nonzero values
     unit: str = ""
     count: tuple[int, ...] = (1,)
     positive: bool = False
@@ -152,7 +152,7 @@ def _check_name(name: str, place: str) -> None:
 
 
 def _number_problems(element: Element) -> Iterator[str]:
-    """What is wrong with the numbers of one element."""
+    """Problems with the numbers of one element."""
     tag = element.tag.removeprefix(DRAKE)
     for attribute, allowed in _CHECKED.get(tag, {}).items():
         if (text := element.get(attribute)) is None:

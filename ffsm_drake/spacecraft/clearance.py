@@ -1,14 +1,14 @@
-"""Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
+"""Clearance: the smallest distance between parts of the spacecraft with relative motion.
 
-The shapes are collision geometry, or visual geometry of a model (servicer, target) that has none; a
-mesh counts by its convex hull. Left out are parts fixed to each other (the target and the gripper),
-parts connected by a joint, and parts with few joints between them that are always near each other,
-as the links of a wrist. What is held, from another model than the base's, counts against the base
-in any case, and against every part that it overlaps deeply at every joint angle. Before a grasp the
-target is a separate body, which over the last decimetre and 20 degrees may touch the gripper and
-what is left out once it is held. A flexible panel counts
-by its plates, with their deflections, but not against the body that carries it; what the model
-draws of it on that body counts where it is at rest.
+The shapes are collision geometry, or visual geometry of a model (servicer, target) without
+collision geometry; a mesh is represented by its convex hull. Excluded are pairs of parts fixed to
+each other (target and gripper), connected by a joint, or with few joints between them and always
+near each other, such as the links of a wrist. A held body, from another model than the base's, is
+always checked against the base, and against every part with a deep overlap at every joint angle.
+Before a grasp the target is a separate body; over the last decimetre and 20 degrees it may touch
+the gripper and the parts excluded after the grasp. A flexible panel is represented by its plates,
+with their deflections, but not checked against its own body; its visual geometry on that body is
+checked in the rest position.
 """
 
 import dataclasses
@@ -70,7 +70,7 @@ class Nearest:
 class Approach:
     """The closest approach of the spacecraft's parts along a motion."""
 
-    index: int  # of the configuration
+    index: int  # index of the configuration
     nearest: Nearest
 
 
@@ -278,7 +278,7 @@ def _is_known(joint: Joint) -> bool:
 
 
 def _places_in(plant: MultibodyPlant) -> np.ndarray:
-    """Of each entry of a configuration its place in the plant's q: deflections come last."""
+    """For each entry of a configuration its place in the plant's q: deflections come last."""
     hidden = [each.position_start() for each in joints_of(plant) if not _is_known(each)]
     return np.r_[np.setdiff1d(np.arange(plant.num_positions()), hidden), hidden].astype(int)
 
@@ -298,8 +298,8 @@ class ApproachClearance(Clearance):
         self._X_PE = frame.CalcPose(held.CreateDefaultContext(), body.body_frame())  # in the grasp
         self._effector = find_frame(self.plant, model.end_effector, key="model.end_effector")
         self._target = find_body(self.plant, target, key="payload.body")
-        # Near the grasp counts what counts once the target is held: not the gripper, nor links
-        # that are always near it.
+        # Near the grasp the pairs of a held target are checked: without the gripper, and without
+        # links always near it.
         apart = {
             each.scoped_name().get_full()
             for pair in Clearance(model).pairs
@@ -328,7 +328,7 @@ def shapes_of(model: Model, *, apart: str | None = None) -> Clearance:
     return _loaded(model, model_files(model), apart)
 
 
-@memoized(maxsize=4)  # a campaign asks after every run, and loading takes longer than looking
+@memoized(maxsize=4)  # called after every run of a campaign; loading is slow
 def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
     """The shapes of a model; ``files`` are part of the key."""
     if apart is None:

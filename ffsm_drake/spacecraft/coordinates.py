@@ -155,7 +155,7 @@ class StateSplit:
     is known. Shapes: (..., size of the state).
     """
 
-    names: tuple[str, ...] = ()  # of the hidden coordinates
+    names: tuple[str, ...] = ()  # names of the hidden coordinates
     units: tuple[str, ...] = ()  # "rad" or "m", one per hidden coordinate
     # Indices in the plant's [q; v] of the entries of the known and of the hidden state.
     known_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))

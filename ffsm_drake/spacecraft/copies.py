@@ -1,5 +1,4 @@
-"""Several copies of the spacecraft in one plant, so that what each call of Drake costs is paid once
-for all of them.
+"""Several copies of the spacecraft in one plant: they share the overhead of each call of Drake.
 
 The plant (``make_plant`` with ``copies``) has one tree of bodies for each copy, and Drake computes
 each tree by itself: a copy moves, to the bit, as it does in a plant of its own. q and v hold copy
@@ -36,8 +35,8 @@ class Copies:
     """A plant of several copies, and the plant of one that they are copies of."""
 
     number: int
-    plant: MultibodyPlant  # of all copies
-    single: MultibodyPlant  # of one
+    plant: MultibodyPlant  # plant with all copies
+    single: MultibodyPlant  # plant with one copy
 
     @classmethod
     def of(cls, model: Model, number: int, *, flexible: bool = False) -> "Copies":
@@ -54,7 +53,7 @@ class Copies:
 
     @property
     def num_positions(self) -> int:
-        """Of one copy."""
+        """Number of positions of one copy."""
         return int(self.single.num_positions())
 
     def rows(self, state: np.ndarray) -> np.ndarray:

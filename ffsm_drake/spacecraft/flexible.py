@@ -1,10 +1,10 @@
 """Flexible parts of the true spacecraft: panels, beams, slosh, passive joints, flexible gears.
 
 ``model.flexible`` names them. Each adds hidden coordinates to the true plant, held by
-springs and dampers; with them at zero and locked it is the spacecraft that the controller knows. A
-beam stands as the equivalent masses of its cantilever modes: mode i is a point mass m_i that slides
-across the beam at the distance h_i from the root, and gives the force and the moment at the root
-that the bending mode gives (modal effective masses; the rest is rigid).
+springs and dampers; with them locked at zero it is the rigid spacecraft of the controller's model.
+A beam is represented by the equivalent masses of its cantilever modes: mode i is a point mass m_i,
+sliding across the beam at the distance h_i from the root, with the same force and moment at the
+root as the bending mode (modal effective masses; the rest is rigid).
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ _CANTILEVER = (
 class BeamMode:
     """Equivalent mass of a bending mode of a uniform cantilever, as fractions of the beam's."""
 
-    mass: float  # of the beam's mass
+    mass: float  # share of the beam's mass
     distance: float  # from the root, of the beam's length
 
 
@@ -146,13 +146,12 @@ def lock_joints(plant: MultibodyPlant, model: Model) -> None:
 
 
 def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
-    """Take the parts' masses out of the bodies that carry them, and set springs and dampers, in one
-    context.
+    """Subtract the parts' masses from their bodies, and set springs and dampers, in one context.
 
     Call it once for a context, after the masses of the bodies are set; all coordinates must be
     zero.
 
-    Raises ModelError: a body has less mass or inertia than the parts that it carries.
+    Raises ModelError: a body has less mass or inertia than its flexible parts.
     """
     if not model.flexible:
         return
@@ -180,10 +179,9 @@ def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
 
 
 def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: str) -> None:
-    """Take the masses of the parts that a body (scoped name) carries out of its own, in one
-    context.
+    """Subtract the masses of a body's (scoped name) flexible parts from its own, in one context.
 
-    Raises ModelError: the body has less mass or inertia than the parts that it carries.
+    Raises ModelError: the body has less mass or inertia than its flexible parts.
     """
     carrier, carried = None, list[SpatialInertia]()
     for name, part in model.flexible.items():
@@ -228,7 +226,7 @@ class VibrationMode:
 
     frequency: float  # Hz; of the free spacecraft
     clamped_frequency: float  # Hz; of the same shape with all known coordinates held
-    damping_ratio: float  # of the free mode, as far as it does not couple others
+    damping_ratio: float  # free mode, without coupling to others
     shape: np.ndarray  # (nh) of the hidden coordinates, the largest 1
     share: np.ndarray  # (nv) fraction of each known coordinate's inertia that the mode carries
 

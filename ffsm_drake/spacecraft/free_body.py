@@ -8,10 +8,10 @@ matrices, stands for the inverse inertia over a third of its trace. Then
 
     R' = R [w]x,   w' = G (G^-1 w x w),   p_WC'' = 0,
 
-with the tide and the gravity gradient of a circular orbit, and what a gripper does, beside it. The
+with the tide and the gravity gradient of a circular orbit, and a gripper's force, added. The
 error is (rotation d in P's axes, R = R_est exp([d]x); rate; p_WP; velocity; arm; shape), 20
-numbers: of what poses tell directly, since errors of the momentum and of p_WC bend with those of
-shape and arm. Arrays may have any leading dimensions.
+numbers. These are nearly linear in measured poses, while errors of the momentum and of p_WC are
+nonlinear in those of shape and arm. Arrays may have any leading dimensions.
 """
 
 import dataclasses
@@ -24,21 +24,21 @@ from ffsm_drake.common.so3 import matrix_of, quaternion_of, skew
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.orbit import Orbit
 
-SIZE = 20  # of the error
+SIZE = 20  # size of the error
 ROTATION, RATE, POSITION, VELOCITY, ARM = (slice(3 * i, 3 * i + 3) for i in range(5))
 SHAPE = slice(15, SIZE)
-_SIZES = np.cumsum([4, 3, 3, 3, 3])  # of ``Target.as_row``
+_SIZES = np.cumsum([4, 3, 3, 3, 3])  # ends of the entries of ``Target.as_row``
 _STEP, _TURN = 0.25, 0.1  # s and rad; of the integration, at most
 FINE_TURN = 0.02  # rad; likewise, for a run's own target: off by some 1e-9 in 10 turns
 _THINNEST = 0.02  # least eigenvalue of G
 _FASTEST = 5.0  # rad/s; of an estimate, whose integration then takes a step of 0.02 s
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
-_SMALL = 0.01  # of a deviation, for second derivatives
+_SMALL = 0.01  # share of a deviation, step of second derivatives
 _DIAGONAL, _OFF = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]), ((0, 1), (0, 2), (1, 2))
 
 
 def _basis() -> np.ndarray:
-    """Of traceless symmetric matrices (5, 3, 3), orthogonal and as large as one another."""
+    """Basis of traceless symmetric matrices (5, 3, 3), orthogonal and of equal norm."""
     found = np.zeros((5, 3, 3))
     found[:2] = [np.diag(row) * math.sqrt(2.0) / np.linalg.norm(row) for row in _DIAGONAL]
     for matrix, (i, j) in zip(found[2:], _OFF, strict=True):
@@ -136,7 +136,7 @@ class Target:
         return self.center - times(matrix_of(self.quaternion), self.arm)
 
     def error(self, truth: "Target") -> np.ndarray:
-        """That of the true target from this one (..., 20)."""
+        """Error of the true target from this one (..., 20)."""
         names = ("rate", "position", "velocity", "arm", "shape")
         others = (getattr(truth, name) - getattr(self, name) for name in names)
         return np.concatenate([turn_between(self.quaternion, truth.quaternion), *others], axis=-1)
@@ -173,7 +173,7 @@ class Target:
 
         def slope(row: np.ndarray, time: float | np.ndarray) -> np.ndarray:
             u, w, velocity = row[..., 1:4], row[..., 4:7], row[..., 10:]
-            vector = row[..., :1] * w + _cross(u, w)  # of 2 q'
+            vector = row[..., :1] * w + _cross(u, w)  # 2 q'
             scalar = -(u * w).sum(axis=-1, keepdims=True)
             torque, pull = _cross(times(J, w), w), np.zeros_like(w)
             if orbit is not None or pushed is not None:
@@ -199,11 +199,11 @@ class Target:
         )
 
     def bend(self, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the rate's slope, what is quadratic in the errors of rate and shape, which have a
-        covariance (..., 20, 20): mean (..., 3; rad/s^2) and covariance (..., 3, 3).
+        """Second-order effect of the errors of rate and shape, with a covariance (..., 20, 20), on
+        the rate's derivative: mean (..., 3; rad/s^2) and covariance (..., 3, 3).
 
-        No body turns faster away than by its rate squared (its moments of inertia are those of a
-        triangle's sides), which bounds both.
+        Both are bounded: the moments of inertia satisfy the triangle inequality, so the derivative
+        of the rate is at most the rate squared.
         """
         within = np.r_[RATE, SHAPE]
         values, axes = np.linalg.eigh(covariance[..., within[:, None], within])
@@ -244,7 +244,7 @@ class Target:
         F = np.zeros((*w.shape[:-1], SIZE, SIZE))
         F[..., ROTATION, ROTATION], F[..., ROTATION, RATE] = -cross, np.eye(3)
         F[..., RATE, RATE] = G @ (skew(momentum) - cross @ J)
-        # of G by the shape, and of J: -J B J
+        # derivatives of G by the shape, and of J: -J B J
         by_torque, by_momentum = (
             np.swapaxes(np.tensordot(x, BASIS, axes=([-1], [2])), -1, -2)
             for x in (np.cross(momentum, w), momentum)
@@ -319,6 +319,6 @@ def path_of(
 
 
 def _longest_step(target: Target, turn: float) -> float:
-    """Of an integration, s."""
+    """Longest step of an integration, s."""
     fastest = float(np.linalg.norm(target.rate, axis=-1).max())
     return min(_STEP, turn / max(fastest, 1e-9))

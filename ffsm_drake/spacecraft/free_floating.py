@@ -25,10 +25,10 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _BASE = Coordinates((), ())
-_POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
+_POSITION = slice(4, NUM_BASE_POSITIONS)  # p_WB in q
 
 Task = Literal["pose", "attitude", "position"]
-# of a twist
+# rows of a twist
 TASK_ROWS: dict[str, slice] = {
     "pose": slice(0, 6),
     "attitude": slice(0, 3),

@@ -1,12 +1,12 @@
 """The grasp of a moving target as a plastic impact: final velocities, impulses, lost energy.
 
-With v of the servicer and V = [w_WP; v_WP] of the target's frame P, world axes, the impulse G that
-acts on the target at P leaves
+With v of the servicer and V = [w_WP; v_WP] of the target's frame P, world axes, the impulse G
+on the target at P gives
 
     M_s v+ = M_s v - J^T G + S^T g,    M_T V+ = M_T V + G,    V+ = J v+,
 
 with J the Jacobian of P as a point of the arm, and g the impulses of the brakes (S picks the braked
-joints, S v+ = 0). Without brakes that is M_c v+ = M_s v + J^T M_T V, where M_c = M_s + J^T M_T J is
+joints, S v+ = 0). Without brakes M_c v+ = M_s v + J^T M_T V, with M_c = M_s + J^T M_T J,
 the mass matrix with the target held. Finite forces have no effect in an instant, so momentum is
 conserved exactly, and v+ has the least energy of all motions with this momentum (and with the
 braked joints at rest).

@@ -1,15 +1,15 @@
-"""The contact of a gripper that closes on a free target: elastic, limited by friction, with a palm.
+"""The contact of a closing gripper with a free target: elastic, limited by friction, with a palm.
 
 The offset x (6; rotation vector, position; gripper axes) of the target's grasp frame from the
 gripper's is drawn to c(t), which goes from the offset at the first contact to zero while the jaws
-close. Springs and dampers act from a reference that slides,
+close. Springs and dampers act from a sliding reference,
 
     f = -K (x - c - s) - D (x' - c' - s'),    |force|^2 + |torque / r|^2 <= (2 mu N(t))^2,
 
 with two jaws of preload N, the coefficient of friction mu and the lever r. Within the limit s
-stays; at the limit it slides along its normal so that f keeps to it: an elastic, perfectly plastic
-element with the ellipsoidal limit surface of an area in friction. The palm
-pushes along its axis only, as long as the target is in it, with the same spring and damper.
+stays; at the limit it slides along its normal, with f on the limit surface: an elastic, perfectly
+plastic element with the ellipsoidal limit surface of an area in friction. The palm pushes along its
+axis only, as long as the target is in it, with the same spring and damper.
 
 A step takes the force implicitly, with the mobility L = M_T^-1 + J M_s^-1 J^T of the grasp frames:
 the springs are stiff for the bare wrist (0.004 kg m^2 at 1e4 N m/rad: 1600 rad/s, damping within
@@ -23,7 +23,7 @@ import numpy as np
 
 from ffsm_drake.scenario.capture import Closing, Compliance
 
-_ROUNDS = 50  # of the search for the slip of a step
+_ROUNDS = 50  # iterations of the search for the slip of a step
 _LEAST = 1e-6  # N m, N; of a limit
 
 
@@ -90,7 +90,7 @@ class Jaws:
         pushed = -K[3] * (sinks - face) - D[3] * (palm @ rate - face_rate)
         on_palm = (step * D[3] + step * step * K[3]) * (palm @ mobility)
         limits = np.repeat(self.limits(time), 3)
-        yields = (K + D / step) / (limits * limits)  # of s, by force, along the limit's normal
+        yields = (K + D / step) / (limits * limits)  # slip by force, along the normal
         touches = pushed > 0.0 and sinks < face
 
         def solve(slip: float) -> tuple[np.ndarray, float, float]:
@@ -113,8 +113,8 @@ class Jaws:
 def _slip(
     solve: Callable[[float], tuple[np.ndarray, float, float]],
 ) -> tuple[float, tuple[np.ndarray, float, float]]:
-    """The size of the slip that keeps to the limit, and what it leads to: the inverse of the share
-    is nearly linear in it.
+    """The size of the slip on the limit surface, and the resulting state. The search uses that the
+    inverse of the share is nearly linear in the size.
     """
     before, at_rest = 0.0, solve(0.0)
     if at_rest[2] <= 1.0:

@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
 
-_ROWS, _COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]  # of Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+_ROWS, _COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]  # indices of Ixx, Iyy, Izz, Ixy, Ixz, Iyz
 
 
 def rotational_inertia(matrix: np.ndarray) -> RotationalInertia:

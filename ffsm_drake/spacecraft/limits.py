@@ -1,4 +1,4 @@
-"""A limit, the share of it that a motion uses, and the limits that the URDFs give."""
+"""Limits, the share of a limit used by a motion, and the limits in URDFs."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
@@ -28,8 +28,8 @@ class Limit:
 
     quantity: str  # POSITION, RATE or FORCE of all coordinates, or a signal of a part
     source: str  # in words, or the key of a setting
-    names: tuple[str, ...]  # of the components (n)
-    units: tuple[str, ...]  # of the quantity
+    names: tuple[str, ...]  # names of the components (n)
+    units: tuple[str, ...]  # units of the quantity
     upper: np.ndarray  # (n); (samples, n) where it depends on the motion; infinite: none
     lower: np.ndarray
 

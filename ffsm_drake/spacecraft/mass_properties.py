@@ -134,7 +134,9 @@ def set_masses(
     *,
     nominal: bool = False,
 ) -> None:
-    """Set payload, wheels and drives in a new context; errors as for the functions called."""
+    """Set payload, wheels and drives in a new context. Raises the errors of the functions
+    called.
+    """
     # first: a rotor may be the only inertia that a joint moves
     set_drives(plant, context, scenario.drives, nominal=nominal)
     set_payload(plant, context, body=scenario.payload.body, properties=payload)

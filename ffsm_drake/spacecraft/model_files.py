@@ -27,7 +27,7 @@ _NAMES = re.compile(
 
 
 def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Path, ...]:
-    """A model's file and all files that it names, regular and not too large.
+    """The file of a model with all files named in it, regular and not too large.
 
     Drake reports missing files.
 

@@ -143,10 +143,10 @@ def check_pictures(model: Model) -> None:
 def make_plant(
     model: Model, *, flexible: bool = False, copies: int = 1, jointless: bool = False
 ) -> MultibodyPlant:
-    """The finalized plant without a diagram, for computations. Arguments and errors as for
-    ``add_combined_plant``. A ``jointless`` one may have no joint that moves.
+    """The finalized plant without a diagram, for computations. Arguments and errors: see
+    ``add_combined_plant``. A ``jointless`` plant may lack moving joints.
 
-    Of several ``copies`` of the spacecraft each has model instances of its own, named
+    Each of several ``copies`` of the spacecraft has its own model instances, named
     ``copy_0::servicer`` and so on; q and v hold copy after copy (``spacecraft.copies``).
     """
     plant = MultibodyPlant(time_step=0.0)
@@ -249,8 +249,8 @@ def _weld(plant: MultibodyPlant, model: Model) -> None:
 
 
 def _free(plant: MultibodyPlant, name: str, end_effector: str) -> None:
-    """Remove the joints that hold a body (scoped name) to the side of the end effector; what else
-    is fixed to the body stays with it.
+    """Remove the joints between a body (scoped name) and the end effector; other bodies fixed to it
+    stay fixed.
     """
     body = find_body(plant, name, key="payload.body").index()
     gripper = find_frame(plant, end_effector, key="model.end_effector").body().index()

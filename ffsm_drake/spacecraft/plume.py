@@ -1,9 +1,9 @@
-"""Plumes of thrusters: their force on what they hit.
+"""Plumes of thrusters: their force on the bodies that they hit.
 
 A plume's momentum leaves the nozzle into the half space behind the thrust, per solid angle as
 cos^n of the angle off its axis (a source flow, see docs/actuators.md). Rays carry equal parts of
-it. Each gives its momentum to the first shape that it meets, along itself: what hits stays. Bodies
-so shadow one another.
+it. Each transfers its whole momentum, along its direction, to the first shape on its path (no
+reflection). Bodies shadow one another.
 """
 
 import dataclasses
@@ -101,7 +101,7 @@ class PlumeField:
         away = np.array([X_WG.translation() for X_WG in poses])[:, None] - p  # (shapes, n, 3)
         along = np.einsum("snj,nrj->snr", away, u)
         reach = self._reach[:, None, None]
-        # those whose line comes within the shape's reach of its origin
+        # plumes with a line within the shape's reach of its origin
         beside = (away * away).sum(axis=-1)[..., None] - along**2
         near = (beside <= reach**2) & (along >= -reach)
         met = np.full(near.shape, np.inf)
@@ -114,8 +114,8 @@ class PlumeField:
 
 @memoized(maxsize=16)
 def returned_shares(scenario: Scenario) -> dict[str, float]:
-    """Of each thruster of a scenario with plumes, the largest share of its thrust that its plume
-    returns, in ``initial_posture`` and ``target_posture``.
+    """For each thruster of a scenario with plumes, the largest share of its thrust returned by its
+    plume, in ``initial_posture`` and ``target_posture``.
     """
     settings = scenario.actuation.thrusters
     assert settings is not None

@@ -40,7 +40,7 @@ def reach_of(shape: Shape) -> float:
 
 
 def _corners(shape: Convex | Mesh) -> np.ndarray:
-    """Of the box of its vertices: the least and the largest (2, 3)."""
+    """Least and largest corner (2, 3) of the box of its vertices."""
     surface = shape.GetConvexHull()
     vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
     return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
@@ -91,14 +91,14 @@ def _(shape: Capsule, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _within(half: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of a box about the origin."""
+    """Parameters at which rays enter and leave a box about the origin."""
     sides = np.stack([(-half - p) / u, (half - p) / u])
     sides = np.where(np.isnan(sides), np.array([-np.inf, np.inf])[:, None, None], sides)
     return sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
 
 
 def _round(p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the unit ball, or with two coordinates of the unit disc's cylinder."""
+    """The same for the unit ball; with two coordinates, for the unit disc's cylinder."""
     a, b, c = (u * u).sum(axis=1), (p * u).sum(axis=1), (p * p).sum(axis=1) - 1.0
     root = np.sqrt(b * b - a * c)
     enters, leaves = (-b - root) / a, (-b + root) / a
@@ -112,7 +112,7 @@ def _round(p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _barrel(
     radius: float, length: float, p: np.ndarray, u: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of a cylinder about the z axis."""
+    """The same for a cylinder about the z axis."""
     around = _round(p[:, :2] / radius, u[:, :2] / radius)
     ends = _within(np.array([0.5 * length]), p[:, 2:], u[:, 2:])
     return np.maximum(around[0], ends[0]), np.minimum(around[1], ends[1])

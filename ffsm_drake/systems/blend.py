@@ -13,7 +13,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Reference, Shaper
 
-# of a function of time: value, rate, acceleration
+# value, rate and acceleration of a function of time
 Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 

@@ -1,6 +1,5 @@
-"""What the hidden coordinates of the true spacecraft (``model.flexible``) bring to records and
-pages: how far they move, the energy of their springs, and what is left of it once the planned
-motion is over.
+"""Signals and metrics of the hidden coordinates of the true spacecraft (``model.flexible``): their
+deflection, the energy of their springs, and the residual vibration after the planned motion.
 """
 
 import dataclasses
@@ -40,7 +39,7 @@ class Deflections(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Deflections | None":
-        """Those of a scenario."""
+        """The deflections of a scenario."""
         kinds = tuple(part.kind for part in scenario.model.flexible.values())
         return cls(kinds=kinds) if kinds else None
 

@@ -26,7 +26,7 @@ _LEAST_SHAPED = 1.05
 def shortest_duration(
     scenario: Scenario, motion_in: Callable[[float], "PlannedMotion"], *, shaped_by: float = 0.0
 ) -> float:
-    """The shortest duration, in s and whole control samples, of a motion that keeps every limit.
+    """The shortest duration, in s and whole control samples, of a motion within every limit.
 
     The limits are forces (actuators and URDFs) and joint velocities (URDFs and drives), both less
     ``reference.reserve``, and the URDFs' joint positions. The force comes from inverse dynamics
@@ -38,7 +38,7 @@ def shortest_duration(
 
     Raises:
       ScenarioError: there are no limits.
-      LimitError: no duration keeps all limits; it names the one that fails.
+      LimitError: no duration keeps all limits; the error names the violated one.
     """
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model = make_nominal_plant(scenario)
@@ -69,7 +69,7 @@ def shortest_duration(
             "limit",
             limit=name,
         )
-    while samples - before > 1:  # between the last that is too short and the first that is not
+    while samples - before > 1:  # between the last too short and the first sufficient one
         half = (before + samples) // 2
         before, samples = (before, half) if worst(half * sample_time)[0] <= 1.0 else (half, samples)
     return samples * sample_time
@@ -85,8 +85,8 @@ def _worst_of(
     free: float,
     shaped_by: float,
 ) -> Callable[[float], tuple[float, str]]:
-    """Duration, s -> the largest fraction of a limit that its motion uses, and that limit's name;
-    of forces and rates the share ``free`` may be used.
+    """Duration, s -> the largest fraction of a limit used by its motion, and that limit's name; the
+    share ``free`` of forces and rates is usable.
     """
     coordinates = model.coordinates
     named = ("force on", "velocity of", "position of")

@@ -5,7 +5,7 @@ mass at p_W then feels the difference of gravity, to first order in p over the o
 
   a(p) = n^2 (3 r r' - 1) p,
 
-with the mean motion n and the unit vector r away from the attracting body, which turns at n about
+with the mean motion n and the unit vector r away from the attracting body; r turns at n about
 the orbit's normal h. With Hill's axes r, t = h x r and h, and c_u(p) = u x (u x p), the
 acceleration of p in a uniform rotation at 1 rad/s about an axis u through the origin, that is n^2
 (2 c_r - c_t - c_h). So the generalized force of all bodies, with their extent, is the same sum of
@@ -32,8 +32,8 @@ from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.registry import own_actuators
 from ffsm_drake.systems.setup import BlockSetup
 
-_POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
-_SHARES = np.array([2.0, -1.0, -1.0])  # of the rotations about r, t, h
+_POSITION = slice(4, NUM_BASE_POSITIONS)  # p_WB in q
+_SHARES = np.array([2.0, -1.0, -1.0])  # weights of the rotations about r, t, h
 # a -> the matrix of a x (.), its rows one after another
 _CROSS = np.array(
     [
@@ -245,7 +245,7 @@ class OrbitalEnvironment(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "OrbitalEnvironment | None":
-        """That of a scenario."""
+        """The orbital environment of a scenario."""
         return None if scenario.environment is None else cls()
 
     def build(self, setup: BlockSetup) -> EnvironmentForce:

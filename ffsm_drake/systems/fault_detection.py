@@ -1,19 +1,19 @@
-"""The flight software's look at faults: the last stage of the section ``sensing``.
+"""Fault detection of the flight software: the last stage of the section ``sensing``.
 
-At each sample it holds what was measured against what was told to the actuators:
+At each sample it compares measurements with the commands of the actuators:
 
-- a sensor falls silent where it says that nothing is new; is frozen where it repeats its bits
-  though the others move; is biased where a position jumps by more than its velocity explains, or
-  a velocity differs from its position's slope;
-- a wheel stops where its momentum, from its tachometer, does not change by the torque told;
-- a joint is jammed where it stands still under a force that no disturbance, friction or payload
-  within the stated bounds explains;
-- of thrusters see ``systems.residuals``.
+- a sensor is silent if it reports no new measurement; frozen if it repeats its bits while others
+  move; biased if a position jumps by more than its velocity explains, or a velocity differs from
+  its position's slope;
+- a wheel has stopped if its momentum, from its tachometer, does not follow the commanded torque;
+- a joint is jammed if it stands still under a force beyond the stated bounds of disturbance,
+  friction and payload;
+- thrusters: see ``systems.residuals``.
 
-A lost position is carried on by its velocity, a lost velocity comes from an observer of position
-and told force, a bias is taken off, of the base's sensors in the base's axes. A lost thruster or
-wheel leaves the allocation. A joint that jams, and what the allocation cannot do without, raises
-``abort_request``.
+A lost position is extrapolated with its velocity, a lost velocity comes from an observer of
+position and reported force, a bias is subtracted (base sensors: in the base's axes). A lost
+thruster or wheel leaves the allocation. A jammed joint, or the loss of a unit essential to the
+allocation, raises ``abort_request``.
 """
 
 import dataclasses
@@ -59,15 +59,15 @@ _CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 # control samples of a block; blocks that are kept; looks until a slope is known
 _EVERY, _KEPT, _OLD = 5, 61, 20
 _WINDOWS = (8, 24, 60)  # blocks
-# looks in a row that name the same thruster; share of the threshold for them: what is not white is
-# within bounds
+# consecutive evaluations that name the same thruster; share of the threshold required in them:
+# residuals that are not white stay within bounds
 _CONFIRMED, _ASKED = 4, 0.6
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
 _JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
-_SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the impulse told, by which a wheel may be off
-_STILL, _LEAST = 2e-5, 0.05  # of a jam: rad or m; N m or N beyond all bounds
-_OFF = 0.2  # of the payload's radius of gyration and moments: its centre, products of inertia
+_SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the commanded impulse: tolerance of a wheel
+_STILL, _LEAST = 2e-5, 0.05  # for a jam: rad or m; N m or N beyond all bounds
+_OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
 _PULSE = 0.1  # share of the largest impulse of a frame that is noise
 _FLEXIBLE = 4.0  # times the largest acceleration so far that flexible parts may give
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
@@ -78,7 +78,7 @@ class FaultDetection(Part):
 
     title = "Fault detection"
     section = "Faults"
-    about = "What was noticed: " + ", ".join(f"{i} {kind}" for i, kind in enumerate(KINDS) if kind)
+    about = "Detected faults: " + ", ".join(f"{i} {kind}" for i, kind in enumerate(KINDS) if kind)
 
     @classmethod
     def of(cls, scenario: Scenario) -> "FaultDetection | None":
@@ -90,12 +90,12 @@ class FaultDetection(Part):
         return _Detector(setup)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
-        """What is noticed of each unit."""
+        """Detected fault of each unit."""
         return (
             Signal(
                 name="fault_detected",
                 unit="1",
-                meaning=f"what is noticed of each unit: {self.about.partition(': ')[2]}, 0 nothing",
+                meaning=f"detected fault of each unit: {self.about.partition(': ')[2]}, 0 none",
                 components=tuple(_units(setup.scenario, setup.coordinates)),
                 dimension="fault_unit",
                 heading="",
@@ -111,7 +111,7 @@ class FaultDetection(Part):
         )  # fmt: skip
 
     def sentence(self, figures: Sequence[Figure]) -> str:
-        """What was noticed, with times."""
+        """Detected faults with their times."""
         (found,) = (each.value for each in figures if each.key == "faults.noticed")
         assert isinstance(found, dict)
         listed = ", ".join(f"{name} at {time:.2f} s" for name, time in found.items())
@@ -200,7 +200,7 @@ class _Detector(LeafSystem):
             self._orbital = 3.0 * Orbit(scenario.environment).rate ** 2
 
     def _bound(self, mass: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """The largest force (nv) that is neither told nor a fault; friction, too."""
+        """The largest force (nv) that is neither reported nor a fault, friction included."""
         inertia = 0.5 * np.trace(mass[:3, :3]) + mass[3, 3] * (state[4:7] @ state[4:7])
         orbital = self._orbital * np.sqrt(np.diag(mass) * inertia)
         rates = np.abs(state[self._nq :])
@@ -225,7 +225,7 @@ class _Detector(LeafSystem):
         return bound
 
     def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
-        """What sensors show, and how well."""
+        """Read the sensors' properties: update pattern and noise."""
         self._sensors = sensors_of(coordinates)
         period, delay = measurement_times(scenario.sensing, coordinates)
         self._is_prompt = (period == 1) & (delay == 0)
@@ -253,7 +253,8 @@ class _Detector(LeafSystem):
         self._force = np.zeros(0) if thrusters is None else thrusters.force
         self._thrusters, self._wheels = thrusters, wheels
         wheel_count = 0 if wheels is None else len(wheels.names)
-        # unexplained velocities of each model, slips, motions, velocities, impulses told, momenta
+        # unexplained velocities of each model, slips, motions, velocities, commanded impulses,
+        # momenta
         width = (MODELS + 3) * nv + units + wheel_count
         self._shapes = {
             "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort": (1,),
@@ -352,7 +353,7 @@ class _Detector(LeafSystem):
         return self._names.index(f"sensing.{sensor}")
 
     def _isolated(self, codes: np.ndarray) -> np.ndarray:
-        """What the actuators are told (units)."""
+        """Codes for the actuators (units)."""
         assert self._base is not None
         told = (codes[: len(self._base.units)] > 0.0) * LOST
         if not self._settings.isolation_valves:
@@ -392,8 +393,8 @@ class _Detector(LeafSystem):
         return np.array([changes[min(k, len(changes) - 1)] for k in range(MODELS)])
 
     def _acting(self, memory: Memory, context: Context) -> np.ndarray:
-        """The force (nv) on the plant in the last sample as told, torques of wheels as measured;
-        their sums in ``part`` go on.
+        """The force (nv) on the plant in the last sample as reported, with measured wheel torques;
+        updates the sums in ``part``.
         """
         nv, units = self._nv, len(memory["told"])
         force = self._told.Eval(context).copy()
@@ -488,7 +489,7 @@ class _Detector(LeafSystem):
     def _look_at_sensors(
         self, memory: Memory, raw: np.ndarray, before: np.ndarray, context: Context
     ) -> None:
-        """Those that are silent, frozen, or jump."""
+        """Detect silent, frozen or jumping sensors."""
         nq, nv, codes = self._nq, self._nv, memory["codes"]
         now, old = memory["seen"], memory["raw"]
         moved = position_error(now[:nq], before[:nq])
@@ -542,7 +543,7 @@ class _Detector(LeafSystem):
         nq, nv, entries = self._nq, self._nv, self._sensors[sensor]
         memory["codes"][self._unit(sensor)] = _CODE[kind]
         now = memory["seen"]
-        if kind != "biased" and entries[0] < nv:  # what was missed meanwhile
+        if kind != "biased" and entries[0] < nv:  # changes missed meanwhile
             missed = np.zeros(nv)
             missed[entries] = memory["since"][entries]
             now[:nq] = _moved(now[:nq], -missed)
@@ -592,7 +593,7 @@ class _Detector(LeafSystem):
             memory["slope"] += gain * (slope_of(old, step)[0] - memory["slope"])
         if self._wheels is not None:
             self._look_at_wheels(memory, valid)
-        # of a spacecraft that does what nobody expects nothing more can be told
+        # an unpredictable motion allows no further detection
         if memory["abort"][0] or memory["samples"][0] < _LEARNT:
             return
         if self._is_flexible and valid >= _KEPT:
@@ -633,7 +634,7 @@ class _Detector(LeafSystem):
             memory["abort"][0] = 1.0
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
-        """Momentum that does not change by the torque told."""
+        """Detect a momentum that does not follow the commanded torque."""
         assert self._wheels is not None
         count = len(self._wheels.names)
         for window in (each for each in (_EVERY, *_WINDOWS) if each < valid):
@@ -647,7 +648,7 @@ class _Detector(LeafSystem):
     def _look_at_joints(
         self, memory: Memory, blocks: np.ndarray, mass: Sequence[np.ndarray], bound: np.ndarray
     ) -> None:
-        """Those that stand still under a force beyond all bounds, whatever the payload's mass.
+        """Detect joints at rest under a force beyond all bounds, for any payload mass.
 
         The mean over a window of a force within +-D, by any weights, is within +-D: whatever its
         frequency.
@@ -670,8 +671,8 @@ class _Detector(LeafSystem):
                 self._notice(memory, unit, "jammed")
 
     def _slips(self, memory: Memory, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """By how much (nv) velocities differ from the slopes of their positions beyond what they
-        usually do, and the standard deviation of that.
+        """Difference (nv) between velocities and the slopes of their positions beyond the usual
+        one, and its standard deviation.
         """
         at, step, white = MODELS * self._nv, _EVERY * self._step, _white(memory["jitter"])
         slope, deviation = slope_of(blocks[:, at : at + self._nv], step, white)
@@ -683,12 +684,14 @@ class _Detector(LeafSystem):
         return slope - memory["slope"], np.hypot(deviation, of_usual) + 1e-30
 
     def _are_velocities_off(self, memory: Memory, blocks: np.ndarray) -> bool:
-        """Whether one seems to differ from the slope of its position, so that it tells no force."""
+        """Whether a velocity seems to differ from the slope of its position and cannot reveal
+        forces.
+        """
         off, deviation = self._slips(memory, blocks)
         return bool((np.abs(off) > _SLOPE + 4.0 * deviation).any())
 
     def _look_at_velocities(self, memory: Memory, blocks: np.ndarray) -> None:
-        """Those that differ from the slope of their position."""
+        """Detect velocities that differ from the slope of their position."""
         nv, codes = self._nv, memory["codes"]
         off, deviation = self._slips(memory, blocks)
         for name, entries in self._sensors.items():
@@ -726,9 +729,9 @@ class _Detector(LeafSystem):
         )
 
     def _confirm(self, memory: Memory, suspicions: Sequence[Suspicion], window: int) -> None:
-        """Notice the thruster of the last window, once enough looks in a row name it, with the kind
-        that the window says which explains most: before and after a fault's start two kinds differ
-        by a constant force.
+        """Report the thruster of the last window after enough consecutive evaluations have named
+        it, with the kind of the best explanation in the window: before and after a fault's start
+        two kinds differ by a constant force.
         """
         found = suspicions[-1]
         looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(window)]

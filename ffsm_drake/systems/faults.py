@@ -1,4 +1,4 @@
-"""Faults: what of the spacecraft may break, as its parts say, and what breaks in a run."""
+"""Faults: the possible ones, declared by the spacecraft's parts, and those of a run."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ def settled(scenario: Scenario, known: Known) -> Scenario:
 
 
 def _settled(fault: Fault, known: Known, generator: np.random.Generator, key: str) -> Fault:
-    """What is drawn is drawn evenly: of the parts, then of their kinds, then of the units."""
+    """Draw the open choices of a fault evenly: first parts, then their kinds, then units."""
     share = generator.random(4)
 
     def drawn(among: Sequence[str], at: int) -> str:
@@ -73,7 +73,7 @@ def first_sample(fault: Fault, sample_time: float) -> int:
 
 
 class BreakingPart(Part):
-    """What stands in the diagram where faults hit it."""
+    """Base class of parts whose system is affected by faults."""
 
     hit_as: ClassVar[str]  # before the point of a unit's name
 

@@ -1,7 +1,7 @@
 """Sensors that break: frozen, biased or silent.
 
-A bias of the base's sensors is in the base's axes. What is frozen or silent repeats the last thing
-that the loop heard, in world axes.
+A bias of the base's sensors is in the base's axes. A frozen or silent sensor repeats its last
+measurement, in world axes.
 """
 
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ def entries_in_state(entries: np.ndarray) -> np.ndarray:
 
 
 class FaultySensors(BreakingPart):
-    """Those that ``faults`` hit: the last stage of the section ``sensing``."""
+    """Sensors affected by ``faults``: the last stage of the section ``sensing``."""
 
     title, hit_as = "Faulty sensors", "sensing"
 

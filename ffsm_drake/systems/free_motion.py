@@ -1,7 +1,7 @@
 """Planned motions of an underactuated spacecraft, by conservation of momentum.
 
 Only the pose of the base is integrated, with the momentum at the start and the nominal payload. Its
-velocity follows from that momentum, its acceleration from the equations of motion, so that inverse
+velocity follows from that momentum, its acceleration from the equations of motion, so inverse
 dynamics of the motion gives no force on undriven coordinates.
 """
 

@@ -16,7 +16,7 @@ _STOPS_IN = 0.02  # s, time constant of the rate as a joint jams
 
 
 class JammedJoints(BreakingPart):
-    """Those that ``faults`` hit."""
+    """Joints affected by ``faults``."""
 
     title, hit_as = "Jammed joints", "joints"
 
@@ -31,8 +31,8 @@ class JammedJoints(BreakingPart):
 
 
 class _Jam(LeafSystem):
-    """The constraint force that holds joints, exactly: the plant's acceleration under all other
-    forces, and the force along the joints that takes their part of it out.
+    """The exact constraint force on jammed joints: it cancels their part of the plant's
+    acceleration under all other forces.
 
     Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv). Output:
     ``generalized_force`` (nv). Parameter: mass, centre of mass, inertia of the payload.

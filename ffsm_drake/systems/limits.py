@@ -37,7 +37,7 @@ class BaseLimits:
 
 
 def base_limits(scenario: Scenario) -> BaseLimits:
-    """The limits of a scenario's base actuators; ScenarioError as for ``make_actuation``."""
+    """The limits of a scenario's base actuators. Raises the errors of ``make_actuation``."""
     torque = helped = force = np.full(len(_DIRECTIONS), np.inf)
     names = list[str]()
     for part in own_actuators(scenario):
@@ -60,8 +60,8 @@ def _span(most: np.ndarray, unit: str) -> str:
 
 
 def uneven_remarks(scenario: Scenario) -> Iterator[str]:
-    """What base actuators that are nearly degenerate give along their weakest direction; errors as
-    for ``base_limits``.
+    """Remarks on nearly degenerate base actuators: output along the weakest direction. Raises the
+    errors of ``base_limits``.
     """
     for part in own_actuators(scenario):
         principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
@@ -90,9 +90,9 @@ def limits_of(
     *,
     helped: bool = False,
 ) -> list[Limit]:
-    """The limits of a scenario, each by who sets it; ``tightest`` joins those of a quantity.
+    """The limits of a scenario, one for each source; ``tightest`` joins the limits of a quantity.
 
-    ``parts`` default to the scenario's own actuators; ``helped``: as for ``actuation_limit``.
+    ``parts`` default to the scenario's own actuators; ``helped``: see ``actuation_limit``.
 
     Raises ScenarioError, ModelError: a limit names an unknown coordinate, or a URDF cannot be
     read.
@@ -104,7 +104,7 @@ def limits_of(
 def joint_limits(
     scenario: Scenario, plant: MultibodyPlant, parts: Iterable[Part] | None = None
 ) -> list[Limit]:
-    """``limits_of`` without the force that actuators give: limits that nothing enforces."""
+    """``limits_of`` without the actuators' limits of force: limits without enforcement."""
     coordinates = coordinates_of(plant)
     given = own_actuators(scenario) if parts is None else parts
     own = (limit for part in given for limit in part.limits(coordinates))
@@ -112,8 +112,8 @@ def joint_limits(
 
 
 def actuation_limit(scenario: Scenario, coordinates: Coordinates, *, helped: bool = False) -> Limit:
-    """The largest forces that ``actuation.limit`` leaves and the base's actuators give in any
-    direction; ``helped``: for a while, wheels with the thrusters' help. Errors as for
+    """The largest forces within ``actuation.limit`` and the capability of the base's actuators in
+    any direction; ``helped``: for a while, wheels with the thrusters' help. Raises the errors of
     ``limits_of``.
     """
     key, base = "actuation.limit", base_limits(scenario)

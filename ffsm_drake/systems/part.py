@@ -1,10 +1,9 @@
-"""The contract of a part: what fills a block of the closed loop says of itself what everything else
-is derived from.
+"""The contract of a part: a component of the closed loop and everything derived from it.
 
-A part is a frozen dataclass whose fields are settings (``common.settings.setting``). From it come
+A part is a frozen dataclass of settings (``common.settings.setting``). It determines
 the checks of ``blocks.<name>.settings``, the ports, the variables of the record, the panels of the
-report, the figures in ``metrics.json`` and the tables, the columns of campaigns, and what the
-linearisation wires in its place.
+report, the figures in ``metrics.json`` and the tables, the columns of campaigns, and its
+stand-in in the linearisation.
 """
 
 import dataclasses
@@ -27,25 +26,25 @@ from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.setup import BlockSetup
 
-# What a signal is to the balances of momentum: momentum that the part holds beside the bodies', in
-# the world (3), N m s; the torque that it gives the base from within, part of ``applied_force``. To
-# that of energy: the work of forces that act beside ``applied_force``, since the start, summed over
-# the components, J; energy that it holds, or has taken out since the start, J. To both: an external
-# force (nv) beside ``applied_force``, held over a sample too.
+# Role of a signal in the balances. Of momentum: momentum that the part holds beside the bodies', in
+# the world (3), N m s; the internal torque on the base, part of ``applied_force``. Of energy: the
+# work of forces beside ``applied_force``, since the start, summed over the components, J; energy
+# stored, or dissipated since the start, J. Of both: an external force (nv) beside
+# ``applied_force``, held over a sample too.
 STORED_MOMENTUM, INTERNAL_TORQUE = "stored_momentum", "internal_torque"
 INTERNAL_WORK, STORED_ENERGY, HELD_FORCE = "internal_work", "stored_energy", "held_force"
 ROLES = (STORED_MOMENTUM, INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY, HELD_FORCE)
-# How a signal is drawn: as a curve; in steps, from one sample to the next; as a row for each
-# component with a box wherever it is on, from the shares of the samples for which it is.
+# Drawing of a signal: a curve; steps from one sample to the next; a row for each component, with a
+# box wherever it is on, from the share of each sample in the on state.
 CURVE, STEPS, TIMELINE = "linear", "hv", "timeline"
 
 
 class View(Protocol):
-    """A run, as the figures of a part see it."""
+    """A run, as read by the metrics of a part."""
 
     @property
     def scenario(self) -> Scenario:
-        """What was run."""
+        """The scenario of the run."""
 
     @property
     def time(self) -> np.ndarray:
@@ -64,12 +63,13 @@ class View(Protocol):
         """The true plant, flexible parts included."""
 
     def __contains__(self, name: str) -> bool:
-        """Whether there is a signal of that name."""
+        """Whether a signal of that name exists."""
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A signal at the control samples: (n, its components), or (n) of one without components.
+        """A signal at the control samples: (n, components), or (n) without components.
 
-        Those of the closed loop (``state``, ``applied_force``, ...) and of every part.
+        Available are the closed loop's signals (``state``, ``applied_force``, ...) and those of
+        every part.
         """
 
 
@@ -77,14 +77,15 @@ class View(Protocol):
 class Signal:
     """An output port of a part: a variable of the record, and a panel of the report."""
 
-    name: str  # of the port and of the variable
+    name: str  # name of the port and of the variable
     unit: str
     meaning: str
-    components: tuple[str, ...] = ()  # their names; none: a single number
-    # the dimension of the record along which the components stand; "": one of its own
+    components: tuple[str, ...] = ()  # names of the components; empty: a single number
+    # dimension of the record for the components; "": one of its own
     dimension: str = ""
     held: bool = True  # constant from each control sample to the next
-    # computed from the run in place of a port: (n, components) or (n); None: this run has none
+    # computes the signal from the run, without a port: (n, components) or (n); None: absent in this
+    # run
     of: Callable[[View], np.ndarray | None] | None = None
     role: str = ""  # one of ROLES, or none
     # heading of its panels in the report; None: the part's title and its name, "": no panels
@@ -95,12 +96,12 @@ class Signal:
 
     @property
     def size(self) -> int:
-        """Of the port."""
+        """Size of the port."""
         return max(1, len(self.components))
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Of the variable."""
+        """Dimensions of the variable."""
         along = self.dimension or f"{self.name}_component"
         return ("time", along) if self.components else ("time",)
 
@@ -118,35 +119,35 @@ class Constant:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Named:
-    """What a metric and its figure share."""
+    """The common fields of a metric and its figure."""
 
-    # dotted: where it stands in ``metrics.json``, values by name beside those of another metric of
-    # the same key; "": not there
+    # dotted key in ``metrics.json``; values by name merge with those of another metric of the same
+    # key; "": not there
     key: str
     unit: str
-    label: str  # of its row in tables, or of the rows of its values by name; "": no row
-    column: str | None = None  # of campaigns; None: by its key, "": no column
-    # of that column in the campaign's page; None: by label and unit, "": not shown
+    label: str  # label of the row in tables, or of the rows of values by name; "": no row
+    column: str | None = None  # column of campaigns; None: from the key, "": no column
+    # heading of that column on the campaign's page; None: from label and unit, "": not shown
     heading: str | None = None
-    # In what unit it is shown, such as g of kg with the factor 1000; "%" of a share.
+    # Unit shown, such as g for kg with the factor 1000; "%" for a share.
     shown: str = ""
     factor: float = 1.0
-    ranked: bool = False  # less is better: runs are compared by it
+    ranked: bool = False  # lower is better: comparisons of runs use it
 
     @property
     def column_name(self) -> str:
-        """Its name in a campaign; "" where it has no column."""
+        """Name of the column in a campaign; "" without a column."""
         return self.key.replace(".", "_") if self.column is None else self.column
 
     @property
     def column_heading(self) -> str:
-        """Of that column."""
+        """Heading of the column."""
         unit = "" if self.unit == "1" else f" [{self.unit}]"
         return f"{self.label.lower()}{unit}" if self.heading is None else self.heading
 
     @property
     def shown_unit(self) -> str:
-        """Beside its value in tables; "" of a share."""
+        """Unit shown beside the value in tables; "" for a share."""
         unit = self.shown or self.unit
         return "" if unit in ("1", "%") else unit
 
@@ -166,13 +167,13 @@ class Metric(_Named):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Figure(_Named):
-    """What a metric came to in a run."""
+    """The value of a metric in a run."""
 
     part: str  # the title of the part
     value: Values
 
     def text(self, name: str = "", *, digits: int = 4) -> str:
-        """The value, or that of a name, as it is shown, without its unit."""
+        """The value, or the value of one name, as displayed, without its unit."""
         value = self.value.get(name) if isinstance(self.value, Mapping) else self.value
         if self.shown == "%":
             return percent(value)
@@ -182,7 +183,7 @@ class Figure(_Named):
 
     @property
     def size(self) -> float:
-        """The value in the unit that it is shown in; NaN where it is no finite number."""
+        """The value in the displayed unit; NaN if it is not a finite number."""
         known = isinstance(self.value, (int, float))
         return self.factor * float(self.value) if known else math.nan  # type: ignore[arg-type]
 
@@ -194,38 +195,38 @@ class Drawing:
     signal: str
     heading: str
     chart: str
-    title: str  # of the panel of a timeline
+    title: str  # title of a timeline's panel
     panels: Mapping[str, str]  # component -> unit; of a variable without components its title
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Solid:
-    """A solid on the base, as Meshcat shows it. Lengths without a unit are shares of the base's
+    """A solid on the base, shown in Meshcat. Lengths without a unit are shares of the base's
     longest edge.
     """
 
-    group: str  # that of solids of one kind
+    group: str  # group of solids of one kind
     name: str
     shape: Literal["cone", "disc"]  # a cone has its point at its place, and opens along the axis
     axis: np.ndarray  # (3,) in the base's axes, of any length
     position: np.ndarray  # (3,) m, in the base
-    offset: float = 0.0  # from there along the axis
+    offset: float = 0.0  # distance from there along the axis
     length: float
     radius: float
     color: tuple[float, float, float, float]  # red, green, blue, opacity
     through: bool = False  # seen through the base
-    # the signal that shows it where the component of its name is above zero; "": always shown
+    # signal whose component of this solid's name shows it while above zero; "": always shown
     shown_by: str = ""
     legend: str = ""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PartRecord:
-    """What a record keeps of a part beside its variables, so that it is shown without it."""
+    """Data of a part in a record, beside its variables: the report needs no part."""
 
     title: str
-    section: str  # of the report
-    about: str  # that section's text; "": the sentences of its parts
+    section: str  # section of the report
+    about: str  # text of that section; "": the sentences of its parts
     sentence: str
     table: tuple[tuple[str | float | None, ...], ...]  # None: not a finite number
     figures: tuple[Figure, ...]
@@ -233,7 +234,7 @@ class PartRecord:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "PartRecord":
-        """From ``dataclasses.asdict``, through JSON. Raises TypeError for what is none."""
+        """Build from ``dataclasses.asdict``, through JSON. Raises TypeError for other data."""
         made = {
             "table": tuple(map(tuple, data["table"])),
             "figures": tuple(Figure(**each) for each in data["figures"]),
@@ -256,7 +257,7 @@ class MomentumStorage(Protocol):
 
     @property
     def initial(self) -> np.ndarray:
-        """Angular momentum (3) that they hold at the start, N m s."""
+        """Initial angular momentum (3) of the units, N m s."""
 
     @property
     def least_capacity(self) -> float:
@@ -266,10 +267,10 @@ class MomentumStorage(Protocol):
         """The largest angular momentum along a direction (3), N m s."""
 
     def filled(self, momentum: np.ndarray) -> np.ndarray:
-        """The share of its limit (..., n) that each unit is filled to by a momentum (..., 3)."""
+        """The share of its limit (..., n) to which a momentum (..., 3) fills each unit."""
 
     def most(self, direction: np.ndarray) -> float:
-        """The largest multiple of a torque (3), N m, that they give."""
+        """The largest available multiple of a torque (3), N m."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -287,25 +288,25 @@ class Advice:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GroupLoad:
-    """What a mission and its loop ask of a group's actuators, and what those give."""
+    """Requirements of a mission and its loop on a group's actuators, and the actuators' limits."""
 
     limit: float  # N m or N; in any direction
     inertia: float  # kg m^2 or kg; the largest about or along an axis, all else free to react
     noise: float  # rad or m; largest standard deviation of a measured position
-    motion: float  # N m or N; peak of the planned motion, of a capture after its first seconds
+    motion: float  # N m or N; peak of the planned motion; with a capture, after its first seconds
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Load:
-    """What helps base actuators that saturate, whichever they are."""
+    """Possible remedies for saturated base actuators of any kind."""
 
     groups: Mapping[str, GroupLoad]  # by group, of those with a limit
-    slower: Advice | None  # a longer motion, where that takes less of the limit
-    softer: Mapping[str, Advice]  # by group: smaller gains, where they are too large
-    other_law: Advice | None  # one without an integral, where the law has one
+    slower: Advice | None  # a longer motion, if it takes less of the limit
+    softer: Mapping[str, Advice]  # by group: smaller gains, if they are too large
+    other_law: Advice | None  # a law without an integral, if the law has one
 
     def advice(self, *groups: str) -> Iterator[Advice]:
-        """What helps actuators of some groups."""
+        """The remedies for actuators of some groups."""
         if self.slower is not None:
             yield self.slower
         yield from (self.softer[group] for group in groups if group in self.softer)
@@ -317,7 +318,7 @@ def _is_pair(value: Any) -> bool:
     return isinstance(value, tuple) and [*map(type, value)] == [str, str]
 
 
-# Methods of a part that return several things -> whether one of them is right, and what is.
+# Method of a part with several results -> check of one result, and description of a valid one.
 _ITEMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "check": (_is_pair, "pairs of texts, key and problem"),
     "signals": (lambda value: isinstance(value, Signal), "Signal"),
@@ -328,7 +329,7 @@ _ITEMS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def _checked_items(part: type, name: str) -> Callable[..., tuple[Any, ...]]:
-    """A user-supplied part's method, which gives what it should or raises BlockError."""
+    """Wrap a user-supplied part's method: it returns valid results or raises BlockError."""
     own, (is_right, wanted) = part.__dict__[name], _ITEMS[name]
 
     @functools.wraps(own)
@@ -345,10 +346,10 @@ def _checked_items(part: type, name: str) -> Callable[..., tuple[Any, ...]]:
 
 
 class Part:
-    """What fills a block; derive a frozen, keyword-only dataclass from it."""
+    """Contents of a block; derive a frozen, keyword-only dataclass from it."""
 
     def __init_subclass__(cls) -> None:
-        """Check what a user-supplied part's methods return."""
+        """Wrap a user-supplied part's methods to check their results."""
         super().__init_subclass__()
         if is_user_supplied(cls):
             for name in _ITEMS:
@@ -356,52 +357,55 @@ class Part:
                     setattr(cls, name, _checked_items(cls, name))
 
     title: ClassVar[str] = ""  # heading of its rows and panels; "": the class's name
-    section: ClassVar[str] = "Parts"  # of the report, where its panels stand
-    about: ClassVar[str] = "Signals of the user-supplied parts."  # "": what ``sentence`` says
-    # Of the scenario's own actuators: a campaign's prediction tries the loop with its limits too.
+    section: ClassVar[str] = "Parts"  # section of the report for its panels
+    about: ClassVar[str] = "Signals of the user-supplied parts."  # "": the text of ``sentence``
+    # True: a campaign's prediction also simulates this actuator's limits.
     rehearsed: ClassVar[bool] = False
 
     @property
     def is_helped(self) -> bool:
-        """Of an actuator of the base: whether those before it give the torque that it cannot."""
+        """For an actuator of the base: whether actuators before it supply the torque beyond its
+        limit.
+        """
         return False
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Part | None":
-        """That of a scenario's own section; None where the scenario has none."""
+        """The part for a scenario's own section; None without that section."""
         return cls()
 
     @classmethod
     def known_faults(
         cls, scenario: Scenario, coordinates: Coordinates
     ) -> Mapping[str, Sequence[str]]:
-        """What of it may break: "<part>.<unit>" -> the kinds of its faults."""
+        """Possible faults: "<part>.<unit>" -> kinds."""
         return {}
 
     def check(self, key: str, scenario: Scenario) -> Iterator[tuple[str, str]]:
-        """What is wrong with the settings that no single one can say: key and problem."""
+        """Problems with combinations of settings: key and problem."""
         yield from ()
 
     def check_plant(self, scenario: Scenario, model: PlantModel) -> None:
-        """Raise ScenarioError for what only the true plant's masses tell, before a run."""
+        """Raise ScenarioError for problems that depend on the true plant's masses, before a run."""
 
     def build(self, setup: BlockSetup) -> System:
-        """The system with the block's ports, and one output port for each signal that has one.
+        """Build the system with the block's ports and one output port for each signal with a port.
 
-        Parts of the scenario's own sections have none: their block is built from the section.
+        Parts of the scenario's own sections do not define it: their block is built from the
+        section.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method build(setup)")
 
     def __call__(self, setup: BlockSetup) -> System:
-        """As ``build``: a part is the factory of its block."""
+        """Same as ``build``: a part is the factory of its block."""
         return self.build(setup)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
-        """What it gives besides the block's own ports."""
+        """Signals of the part beyond the block's own ports."""
         return ()
 
     def constants(self, setup: BlockSetup) -> Sequence[Constant]:
-        """What belongs to the components of its signals."""
+        """Constants of the components of its signals."""
         return ()
 
     def metrics(self) -> Sequence[Metric]:
@@ -409,13 +413,11 @@ class Part:
         return ()
 
     def sentence(self, figures: Sequence[Figure]) -> str | None:
-        """What stands below the table of a run; "": nothing, None: the figures that have a row, one
-        by one.
-        """
+        """Text below the table of a run; "": none, None: the figures with a row, one by one."""
         return None
 
     def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
-        """Headings and rows of a table in the report, such as of each of its units."""
+        """Headings and rows of a table in the report, for example one row for each unit."""
         return ()
 
     def solids(self) -> Iterable[Solid]:
@@ -423,49 +425,47 @@ class Part:
         return ()
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray] | None:
-        """Of an actuator of the base: the largest ``torque`` (N m) and ``force`` (N) along each of
-        the directions (n, 3; base's axes), those that it gives; None of others.
+        """For an actuator of the base: the largest ``torque`` (N m) and ``force`` (N) along each of
+        the directions (n, 3; base's axes), for the kinds that it provides; None for other parts.
         """
         return None
 
     def reach(self, scenario: Scenario) -> Mapping[str, np.ndarray]:
-        """Of an actuator with ``most``: for each of its kinds a matrix (3, n; base's axes) whose
-        columns are what its units, or combinations that give nothing else, give at their largest.
+        """For an actuator with ``most``: for each kind a matrix (3, n; base's axes). Its columns
+        are the largest outputs of its units, or of combinations without any other output.
         """
         return {}
 
     def saturated(self, signals: "Signals") -> np.ndarray:
-        """Whether an actuator gives less than was wanted of it: (n,) from its signals
-        (n, components), or a single truth value from those of one sample (components).
+        """Whether an actuator gives less than was wanted: (n,) from its signals (n, components), or
+        a single truth value from those of one sample (components).
         """
         return np.zeros((), dtype=bool)
 
     def given_up(self, signals: "Signals") -> str:
-        """What a run with these signals does at its end in place of its plan; empty: nothing."""
+        """Final action of a run with these signals in place of its plan; empty: none."""
         return ""
 
     def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
-        """What helps where an actuator of the base saturates."""
+        """The remedies for saturation of an actuator of the base."""
         yield from ()
 
     def storage(self, scenario: Scenario) -> "MomentumStorage | None":
-        """The angular momentum that it can hold in the base; None for a part that holds none."""
+        """The part's storage of angular momentum in the base; None if it has none."""
         return None
 
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
-        """Limits of the coordinates' rates, forces or positions, or of its own signals, that a
-        plan, a run or a campaign is held against.
+        """Limits of the coordinates' rates, forces or positions, or of the part's own signals, for
+        checks of plans, runs and campaigns.
         """
         return ()
 
     def locked(self, scenario: Scenario) -> Scenario:
-        """The scenario with all that turns within the part fixed to the body that carries it, as
-        gravity acts on it.
-        """
+        """The scenario with the part's rotating masses fixed to their body, for gravity."""
         return scenario
 
     def linear(self) -> "Part":
-        """What the linearisation wires in its place: without limits, which have no derivative."""
+        """The part's stand-in in the linearisation: without limits, which have no derivative."""
         return self
 
 
@@ -473,15 +473,15 @@ class Part:
 class PlacedPart:
     """A part in its block."""
 
-    name: str  # of the part: that of its block, or of the section of a scenario
-    block: str  # whose ports its signals are
+    name: str  # name of the part: its block's, or that of a scenario's section
+    block: str  # block with the ports of its signals
     part: Part
     signals: tuple[Signal, ...]
     constants: tuple[Constant, ...] = ()
 
     @property
     def title(self) -> str:
-        """Heading of its rows and panels. Raises BlockError where it is no text."""
+        """Heading of its rows and panels. Raises BlockError if it is not text."""
         title: object = self.part.title
         kind = type(self.part).__name__
         if not isinstance(title, str):
@@ -502,7 +502,7 @@ def place_part(
     block: str,
     copies: int = 1,
 ) -> PlacedPart:
-    """A part with its signals, checked against the system that fills its block, of one or several
+    """Place a part with its signals, checked against the system in its block, for one or several
     copies of the spacecraft. Raises BlockError.
     """
     place = f"blocks.{name} '{type(part).__name__}'"
@@ -536,7 +536,7 @@ def place_part(
 def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
     """The figures of merit of a part in a run.
 
-    Raises BlockError: a metric fails, or gives no number.
+    Raises BlockError: a metric fails or does not give a number.
     """
     for metric in placed.part.metrics():
         place = f"blocks.{placed.name} '{type(placed.part).__name__}': metric '{metric.key}'"
@@ -555,7 +555,7 @@ def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
 
 
 def _plain(value: Any) -> Values:
-    """A number, or numbers by name, as JSON holds them. Raises TypeError or ValueError."""
+    """A number, or numbers by name, in the form of JSON. Raises TypeError or ValueError."""
     if isinstance(value, Mapping):
         return {str(name): _plain(each) for name, each in value.items()}  # type: ignore[misc]
     if value is None:
@@ -566,7 +566,7 @@ def _plain(value: Any) -> Values:
 
 
 def nested(figures: Sequence[Figure]) -> dict[str, Any]:
-    """Figures as ``metrics.json`` holds them, by the parts of their keys."""
+    """Nest figures by the parts of their keys, as in ``metrics.json``."""
     found: dict[str, Any] = {}
     for figure in figures:
         *parents, last = figure.key.split(".")
@@ -584,7 +584,7 @@ def nested(figures: Sequence[Figure]) -> dict[str, Any]:
 
 
 def values_of(signal: Signal, view: View) -> np.ndarray | None:
-    """A signal over a run, as its variable holds it; None where the run has none."""
+    """A signal over a run in the form of its variable; None if the run lacks it."""
     values = view[signal.name] if signal.of is None else signal.of(view)
     if values is None:
         return None
@@ -594,7 +594,7 @@ def values_of(signal: Signal, view: View) -> np.ndarray | None:
 
 
 def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
-    """What the record of a run keeps of a part, with its figures."""
+    """The data of a part for the record of a run, with its figures."""
     part, sentence = placed.part, placed.part.sentence(figures)
     table = tuple(map(tuple, part.table(figures)))
     place = f"blocks.{placed.name} '{type(part).__name__}'"
@@ -617,7 +617,9 @@ def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
 
 
 def by_key(figures: Sequence[Figure]) -> dict[str, Any]:
-    """The values of figures by key, or by column without one; NaN for what is no finite number."""
+    """The values of figures by key, or by column without one; NaN for values that are not
+    finite.
+    """
 
     def known(value: Values) -> Any:
         if isinstance(value, Mapping):
@@ -628,14 +630,14 @@ def by_key(figures: Sequence[Figure]) -> dict[str, Any]:
 
 
 def _as_yaml(value: Any) -> str:
-    """A number, text, or numbers by name, as an override has it."""
+    """A number, text, or numbers by name, in the form of an override."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{name}: {_as_yaml(each)}' for name, each in value.items())}}}"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _listed(title: str, figures: Sequence[Figure]) -> str:
-    """The figures that have a row, in one line."""
+    """The figures with a row, in one line."""
     texts = []
     for figure in figures:
         name = f"{figure.label[:1].lower()}{figure.label[1:]}"
@@ -647,7 +649,7 @@ def _listed(title: str, figures: Sequence[Figure]) -> str:
 
 
 def _drawing(signal: Signal, title: str) -> Drawing:
-    """How the report draws a signal of the part of that title."""
+    """The drawing of a signal in the report, for a part of that title."""
     panels = signal.panels
     if panels is None:
         titles = signal.components or (signal.panel or signal.name,)
@@ -670,16 +672,15 @@ def with_role(parts: Parts, role: str) -> list[str]:
 
 
 def signals_of(parts: Parts) -> Iterator[Signal]:
-    """Those of all parts."""
+    """Signals of all parts."""
     for placed in parts.values():
         yield from placed.signals
 
 
 def pulses_of(opened: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """The pulses of a valve that is open for a share (n) of each sample, from the sample's start
-    on.
+    """The pulses of a valve from its open share (n) of each sample; it opens at the sample's start.
 
-    Returns: the samples in which they start, and their lengths, s.
+    Returns: the samples in which pulses start, and their lengths, s.
     """
     goes_on = np.r_[False, opened[:-1] == 1.0]  # open up to the sample's start
     starts = np.flatnonzero((opened > 0.0) & ~goes_on)

@@ -90,11 +90,11 @@ class Plumes(Part):
 
 
 class _PlumeForce(LeafSystem):
-    """The force of the plumes, of the thrusters' mean force in a control sample, in the
+    """The force of the plumes, from the thrusters' mean force in a control sample and the
     configuration at its start.
 
-    Inputs: ``state`` (nq + nv), ``thruster_force`` (n), without which, as in linear loops, it is 0.
-    State (discrete): that configuration (nq). Outputs, equal: ``generalized_force`` (nv),
+    Inputs: ``state`` (nq + nv), ``thruster_force`` (n); unconnected, as in linear loops, the force
+    is 0. State (discrete): the configuration (nq). Outputs, equal: ``generalized_force`` (nv),
     ``plume_force`` (nv); they change once a sample.
     """
 
@@ -106,7 +106,7 @@ class _PlumeForce(LeafSystem):
         assert settings.plume is not None
         units = thrusters_of(settings)
         model = make_true_plant(scenario)
-        is_empty = scenario.payload.nominal == NOTHING  # of a loop that ends before the grasp
+        is_empty = scenario.payload.nominal == NOTHING  # the loop ends before the grasp
         self._field = PlumeField(
             settings.plume,
             [*units.values()],
@@ -118,7 +118,7 @@ class _PlumeForce(LeafSystem):
         self._state = self.DeclareVectorInputPort("state", self._nq + nv)
         self._thrust = self.DeclareVectorInputPort("thruster_force", len(units))
         self._held = self.DeclareDiscreteState(self._nq)
-        self._last = b"", np.zeros(nv)  # a cache: asked for in every stage of the integrator
+        self._last = b"", np.zeros(nv)  # a cache: evaluated in every stage of the integrator
         changes = {
             self.discrete_state_ticket(self._held),
             self.input_port_ticket(self._thrust.get_index()),

@@ -1,7 +1,7 @@
 """The planned motion, with exact rates and accelerations: a plan from a file, or a polynomial.
 
 Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the
-fixed axis of the rotation from its first to its last attitude, by an angle that follows the same
+fixed axis of the rotation from its first to its last attitude, by an angle with the same
 blend; or, as in the paper, its roll, pitch and yaw follow it. Angular velocity and acceleration are
 exact either way. With zero boundary rates and accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6
 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak acceleration 5.7735 D/T^2); ``blend`` has
@@ -9,8 +9,8 @@ the others, and input shaping.
 
 After the grasp of a moving target the motion begins at the velocity v_0 after the grasp, brought to
 rest by g(x) = T x (1 - x)^3 (1 + 3 x): q(t) = q_0 + (q_T - q_0) s + v_0 g. The base's attitude
-follows the same polynomial for a rotation vector from its first attitude, world frame, which is the
-eigenaxis turn if v_0 is zero.
+follows the same polynomial for a rotation vector from its first attitude, world frame; with zero
+v_0 this is the eigenaxis turn.
 """
 
 import dataclasses
@@ -186,8 +186,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
 
 
 def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
-    """A motion in which joints follow a prescribed frame, and undriven coordinates what
-    conservation of momentum leaves them.
+    """A motion along a prescribed frame path: joints follow the frame, undriven coordinates the
+    conservation of momentum.
     """
     if scenario.reference.frame is None and not scenario.undriven:
         return motion

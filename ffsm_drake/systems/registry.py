@@ -234,7 +234,9 @@ def _installed_folders() -> tuple[Path, ...]:
 
 
 def module_folder(address: str) -> Path | None:
-    """Folder to add to Python's path for ``module:attribute``; None as for ``module_file``."""
+    """Folder to add to Python's path for ``module:attribute``; None under the conditions of
+    ``module_file``.
+    """
     if address in _POLICIES:
         return _POLICIES[address][0]
     file = module_file(address)

@@ -1,16 +1,16 @@
-"""What residuals over a window say about faults: pure functions of arrays.
+"""Evidence of faults in residuals over a window: pure functions of arrays.
 
-The unexplained velocity Y(t) = sum (dv - L H^-1 (tau - C)), with tau as told to the actuators and H
-and C of a model's masses, is noise, and what bounds allow, where all works:
+The unexplained velocity is Y(t) = sum (dv - L H^-1 (tau - C)), with the reported force tau and H
+and C of a model's masses. Without faults it consists of noise and of bounded effects:
 
 - a disturbance of at most D in each coordinate, of any frequency up to a highest one;
 - masses between those of a light, the nominal and a heavy model: Y lies between theirs.
 
-In the axes along which such disturbances lie (``_axes``) each number of Y is then within an
-interval about the noise, and what lies beyond it is evidence of a fault. Where thruster i fires
-though told not to Y grows by theta a_i (F_i t - I_i), where it gives too little by -theta a_i I_i
-(a_i: acceleration of its unit force; I_i: impulse as told; F_i: its force). Such a hypothesis is
-worth what it takes, with its best theta, of the sum of squares beyond the intervals.
+In the axes of such disturbances (``_axes``) each number of Y is then within an interval about the
+noise; an excess is evidence of a fault. If thruster i fires without a command, Y grows by
+theta a_i (F_i t - I_i); if its force is too low, by -theta a_i I_i (a_i: acceleration of its unit
+force; I_i: commanded impulse; F_i: its force). The score of such a hypothesis is the reduction,
+with its best theta, of the sum of squares beyond the intervals.
 """
 
 import dataclasses
@@ -18,22 +18,22 @@ import functools
 
 import numpy as np
 
-LEAST_LEAK, LEAST_LOSS, WHOLE = 0.08, 0.3, 0.75  # shares theta that count, that are all of it
-_MARGIN = 9.0  # by which what one thruster explains exceeds that of all others if it is isolated
-_LEFT = 2.0  # times its share of the noise that may be left, or as much as is explained
+LEAST_LEAK, LEAST_LOSS, WHOLE = 0.08, 0.3, 0.75  # least shares theta: leak, loss, complete
+_MARGIN = 9.0  # least margin between the scores of an isolated thruster and of all others
+_LEFT = 2.0  # largest unexplained rest: times its share of the noise, or the explained part
 _SHARES = np.array([0.08, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])  # theta
-_WIDER = 0.25  # share of the interval between light and heavy payloads by which it is widened
-_FREQUENCIES = 24  # of the disturbances that are looked at
+_WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
+_FREQUENCIES = 24  # number of frequencies of the disturbances evaluated
 
 
 def times_of(count: int, step: float) -> np.ndarray:
-    """Of blocks, from their mean (count), s."""
+    """Times of blocks, from their mean (count), s."""
     return step * (np.arange(count) - 0.5 * (count - 1))
 
 
 def noise_of(values: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise on what changes slowly (n, ...); few values tell little:
-    at least what is known from before.
+    """Standard deviation of white noise on slowly changing values (n, ...), at least the known one,
+    since few values are a poor estimate.
     """
     return np.maximum(np.sqrt((np.diff(values, n=2, axis=0) ** 2).mean(axis=0) / 6.0), least)
 
@@ -76,7 +76,7 @@ def _axes(count: int, step: float, band: float) -> tuple[np.ndarray, np.ndarray]
     time = times_of(count, step)[:, None]
     frequency = np.linspace(0.0, band, _FREQUENCIES + 1)[1:]
     cosine = -np.cos(frequency * time) / frequency
-    # of frequency 0: a constant force
+    # frequency 0: a constant force
     waves = np.hstack([time, np.sin(frequency * time) / frequency, cosine - cosine.mean(axis=0)])
     axes = np.linalg.svd(waves - waves.mean(axis=0))[0][:, : count - 1]
     # an axis of rounding errors may hold some of the mean
@@ -99,12 +99,18 @@ def suspect(
     step: float,
     band: float,
 ) -> Suspicion:
-    """The hypothesis on thrusters that explains most of a window of blocks.
+    """The best hypothesis on thrusters for a window of blocks.
 
-    Args: Y (m, models, nv), rad/s and m/s, and impulses as told (m, n), N s, of blocks; a (nv, n);
-      F (n), N; the largest acceleration of a disturbance (nv); standard deviation of Y's noise
-      (nv); which thrusters are looked at (n); time between blocks, s; largest frequency of a
-      disturbance, rad/s.
+    Args:
+      unexplained: Y of the blocks (m, models, nv), rad/s and m/s.
+      told: commanded impulses of the blocks (m, n), N s.
+      pushes: a (nv, n).
+      force: F (n), N.
+      bound: largest acceleration of a disturbance (nv).
+      noise: standard deviation of Y's noise (nv).
+      in_use: thrusters to be examined (n).
+      step: time between blocks, s.
+      band: largest frequency of a disturbance, rad/s.
     """
     time, count = times_of(len(unexplained), step), force.size
     axes, largest = _axes(len(unexplained), step, band)
@@ -145,7 +151,7 @@ def suspect(
 
 class Observer:
     """Velocities from measured positions and expected changes: three equal poles for each
-    coordinate, so that a constant force that nobody told of leaves no error.
+    coordinate, without steady-state error under a constant unreported force.
     """
 
     def __init__(self, bandwidth: np.ndarray, sample_time: float) -> None:
@@ -164,6 +170,8 @@ class Observer:
         return self._step * (v + 0.5 * change), v + change
 
     def corrections(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of position, velocity and acceleration, from how far (nv) the position is seen ahead."""
+        """Corrections of position, velocity and acceleration, from the position's innovation
+        (nv).
+        """
         of_q, of_v, of_a = (gain * seen for gain in self._gains)
         return of_q, of_v, of_a

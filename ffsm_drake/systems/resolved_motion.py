@@ -1,7 +1,7 @@
-"""Resolved motion rate: joint rates that move a frame along its path, with J*.
+"""Resolved motion rate: joint rates for a frame's motion along its path, with J*.
 
-The joint rates u solve tasks by least squares in order of priority, each in the null space of those
-before:
+The joint rates u solve tasks by least squares in order of priority, each in the null space of its
+predecessors:
 
     frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task),
                                           V_0: the frame's twist with u = 0
@@ -9,7 +9,7 @@ before:
 
 and the rest of the null space goes to the joints' own rate: zero, or towards the target posture.
 The frame's task is damped where its Jacobian has singular values s below ``damping`` e: 1/s becomes
-s (2 e^2 - s^2) / e^4, which is damped least squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2),
+s (2 e^2 - s^2) / e^4, the damped least squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2),
 once differentiable in s, and at most sqrt(32/27)/e = 1.09/e. (Nakamura 1991, "Advanced Robotics",
 chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
 """
@@ -34,7 +34,7 @@ from ffsm_drake.systems.frame_path import FramePath
 from ffsm_drake.systems.free_motion import MomentumMotion
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
-# of a twist
+# rows of a twist
 _ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _STEP = 1e-4  # s; step of the difference quotient along the motion

@@ -8,9 +8,11 @@ from pydrake.systems.primitives import Selector, SelectorParams
 def make_selector(
     inputs: Mapping[str, int], outputs: Mapping[str, Sequence[tuple[int, int]]]
 ) -> Selector:
-    """A system whose outputs are entries of its inputs.
+    """A system with entries of its inputs as outputs.
 
-    Args: the sizes of the inputs by name; of each output which input, and where in it.
+    Args:
+      inputs: size of each input by name.
+      outputs: for each output by name, (input, place in it) of its entries.
     """
     params = SelectorParams()
     params.inputs = [

@@ -1,13 +1,13 @@
-"""Sensors: from the true state to what the controller reads.
+"""Sensors: from the true state to the controller's measurement.
 
-Stages in a row, as user-supplied ones are: bias, white noise, noise with memory, quantisation,
+Stages in series, like user-supplied ones: bias, white noise, correlated noise, quantisation,
 sampling with delay, in that order.
 
-The base's sensors stand on the base, so their errors live in its axes: with R the true attitude, a
-gyro's error b makes w + R b of w in world axes. Where the base has errors to which axes matter, the
-state goes to its sensors' axes before them and back after them (``_Turning``); the star tracker's
-attitude is there the rotation from the true base. White noise that is alike along the three axes is
-alike in any, and is added in the world's. Joints have axes of their own.
+The base's sensors are fixed to the base, so their errors are in its axes: with R the true attitude,
+a gyro's error b changes w to w + R b in world axes. If the base has errors that depend on axes, the
+state is transformed to its sensors' axes before them and back after them (``_Turning``); the star
+tracker's attitude is there the rotation from the true base. Isotropic white noise is the same in
+any axes, and is added in the world's. Joints have axes of their own.
 """
 
 import dataclasses
@@ -82,17 +82,17 @@ class Quantizer(LeafSystem):
 
 
 class Sampling(LeafSystem):
-    """Measurements that are made less often than the controller reads them, or that arrive late.
+    """Measurements with a period longer than a control sample, or with a delay.
 
     At control sample k an entry of period p and delay d (control samples) shows the measurement of
-    sample p floor((k - d) / p); it is new where k - d is a multiple of p. k follows from the
-    context's time: nothing counts.
+    sample p floor((k - d) / p); it is new if k - d is a multiple of p. k is computed from the
+    context time; there is no counter.
 
     Input: ``state`` (size).
-    Outputs: ``estimated_state`` (size), and, where a period is longer than a control sample,
-    ``measurement_is_new`` (size), 1 where an entry shows a measurement for the first time, else 0.
+    Outputs: ``estimated_state`` (size), and, with a period longer than a control sample,
+    ``measurement_is_new`` (size), 1 for an entry with its first use of a measurement, else 0.
     Discrete state, updated every control sample: for each pair (p, d) but (1,
-    0), the measurements made last, newest first. The outputs are meant to be read at control
+    0), the measurements made last, newest first. Read the outputs at control
     samples, before the update.
     """
 
@@ -132,8 +132,8 @@ class Sampling(LeafSystem):
         return math.lcm(*(p for p, *_ in self._sensors))
 
     def phase(self, sample: int) -> tuple[tuple[bool, bool, int], ...]:
-        """What happens at a control sample: of each sensor whether it measures, brings something
-        new, and its age.
+        """Phase of a control sample: for each sensor whether it measures, whether it provides a new
+        measurement, and its age.
         """
         return tuple(
             (sample % p == 0, (sample - d) % p == 0, (sample - 1) // p - (sample - d) // p)
@@ -172,7 +172,7 @@ class Row:
 
     inputs: tuple[InputPort, ...]  # of the true state
     estimated_state: OutputPort
-    measurement_is_new: OutputPort | None  # of the last stage that says so
+    measurement_is_new: OutputPort | None  # of the last stage that has one
 
 
 def wire_stages(builder: DiagramBuilder, stages: Sequence[System]) -> Row:
@@ -288,7 +288,7 @@ class _Errors:
         return self.coordinates.vector(values, key=f"sensing.{key}", default=default)
 
     def pair(self, name: str, default: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Those of positions and of velocities (nv each)."""
+        """Values of positions and of velocities (nv each)."""
         return self.of(f"position_{name}", default), self.of(f"velocity_{name}", default)
 
     def drift_gains(self) -> np.ndarray:
@@ -364,8 +364,8 @@ def _make_stage(name: str, system: System) -> Diagram:
 
 
 class _NoiseStage(Diagram):
-    """A stage that adds Gaussian noise: independent samples of deviation 1, one for each control
-    period and input of the system that shapes it.
+    """A stage with additive Gaussian noise: its shaping system gets independent samples of
+    deviation 1, one for each control period and input.
     """
 
     def __init__(self, name: str, shaped_by: System, *, copies: int, sample_time: float) -> None:
@@ -416,7 +416,8 @@ class _Samples(LeafSystem):
         self._rows, self._block = np.zeros((_DRAWN, copies * size)), 0
         self._value = self.DeclareDiscreteState(copies * size)
         self.DeclareStateOutputPort("samples", self._value)
-        # As that of a RandomSource: before the discrete updates of the same instant, which read it.
+        # Same order as in RandomSource: before the discrete updates of the same instant, its
+        # readers.
         self.DeclarePeriodicUnrestrictedUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
@@ -552,7 +553,7 @@ def _drift(errors: _Errors) -> LinearSystem:
     time_constant = _of_state(constant, constant, quaternion=constant[0])
     walks, noises = np.flatnonzero(walk), np.flatnonzero(correlated)
     period = errors.sample_time
-    kept = np.exp(-period / time_constant[noises])  # of the deviation after one sample
+    kept = np.exp(-period / time_constant[noises])  # share of the deviation left after one sample
     sigma = np.concatenate([np.zeros(walks.size), correlated[noises]])
     gain = [math.sqrt(period) * walk[walks], correlated[noises] * np.sqrt(1.0 - kept**2)]
     shown = np.eye(walk.size)[:, np.concatenate([walks, noises])]

@@ -23,7 +23,7 @@ class _Settings(dict[str, Any]):
 
 
 class CompositeBlock(Diagram):
-    """A block of several systems, which are told of the initial state."""
+    """A block of several systems; it passes the initial state to them."""
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start."""
@@ -44,7 +44,7 @@ class BlockSetup:
     scenario: Scenario
     nominal: PlantModel  # the plant with the nominal payload
     settings: Mapping[str, Any]  # as the scenario gives them to this block
-    # of the world around it, which no controller knows
+    # properties of the environment, unknown to any controller
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
 
     def __post_init__(self) -> None:

@@ -1,19 +1,18 @@
-"""Blocks of several copies of the spacecraft as one block, whose ports hold copy after copy.
+"""Blocks of several copies of the spacecraft as one block; its ports hold copy after copy.
 
 A loop of B copies (``add_closed_loop`` with B scenarios) has the wiring of one, with every port B
-times as wide. A factory says that it can make a block that wide by a method
+times as wide. A factory supports such a block by a method
 
-    build_wide(setups) -> system, or None where these cannot go together
+    build_wide(setups) -> system, or None if these cannot be joined
 
-with the setups of all copies, which have the same ``settings``. Its system has the block's ports,
-each ``len(setups)`` times as wide, the values of copy after copy, and gives every copy the bits of
-the system that the factory makes for its setup alone. Of the methods that a block may have,
-``set_initial_state(context, states)`` then gets a row for each copy, ``set_payload(context,
-properties)`` a sequence; where it draws numbers, ``set_random(context, generators)`` gets each
-copy's generator, of which it draws as the system alone would; and ``park(context, copy)``, where it
-can run away, puts a copy's memory to its start. What a run changes stands in its context, from
-which the leg after a grasp takes it. The system around control laws is as wide as the laws
-(``ControlLaw.wide``).
+with the setups of all copies; their ``settings`` are equal. Its system has the block's ports,
+each ``len(setups)`` times as wide, the values of copy after copy, and gives every copy the same
+bits as the factory's system for its setup alone. Optional methods of a block change accordingly:
+``set_initial_state(context, states)`` gets a row for each copy, ``set_payload(context,
+properties)`` a sequence; ``set_random(context, generators)`` of a random block gets each copy's
+generator and draws like the system alone; ``park(context, copy)`` of a block with unstable memory
+resets a copy's memory. All that a run changes is in its context, the source for the leg after a
+grasp. The system around control laws is as wide as the laws (``ControlLaw.wide``).
 
 Any other block, a user's Drake system among them, stands there once for each copy, between
 demultiplexers and multiplexers: ``SideBySide``.

@@ -1,16 +1,16 @@
 """The supervisor: the mode logic between plan, law and actuators.
 
-It gives the plan to the law and the law's force to the actuators, unchanged, until the command
-stays beyond the limits, an error leaves its bounds, or another block asks for it (an output port
+It passes the plan to the law and the law's force to the actuators, unchanged, until the command
+stays beyond the limits, an error leaves its bounds, or another block requests it (an output port
 ``abort_request``, above 0.5). Then it damps the rates,
 
     tau = -sigma kappa Hhat(q) v,   sigma = min(1, min_i limit_i / |kappa Hhat v|_i),
 
-which lowers the kinetic energy at every sample while kappa L lambda_max(H^-1 Hhat) < 2 (see
-docs/supervisor.md), and plans anew from the measured (q, v): the scenario's polynomial to the
-target posture, in the first of 5 x 1.15^n s whose inverse dynamics take at most ``plan_share`` of
-every limit. The law starts afresh. Before the grasp, it plans at once, without
-damping, back to where the approach began.
+to lower the kinetic energy at every sample while kappa L lambda_max(H^-1 Hhat) < 2 (see
+docs/supervisor.md), and replans from the measured (q, v): the scenario's polynomial to the
+target posture, in the first of 5 x 1.15^n s with inverse dynamics within ``plan_share`` of
+every limit. The law restarts. Before the grasp, it replans immediately, without
+damping, back to the start of the approach.
 """
 
 import dataclasses
@@ -45,11 +45,11 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
 _ZERO, _ONE = np.zeros(1), np.ones(1)
-_INSTANTS = 41  # of a plan, at which its force is held against the limits
+_INSTANTS = 41  # number of instants of a plan at which its force is compared with the limits
 
 
 class Mode(enum.IntEnum):
-    """What a loop is doing."""
+    """Mode of a loop."""
 
     APPROACH = 0
     GRASP = 1  # the sample of the grasp
@@ -82,14 +82,15 @@ class SupervisorPart(Part):
     about = "Modes: " + ", ".join(f"{mode.value} {mode.words}" for mode in Mode) + "."
 
     def __init__(self, *, begin: float = 0.0, waits: bool = False) -> None:
-        """Args: time of the run at which the scenario's own plan begins, s; whether nothing is
-        asked, as while a gripper closes on the target: what becomes of it, the gripper decides.
+        """Args:
+        begin: time of the run at which the scenario's own plan begins, s.
+        waits: True: monitoring is off (while the gripper closes).
         """
         self._begin, self._waits = begin, waits
 
     @classmethod
     def of(cls, scenario: Scenario) -> "SupervisorPart | None":
-        """That of a scenario."""
+        """The supervisor of a scenario."""
         return None if scenario.supervisor is None else cls()
 
     def build(self, setup: BlockSetup) -> Diagram:
@@ -124,7 +125,7 @@ class SupervisorPart(Part):
             Signal(
                 name="mode_cause",
                 unit="1",
-                meaning=f"why a plan was last given up: {causes}",
+                meaning=f"reason for last abandoning a plan: {causes}",
                 heading="",
                 chart=STEPS,
             ),
@@ -231,7 +232,7 @@ class _Supervisor(LeafSystem):
     def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
         super().__init__()
         self._scenario, self._model, self._waits = setup.scenario, setup.nominal, waits
-        # of a loop that ends before the grasp
+        # True in a loop that ends before the grasp
         self._is_empty = setup.scenario.payload.nominal == NOTHING
         self._begin, self._grasp_time = begin, begin + setup.scenario.grasp_time
         self._coordinates = coordinates = setup.coordinates
@@ -417,9 +418,9 @@ class _Supervisor(LeafSystem):
         return bool((np.abs(filtered) <= settings.end_share * self._limit).all())
 
     def _plan_anew(self, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
-        """A plan from the measured state after a number of others. Where none keeps within its
-        share of the limits: None, but with an empty gripper, whose light joints rate damping would
-        leave to the disturbance, the one that takes least of them.
+        """A plan from the measured state after a number of others. If no plan is within its share
+        of the limits: None, or with an empty gripper the plan with the least use of them, since
+        rate damping would leave the light joints to the disturbance.
         """
         settings, (q, v) = self._settings, np.split(state, [self._nq])
         most = settings.plan_share * settings.retry_factor**plans * self._limit

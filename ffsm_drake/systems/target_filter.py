@@ -79,7 +79,7 @@ def sound(covariance: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """What is known of a target at a time."""
+    """Estimate of a target's motion at a time."""
 
     time: float  # s
     target: Target
@@ -168,8 +168,8 @@ class TargetFilter:
         return target
 
     def path(self, estimate: Estimate | None, time: float, period: float, samples: int) -> "Path":
-        """Where the target goes from a time (s) on, at every ``period`` (s); without an estimate
-        that which is expected.
+        """Predicted path of the target from a time (s), at every ``period`` (s); without an
+        estimate the expected path.
         """
         if estimate is None:
             target = self.moved(self._prior, 0.0, time)

@@ -30,8 +30,8 @@ from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
 # The largest spectral radius of a one-axis loop for every payload.
 LARGEST_RADIUS = 0.9995
-# s; times the velocity noise: the noise that a filter assumes of exact positions, which it would
-# only differentiate otherwise.
+# s; times the velocity noise: assumed noise of exact positions; without it a filter would only
+# differentiate them.
 _POSITION_NOISE_TIME = 0.1
 _KEPT = 10_000  # remembered costs and designs of a group
 # Price of log(force) beyond what the actuators leave.

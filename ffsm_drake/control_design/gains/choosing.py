@@ -5,12 +5,12 @@ All candidates are evaluated by ``predict`` on the wired loop. The choice has th
 the mean of the groups' log(rms error), within the budget of effort and the actuators' limits, and
 is stable for every payload of the range. The candidates depend on the law:
 
-- *Laws that are designed by axis* (``InjectedDynamics.gains_for``; the paper's). Every group has
-  its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
-  = w), its K_s where the surface has an integral, and the random walk q_N of its Kalman estimate.
-  The groups share only the effort, so each is designed alone on its one-axis loop for a price of
+- *Laws designed by axis* (``InjectedDynamics.gains_for``; the paper's). Every group has
+  a natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
+  = w), K_s if the surface has an integral, and the random walk q_N of its Kalman estimate. The
+  groups share only the effort, so each is designed alone on its one-axis loop for a price of
   effort, with either estimate. Lowering the price traces the front of accuracy against effort.
-- *Every other law, and every loop that does not consist of axes* (delays, user-supplied blocks).
+- *Every other law, and every coupled loop* (delays, user-supplied blocks).
   The declared gains and the random walks are varied by group from the best known, all groups at
   once, as long as the cost falls at a price of effort.
 """
@@ -79,17 +79,17 @@ class Design:
     """The chosen gains and the candidates."""
 
     chosen: DesignPoint
-    given: DesignPoint  # the scenario as it was
+    given: DesignPoint  # the given scenario
     found: Mapping[str, DesignPoint]  # the best of each kind: of estimate, or "varied" gains
     kept: bool  # whether the given gains are the chosen ones
     active_constraint: str  # the constraint that limits the chosen gains, one line
     front: tuple[FrontPoint, ...]  # with the chosen estimate; empty where none was traced
-    limit: Limit  # of the chosen gains
+    limit: Limit  # limit for the chosen gains
     ideal_isv: float
     requirement: Requirement
-    # by what each is of: with the given and with the chosen gains; empty: not looked at
+    # name -> (given, chosen); empty if not evaluated
     margins: Mapping[str, tuple[float, float]]
-    ended_by: str = ""  # what ended the search before its end
+    ended_by: str = ""  # reason for an early end of the search
 
     @functools.cached_property
     def with_defaults(self) -> Prediction | None:
@@ -162,22 +162,22 @@ def design(
 ) -> Design:
     """Design the gains of the scenario's controller and, for a law with one, its estimator.
 
-    Ctrl-C ends the search as the time limit does, a second one the process.
+    Ctrl-C ends the search like the time limit, a second one the process.
 
     Args:
-      budget: largest predicted ISV; default: what the given gains take, with ``trade`` of
-        effort at least 1.1 times that of perfect tracking; the latter, or 1.1 times that of the
-        cheapest gains found, where the given ones are unstable.
-      payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop
-        must be stable for; default: 0.6 to 2.5 times the nominal one.
-      trade: what may get worse than with the given gains by more than 2 %, of ``TRADES``: any
-        group's rms error, the effort, the margins.
-      time_limit: s of wall time, within which the best so far is chosen and confirmed; the given
-        gains are evaluated in any case. None: no limit. Outside of the main thread a candidate is
-        finished first.
-      predict_mission: what is in the way of a mission, one line, empty for one that is expected to
-        go as planned; asked of the given gains and of those to be chosen.
-      progress: called with the number of candidates tried, and what they are.
+      budget: largest predicted ISV; default: the ISV with the given gains, and with a ``trade`` of
+        effort at least 1.1 times the ISV of perfect tracking; with unstable given gains, the
+        latter, or 1.1 times the ISV of the cheapest gains found.
+      payload_range: lowest and highest true payload mass (kg, inertia in proportion) with a stable
+        loop; default: 0.6 to 2.5 times the nominal one.
+      trade: criteria of ``TRADES`` allowed to get worse than with the given gains by more than
+        2 %: any group's rms error, the effort, the margins.
+      time_limit: s of wall time to choose and confirm the best gains; the given gains are
+        evaluated in any case. None: no limit. Outside of the main thread a candidate is finished
+        first.
+      predict_mission: scenario -> obstacle to its mission, one line, empty if it is expected to go
+        as planned; called for the given gains and for those to be chosen.
+      progress: called with the number of candidates tried, and their description.
 
     Raises:
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
@@ -237,7 +237,7 @@ class _Search:
         )
         self.given = self.chosen = self._judge(scenario, whole=True)
         self._evaluation_time, self._trade = time.monotonic() - begin, trade
-        # unless asked, as much effort as it was may be spent, and no more
+        # by default the effort may not exceed the given one
         if budget is None and self._is_usable:
             isv = TOLERANCE * self.given.prediction.isv
             self._loosen(max(ideal, isv) if "effort" in trade else isv)
@@ -256,7 +256,7 @@ class _Search:
         """Search and choose, up to an end by ``time.monotonic``, s; an interrupt leaves time
         to confirm the choice.
         """
-        # what diverges is soon looked at
+        # diverging runs end early
         reserve = _CONFIRMING * self._evaluation_time
         try:
             with interruptible(), _until(end):
@@ -280,7 +280,7 @@ class _Search:
             self.ended_by = self.ended_by or "the time limit"
 
     def _look_at_the_given(self) -> None:
-        """What is predicted of the given gains, and their margins."""
+        """Predict the given gains and their margins."""
         alarm = self._obstacle(self.given.scenario)
         self.given = self.chosen = dataclasses.replace(self.given, alarm=alarm)
         if alarm or not self._is_usable:
@@ -351,8 +351,8 @@ class _Search:
         return next((point for point in better if not self._objection(point)), self.given)
 
     def _objection(self, point: DesignPoint) -> str:
-        """What else is against a point, one line: a margin at the posture of its own that is worse
-        than it was, or what is predicted of its mission.
+        """A further objection to a point, one line: a worse margin at its own critical posture, or
+        the prediction for its mission.
         """
         if id(point) not in self._objections:
             worse, baseline = "", self.requirement.baseline
@@ -363,7 +363,7 @@ class _Search:
         return self._objections[id(point)]
 
     def _obstacle(self, scenario: Scenario) -> str:
-        """What is in the way of a mission. Raises KeyboardInterrupt, which its run would keep."""
+        """The obstacle to a mission. Raises KeyboardInterrupt, otherwise handled within its run."""
         alarm, signals = self._predict_mission(scenario), current()
         if signals is not None and signals.number and not self.ended_by:
             raise KeyboardInterrupt
@@ -372,7 +372,7 @@ class _Search:
     def _check_time(self) -> None:
         if (
             time.monotonic() > self._search_end
-        ):  # the alarm of ``_until`` is heard in the main thread
+        ):  # the alarm of ``_until`` is raised in the main thread
             raise TimeLimit
         if self._progress is not None:
             better = sum(not self.requirement.violated(point) for _, point in self._tried)

@@ -23,7 +23,7 @@ from ffsm_drake.control_design.stability.rehearsal import Rehearsal
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers import complete_gains
 
-# What a design may make worse than it was, if asked.
+# Criteria that a design may trade off.
 TRADES = ("accuracy", "effort", "margins")
 # Factor by which a figure may be worse than it was.
 TOLERANCE = 1.02
@@ -50,7 +50,7 @@ class DesignPoint:
     # whether its run without noise was made; else the prediction is that of perfect tracking
     is_run: bool = True
     lost_margin: str = ""  # the margin that is worse than it was, one line
-    alarm: str = ""  # what is predicted to be in the way of its mission, one line
+    alarm: str = ""  # predicted obstacle to its mission, one line
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,9 +58,9 @@ class Baseline:
     """The given gains, and what may be worse than with them."""
 
     point: DesignPoint
-    boundaries: Boundaries  # of its scenario
+    boundaries: Boundaries  # boundaries of its scenario
     time: float  # s, the posture of the boundaries
-    trade: Collection[str] = ()  # of TRADES
+    trade: Collection[str] = ()  # a subset of TRADES
 
     def worse_error(self, point: DesignPoint) -> str:
         """The first group with a larger error than it had, one line; empty where there is none."""
@@ -85,16 +85,16 @@ class Baseline:
         return ""
 
     def margins(self, boundaries: Boundaries | None) -> dict[str, tuple[float, float]]:
-        """The margins as they were and those of other boundaries (None: the same), by what each is
-        of.
+        """The given margins and those of other boundaries (None: the same): name -> (given,
+        other).
         """
         after = dict(_margins_of(boundaries or self.boundaries))
         return {name: (before, after[name]) for name, before in _margins_of(self.boundaries)}
 
     def margin_lost_by(self, scenario: Scenario) -> str:
-        """The first margin that another scenario does not keep, one line; empty where it keeps all.
+        """The first margin violated by another scenario, one line; empty if all are kept.
 
-        A fraction of ``find_boundaries``: one look at each of the margins as they were.
+        Costs a fraction of ``find_boundaries``: one evaluation at each of the given margins.
         """
         if "margins" in self.trade:
             return ""
@@ -131,7 +131,7 @@ class Baseline:
 
 
 def _margins_of(boundaries: Boundaries) -> Iterator[tuple[str, float]]:
-    """What each margin is of, and the margin."""
+    """Names and values of the margins."""
     for name, label in _MARGINS.items():
         yield label, getattr(boundaries, name)
     for part, value in boundaries.flexible_mass.items():
@@ -179,16 +179,16 @@ class Requirement:
         return ""
 
     def worse(self, point: DesignPoint) -> str:
-        """What is worse than with the given gains, one line; empty: nothing."""
+        """The criterion that is worse than with the given gains, one line; empty: none."""
         if self.baseline is None or point is self.baseline.point:
             return ""
         return self.baseline.worse_error(point) or point.lost_margin
 
     def crowding(self, prediction: Prediction) -> np.ndarray:
-        """(nv) the noise's force by the actuators' room for it, 1 where that suffices.
+        """(nv) the noise's force relative to the actuators' reserve for it, 1 at the limit.
 
-        Beyond it they saturate so often that a disturbance or a grasp may be too much for an
-        integral, which no linear error shows.
+        Beyond it they saturate so often that a disturbance or a grasp may overload an integral;
+        linear errors do not show this.
         """
         return np.maximum(1.0, prediction.noise_force / self.room)
 

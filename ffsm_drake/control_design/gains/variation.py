@@ -1,4 +1,4 @@
-"""Designs of any law: its declared gains varied by group, on the loop as it is wired."""
+"""Designs of any law: its declared gains varied by group, on the wired loop."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,7 +14,7 @@ from ffsm_drake.systems.controllers import declared_gains, make_law
 # Prices of effort, and factors by which gains are varied.
 PRICES_VARIED = (0.08, 0.022, 0.006)
 _FACTORS = (2.0, 1.4)
-_PENALTY = 10.0  # of log(rms error) beyond that of the given gains
+_PENALTY = 10.0  # weight of log(rms error) beyond that of the given gains
 
 
 def vary(

@@ -61,8 +61,8 @@ class FreeDynamics:
     def linearized(
         self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What ``calc`` gives, and its derivatives by z_a, rate and acceleration (3, m, na, n; row,
-        column).
+        """The results of ``calc``, and their derivatives by z_a, rate and acceleration (3, m, na,
+        n; row, column).
         """
         wanted = [(order, i) for order in range(3) for i in range(len(z))]
         return complex_step(self.calc, (z, rate, acceleration), wanted)

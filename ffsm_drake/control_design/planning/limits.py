@@ -38,9 +38,9 @@ class Margin:
 
     # "force", "rate", "end rate", "position", "turn", "impulse" or "clearance"
     quantity: str
-    name: str  # of the coordinate, or of the two bodies
+    name: str  # name of the coordinate, or of the two bodies
     value: float  # the nearest to the limit
-    limit: float  # of force: without ``planning.reserve``
+    limit: float  # for force: without ``planning.reserve``
     time: float  # s; when
     unit: str
     at_least: bool = False  # the limit is a lower one
@@ -67,11 +67,10 @@ class Margin:
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
-    """The limits of a scenario: of its actuators, its URDFs and drives, and of ``planning``; none
-    where nothing drives.
+    """The limits of a scenario: its actuators, URDFs, drives, and ``planning``; none for undriven
+    coordinates.
 
-    Raises ScenarioError for a coordinate that does not exist or is undriven, ModelError for a URDF
-    that cannot be read.
+    Raises ScenarioError for a missing or undriven coordinate, ModelError for an unreadable URDF.
     """
     coordinates, planning = model.coordinates, scenario.planning
 

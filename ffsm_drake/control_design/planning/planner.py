@@ -30,14 +30,14 @@ from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.reference import SplineMotion
 
 _FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
-_POSTURES = 100  # of these, at which its clearance is
-_DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
+_POSTURES = 100  # number of instants for the clearance
+_DURATIONS = np.geomspace(0.0025, 1.0, 31)  # durations of the first guess, as parts of the longest
 _ATTEMPTS = 5  # at limits that are exceeded between the solver's instants
-_ACCURACY = 1e-8  # of where the undriven base goes, relative
+_ACCURACY = 1e-8  # relative accuracy of the undriven base's final pose
 _AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
-_MOST_SEGMENTS = 100  # that a scenario may ask for
+_MOST_SEGMENTS = 100  # upper bound of a scenario's setting
 
 
 class PlanningError(FfsmError):
@@ -79,16 +79,15 @@ def plan_motion(
     progress: Callable[[str], None] = lambda line: None,
     time_limit: float = math.inf,
 ) -> PlannedMotionReport:
-    """Plan the motion that ``scenario.planning`` asks for, with the nominal payload.
+    """Plan the motion of ``scenario.planning``, with the nominal payload.
 
     Args:
       scenario: posture and velocity at the start, limits, goal.
       progress: called with a line about once a second.
-      time_limit: s of wall time for the search, after which the best so far counts if it keeps
-        every limit.
+      time_limit: s of wall time for the search; then the best plan within every limit is taken.
 
     Raises:
-      PlanningError: no motion keeps every limit, or none was found; names the limit in the way.
+      PlanningError: no motion keeps every limit, or none was found; names the active limit.
       ModelError, ScenarioError: the model or a value cannot be used.
     """
     planner = _Planner(scenario, progress, time_limit)
@@ -221,10 +220,10 @@ class _Planner:
         return start, np.r_[rotation_error(goal[:4], self._start[:4]), goal[4:]][driven]
 
     def _first_guess(self, problem: PlanningProgram, angle: float) -> np.ndarray:
-        """The fifth-order polynomial from the start, at its rate, to rest, in the shortest of a few
-        times that fits, with a detour of the base's attitude, rad.
+        """The fifth-order polynomial from the start, at its rate, to rest, in the shortest feasible
+        of a few times, with a detour of the base's attitude, rad.
 
-        A solver never leaves a plane that its first guess lies in.
+        Without a detour a solver never leaves the plane of its first guess.
         """
         start, goal = self._driven_ends()
         best, least = np.empty(0), np.inf
@@ -296,7 +295,7 @@ class _Planner:
         every[1:] += self._rate * lengths[0] / DEGREE
         second = every[1].copy()
         every[:, coordinates.driven] = points.reshape(len(every), -1)
-        # What the solver holds to its tolerance holds exactly.
+        # Constraints met within the solver's tolerance are enforced exactly.
         every[1] = second
         if self._scenario.planning.end_rate == 0.0:
             every[-2] = every[-1]
@@ -310,7 +309,7 @@ class _Planner:
         )
 
     def _evaluated(self, plan: Plan) -> PlannedMotionReport:
-        """What a plan takes and leaves, between the solver's instants too."""
+        """Cost and limits of a plan, between the solver's instants too."""
         model, limits, times = self._model, self._limits, plan.instants(_FINE)
         size = len(model.coordinates.names)
         if model.coordinates.undriven:
@@ -322,7 +321,7 @@ class _Planner:
             force = model.calc_tracking_force(*np.split(rows, [size + 1, 2 * size + 1], axis=1))
         else:
             rows, force = plan.rows(times), self._dynamics.force(*plan.curve(times)).T
-        # The impulse is limited up to the duration, as it was planned.
+        # The impulse is limited up to the planned duration.
         main = times <= plan.duration
         impulse = np.trapezoid(np.abs(force[main]), times[main], axis=0)
         turns = np.linalg.norm(position_errors(rows, rows[:1])[:, :3], axis=1)
@@ -396,7 +395,7 @@ class _Planner:
         )
 
     def _why_not(self, failures: list[tuple[str, PlannedMotionReport]]) -> str:
-        """One line: which limit is in the way, and what to try."""
+        """One line: the active limit, and a suggestion."""
         if self._least > self._longest:
             return (
                 f"no plan: base torque within actuation.limit takes {self._least:.3g} s to take "

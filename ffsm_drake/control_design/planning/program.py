@@ -2,9 +2,9 @@
 segments.
 
 The unknowns are the control points P of z (``systems.plan``) and the lengths h of the spline's
-segments, so that knots move to where forces switch between limits. Positions, rates and their
-limits are linear in these, and a spline stays within the hull of its control points, so that limits
-on those are kept at all times. Force and clearance are evaluated at a few instants of every
+segments, so knots can move to the instants of switching forces. Positions, rates and their limits
+are linear in these, and a spline stays within the hull of its control points, so limits on
+those are kept at all times. Force and clearance are evaluated at a few instants of every
 segment.
 """
 
@@ -36,7 +36,7 @@ _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _ROOM = 0.002  # m beyond the clearance, for what happens between instants
 _SUM = 0.005  # share of an impulse that the sum over the instants may miss
 _LESS = 0.001  # share by which limits are tightened beyond need
-_LESS_TURN, _TURN_ROOM = 0.85, 1e-3  # of the base's turn, from one solution to the next; relative
+_LESS_TURN, _TURN_ROOM = 0.85, 1e-3  # relative change of the base's turn between solutions
 # The solver is stopped when merit falls by less than a share in so many evaluations.
 _GAIN, _PATIENCE, _MOST = 1e-3, 100, 1000
 _PENALTY = 10.0  # merit: relative increase of the cost by violation of constraints
@@ -80,7 +80,7 @@ class PlanningProgram:
         self.evaluations = 0
         self._size, self._count = start.size, planning.segments + DEGREE
         self._cache: tuple[bytes, np.ndarray, np.ndarray] = (b"", np.empty(0), np.empty(0))
-        self._scale = 1.0  # of the cost, which solvers like to be about 1
+        self._scale = 1.0  # scales the cost to about 1 for the solver
         self._program = MathematicalProgram()
         self._points = self._program.NewContinuousVariables(self._count * start.size, "point")
         duration = self._program.NewContinuousVariables(1, "duration")
@@ -116,7 +116,7 @@ class PlanningProgram:
         self._columns = np.hstack([points.reshape(count, -1), lengths + self._points.size])
         # h = lengths_by [T, d]
         self._lengths_by = np.hstack([np.full((segments, 1), 1.0 / segments), np.eye(segments)])
-        self._share = np.ones((count, self._size))  # of the force limits
+        self._share = np.ones((count, self._size))  # share of the force limits
         # Both times the lengths: time between instants, weights of the trapezoidal rule, s.
         self._steps = np.repeat(np.eye(segments), INSTANTS, axis=0) / INSTANTS
         self._weights = 0.5 * (
@@ -143,7 +143,7 @@ class PlanningProgram:
         The control points of its rate are 3 (P_k+1 - P_k) by the lengths of three segments.
         """
         limits, last, segments = self._limits, self._count - 2, self._planning.segments
-        scale = DEGREE * segments  # of the rows: the solver needs a rate times the duration
+        scale = DEGREE * segments  # row scale: the solver needs a rate times the duration
         points = self._points.reshape(self._count, self._size)
         add = self._program.AddBoundingBoxConstraint
         add(start, start, points[0])
@@ -357,7 +357,7 @@ class PlanningProgram:
         x: np.ndarray,
         chosen: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     ) -> np.ndarray:
-        """What is ``chosen`` of all values and their gradient.
+        """Values ``chosen`` from all values, with their gradient.
 
         x either has no derivatives or, from the solver, those by itself.
         """
@@ -477,7 +477,9 @@ class PlanningProgram:
         return self._best, result.get_solution_result().name.removeprefix("k")
 
     def _watch(self, x: np.ndarray) -> None:
-        """Keep the best of what the solver tries, and stop it when that gets no better."""
+        """Keep the best of the solver's iterates, and stop the solver without further
+        improvement.
+        """
         beyond = 0.0
         program = self._program
         for binding in program.generic_constraints() + program.quadratic_constraints():

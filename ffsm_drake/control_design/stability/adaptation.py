@@ -66,15 +66,15 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
 def forecast_reaching_gain(
     law: TimeDelayControl, planned: PlannedDynamics, loop: LinearLoop, *, points: int = 101
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The expected course of K_s: times (p,) in s, K_s (p, nv) in 1/s; zero for a law without.
+    """The expected course of K_s: times (p,) in s, K_s (p, nv) in 1/s; zero for a law without K_s.
 
     Adaptation is driven by |s|. The steady part of s follows the planned motion: it is the response
     to a steadily changing N (-Ntilde / K_s for the one-sample estimate, with Ntilde the change of N
-    over one sample). The noise part is Gaussian: its deviation at the starting gains is that of
-    ``loop``, and changes with K_s as in the one-axis loop whose eta is the coordinate's entry of
-    H^-1 Hhat at the time of ``loop``. The sign term adds an oscillation at half the sampling rate.
-    The mean of the law over that distribution is integrated. A K_s that outgrows the grid is given
-    as its upper bound.
+    over one sample). The noise part is Gaussian: its deviation at the starting gains is taken
+    from ``loop``, and changes with K_s as in the one-axis loop with eta equal to the coordinate's
+    entry of H^-1 Hhat at the time of ``loop``. The sign term adds an oscillation at half the
+    sampling rate. The mean of the law over this distribution is integrated. A K_s beyond the grid
+    is returned as its upper bound.
     """
     scenario = planned.scenario
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
@@ -152,7 +152,7 @@ def _sliding_response(
     ramp = np.linalg.solve(eye - a, loop.f[..., None] * step)
     drift = np.linalg.solve(eye - a, ramp)[..., s, 0]
     alternating = np.linalg.solve(-eye - a, loop.g[..., None])[..., s, 0]
-    with np.errstate(invalid="ignore"):  # of the unstable ones
+    with np.errstate(invalid="ignore"):  # unstable loops
         deviation = np.sqrt(np.maximum(covariance[..., s, s], 0.0))
 
     def bounded(values: np.ndarray) -> np.ndarray:

@@ -15,15 +15,15 @@ from ffsm_drake.systems.controllers import complete_gains, declared_gains
 
 LARGEST_FACTOR = 30.0
 LARGEST_DELAY = 30  # control samples
-_RATIO = 1.3  # of one factor to the next in the search
-_ACCURACY = 1e-3  # of a factor, relative
+_RATIO = 1.3  # ratio of successive factors in the search
+_ACCURACY = 1e-3  # relative accuracy of a factor
 _FAST = 100.0  # log of a spectral radius, in place of an infinite one
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Boundaries:
-    """Stability limits, one parameter at a time. NaN: unstable as it is; infinite: stable over the
-    whole search range.
+    """Stability limits, one parameter at a time. NaN: unstable at the given value; infinite: stable
+    over the whole search range.
     """
 
     # factor on all feedback gains of the controller; infinite where it declares none
@@ -76,12 +76,12 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
 
 
 def largest_payload(scenario: Scenario, *, time: float) -> float:
-    """``Boundaries.nominal_payload`` alone; arguments and errors as for ``find_boundaries``."""
+    """``Boundaries.nominal_payload`` alone. Arguments and errors: see ``find_boundaries``."""
     return _largest_payload(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
 
 
 def first_unstable_delay(scenario: Scenario, *, time: float) -> float:
-    """``Boundaries.delay`` alone; arguments and errors as for ``find_boundaries``."""
+    """``Boundaries.delay`` alone. Arguments and errors: see ``find_boundaries``."""
     return _first_unstable_delay(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
 
 

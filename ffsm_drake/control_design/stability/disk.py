@@ -4,7 +4,7 @@ A factor f on the force of one coordinate, or one on each at once, keeps the loo
 f = (1 + a z) / (1 - a z) with any complex \\|z\\| < 1 and a = alpha / 2. alpha is the balanced
 disk margin (Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems,
 2020): the inverse of the largest \\|S - 1/2\\| over all frequencies, S being the sensitivity there.
-Limits and noise are left out. The force that acts is not told to the controller beside its own.
+Limits and noise are omitted. The controller's ``applied_force`` does not include the factor.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ _BALANCING = 30  # steps
 class DiskMargins:
     """Balanced disk margins; the smallest over postures of the planned motion."""
 
-    names: tuple[str, ...]  # of the driven coordinates
+    names: tuple[str, ...]  # names of the driven coordinates
     alone: np.ndarray  # (n,) alpha of each force alone
     frequency: np.ndarray  # (n,) rad/s, at which it is critical
     together: float  # alpha that all forces tolerate at once, each with a factor of its own
@@ -139,7 +139,7 @@ def _balanced_norm(matrix: np.ndarray, *, enough: float) -> float:
 
 
 def force_beside(setup: BlockSetup) -> Diagram:
-    """A force that is white from sample to sample, and that no block is told of."""
+    """A force that is white from sample to sample; no block receives it."""
     builder, size, period = DiagramBuilder(), len(setup.coordinates.names), setup.sample_time
     source = builder.AddNamedSystem(_PUSH, RandomSource(RandomDistribution.kGaussian, size, period))
     held = builder.AddNamedSystem("held", ZeroOrderHold(period, size))

@@ -52,10 +52,10 @@ class LinearLoop:
     coordinates: Coordinates
     time: float  # s
     sample_time: float  # s
-    samples: tuple[SampleMap, ...]  # of one common period of all blocks
+    samples: tuple[SampleMap, ...]  # maps over one common period of all blocks
     hidden: tuple[str, ...] = ()  # names of the hidden coordinates
     tracks_frame: bool = False
-    # of the controller: name -> its part of x
+    # memory of the controller: name -> its part of x
     memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)
     # name of a source -> its part of w
     noise: Mapping[str, slice] = dataclasses.field(default_factory=dict)
@@ -158,7 +158,7 @@ class LinearLoop:
         nv = len(self.coordinates.names)
         if not np.isfinite(self.poles).all():
             return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
-        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that grows
+        with np.errstate(over="ignore", invalid="ignore"):  # growing loops
             variances = self._variances(samples)
         return {
             name: np.sqrt(np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf))
@@ -195,14 +195,13 @@ class LinearLoop:
         return variances
 
     def with_random_walk(self, walk: np.ndarray, mass_matrix: np.ndarray) -> Self:
-        """The loop with an acceleration d that walks at random, and with the excess over -H d as
-        its force.
+        """The loop with a random walk of acceleration d, and with the excess over -H d as its
+        force.
 
         Args:
           walk: intensity (nv), its standard deviation after one second, rad/s^2 or m/s^2 per
             sqrt(s).
-          mass_matrix: H of the plant (nv, nv), by which the force would have to be -H d to keep d
-            from acting.
+          mass_matrix: H of the plant (nv, nv); the force -H d would compensate d.
         """
         nv, step = len(walk), self.sample_time
         enter = np.zeros((len(self.a), nv))

@@ -1,17 +1,17 @@
-"""The linearised sampled loop as it is wired: the map from just before one control sample to just
-before the next.
+"""The linearised sampled loop, as wired: the map from just before one control sample to just before
+the next.
 
 Its state is all state with feedback: the plant's (its attitude as a small rotation) with hidden
 coordinates, the controller's and its estimator's, delays, actuators. Its columns are finite
 differences on a context of the closed loop, so every controller, plant, and block with discrete
 state is covered without a formula; a block with other state is refused. ``ControlLaw.held`` (gains
-under adaptation, sign terms) is constant. Noise is an input. Limits, which have no derivative, are
-left out, and quantisation counts as white noise of its sawtooth's variance.
+under adaptation, sign terms) is constant. Noise is an input. Limits have no derivative and are
+omitted, and quantisation counts as white noise of its sawtooth's variance.
 
-The update at a sample and the motion up to the next are differenced separately, which is several
-times faster: the motion depends only on the plant's state and a few held values. Where a block
-updates less often than the controller, the map covers their common period, and each kind of sample
-in it is differenced once.
+For speed, the update at a sample and the motion up to the next are differenced separately: the
+motion depends only on the plant's state and a few held values. If a block updates less often than
+the controller, the map covers their common period, and each kind of sample in it is differenced
+once.
 """
 
 import contextlib
@@ -53,11 +53,11 @@ _STEP = 1e-7
 _WARM_UP = 5
 # Beyond these, a look at one instant takes more than seconds, or much memory.
 _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
-# Longest period, in control samples, that is found of user-supplied systems which do not declare
-# it, and the change of their map, relative to its rows, that tells one sample from another.
+# Longest period, in control samples, searched for user-supplied systems without a declared one, and
+# the change of their map, relative to its rows, between different samples.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
 _COARSE = 1e3  # times the step, with which a smooth function has the same derivative
-_ROUNDING = 1e-14  # of numbers in memory, relative to the largest of a group
+_ROUNDING = 1e-14  # rounding of numbers in memory, relative to the largest of a group
 # Stretches of samples that are looked at: a transient may hide the period in the first.
 _TRIES = 3
 
@@ -77,10 +77,14 @@ class Linearizer:
         blocks: Mapping[str, Factory] | None = None,
         approach: bool = False,
     ) -> None:
-        """Args: the scenario; factories in place of its blocks; whether to take its approach, the
-        servicer alone before the grasp, in place of the motion from the grasp on.
+        """Args:
+          scenario: the scenario.
+          blocks: factories in place of its blocks.
+          approach: use its approach, the servicer alone before the grasp, in place of the motion
+            from the grasp on.
 
-        Errors as for ``add_closed_loop``; NotLinear for a block with continuous or abstract state.
+        Raises the errors of ``add_closed_loop``; NotLinear for a block with continuous or abstract
+        state.
         """
         # with limits
         self.given = timed(_approach(scenario) if approach else from_grasp(scenario))
@@ -108,7 +112,7 @@ class Linearizer:
         self._updates = dict[Hashable, tuple[_Update, ...]]()
         self._motions = dict[Hashable, np.ndarray]()
         self._loops = dict[Hashable, LinearLoop]()
-        self._own_period: int | None = None  # of user-supplied systems, once it is known
+        self._own_period: int | None = None  # period of user-supplied systems, once it is known
 
     def _new_simulator(self, context: Context | None = None) -> Simulator:
         simulator = Simulator(self.loop.diagram, context)
@@ -158,7 +162,7 @@ class Linearizer:
             sample_time=period,
             leave_out=lambda system, group: system is controller and group in held,
         )
-        # of the plant's part of x
+        # width of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
         self._check_cost()
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
@@ -198,9 +202,9 @@ class Linearizer:
     ) -> LinearLoop:
         """The loop near an instant of the planned motion, with the plant on it.
 
-        It is kept: the same arguments give the same object. So is the update at the sample: the
-        same instant with another true payload costs only its motion, which starts from the state of
-        the scenario's own payload. At rest that changes a spectral radius by about 1e-5.
+        The result is cached: the same arguments give the same object. The update at the sample is
+        cached too: the same instant with another true payload costs only its motion, from the state
+        of the scenario's own payload. At rest this changes a spectral radius by about 1e-5.
 
         Args:
           time: s; a control sample is taken.
@@ -293,7 +297,7 @@ class Linearizer:
         *,
         held: Mapping[str, np.ndarray] | None = None,
     ) -> tuple[LinearLoop, ...]:
-        """The loops at fractions of the planned motion; arguments and errors as for ``at``."""
+        """The loops at fractions of the planned motion. Arguments and errors: see ``at``."""
         return tuple(self.at(self.part(share), held=held) for share in shares)
 
     def part(self, share: float) -> float:
@@ -304,10 +308,10 @@ class Linearizer:
         self, *, held: Mapping[str, np.ndarray] | None = None, samples: int | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """The run without noise: true error at the samples and force from each to the next (n, nv),
-        NaN once it fails or diverges, as a run does.
+        NaN after a failure or divergence, as in a run.
 
         Args:
-          held: as for ``at``.
+          held: see ``at``.
           samples: number from the start; None: all.
         """
         count = self.scenario.num_control_periods if samples is None else samples
@@ -413,7 +417,9 @@ class Linearizer:
 
     @functools.cached_property
     def planned(self) -> PlannedDynamics:
-        """The scenario's dynamics along its planned motion; errors as for PlannedDynamics."""
+        """The scenario's dynamics along its planned motion. Raises the errors of
+        PlannedDynamics.
+        """
         return PlannedDynamics(self.given)
 
     @functools.cached_property
@@ -459,10 +465,11 @@ class Linearizer:
         return self._own_period
 
     def _own_period_from(self, index: int, held: Mapping[str, np.ndarray]) -> int | None:
-        """The least period of the maps from a control sample on; None where they have none.
+        """The least period of the maps from a control sample on; None for maps without a period.
 
-        Compared are samples at which the shipped systems do the same: a navigation that answers
-        once a second makes one map of a hundred differ. Where no two do the same, all are.
+        Samples with equal behaviour of the shipped systems are compared, since a navigation with
+        one output per second makes one map of a hundred differ; if no two are equal, all are
+        compared.
         """
         indices = range(index, index + 2 * _LONGEST_PERIOD)
         maps, kept, kinds = [], [], [self._memory.kind(each) for each in indices]
@@ -471,7 +478,7 @@ class Linearizer:
             kept.append(self._memory.after(each))
             self._go_on(each, held)
         least = _DIFFERENT * np.abs(maps).max(axis=(0, 2))
-        for part in self._memory.parts:  # what hardly depends on the plant differs by rounding
+        for part in self._memory.parts:  # small dependences are rounding
             rounding = _ROUNDING / _STEP * np.abs(kept)[:, part].max(initial=0.0)
             least[part] = np.maximum(least[part], rounding)
         for period in range(1, _LONGEST_PERIOD + 1):
@@ -562,8 +569,8 @@ class Linearizer:
 
     def _motion(self, update: "_Update", truth: MassProperties | None) -> np.ndarray:
         """Derivative, by the state after an update, of the plant's state at the next control sample
-        and of the controller's force until then. Gains and a measurement that came or did not come
-        make no difference to it: they change what is held, but not what that does.
+        and of the controller's force until then. It does not depend on gains and measurements:
+        these change the held values, but not their effect.
         """
         nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
         after = update.after
@@ -623,15 +630,14 @@ class _Update:
     index: int
     alike: Hashable | None  # equal for those with the same map of the motion; None: unknown
     after: Context
-    groups: Sequence[slice]  # of x: the plant's state, then each group of the memory
-    steps: np.ndarray  # of the differences, of x
-    jacobian: np.ndarray  # of the memory after it by [x; w]
+    groups: Sequence[slice]  # groups of x: the plant's state, then each group of the memory
+    steps: np.ndarray  # steps of the differences of x
+    jacobian: np.ndarray  # derivative of the memory after the update by [x; w]
 
 
 class _LawOfMany:
-    """The update at a control sample in two steps: what every block but the controller makes of the
-    state, and what the controller reads of it; then the control law, for many states at once, which
-    is faster than one by one.
+    """The update at a control sample in two steps: first every block except the controller, and the
+    controller's inputs; then the control law, for many states at once for speed.
     """
 
     def __init__(
@@ -749,8 +755,8 @@ def _is_shipped(system: object) -> bool:
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:
-    """Fix the inputs that read the sources to zero. False where one is not found, as for a block
-    whose output is noise itself.
+    """Fix the inputs connected to the sources to zero. False if one is not found, for example if a
+    block's output is noise itself.
     """
     heard = list[System]()
     for part in _diagrams(diagram):

@@ -1,5 +1,5 @@
-"""The force that a motion and a wrong velocity at its start ask for, against its limits, and what
-helps where it is too much.
+"""The force required by a motion and an initial velocity error, compared with its limits, and
+remedies for excess.
 """
 
 import math
@@ -21,13 +21,13 @@ from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import section_parts
 
 _ANSWER = 1.0  # s; response of the loop to a wrong velocity at the start
-_INSTANTS = 101  # of the plan after that
+_INSTANTS = 101  # number of instants of the plan after that
 _TRANSIENT = 5.0  # s after a grasp, in which the torque does not depend on the motion's duration
-# Shares of the limit that a motion may take, and that a longer one is to take.
+# Largest share of the limit for a motion, and the target share of a longer one.
 _MOST, _WANTED = 0.7, 0.65
 _LEAST_STEP, _LONGEST = 1.03, 10.0  # ratios of durations: successive trials, longest to given
-# What noise asks for: times K_P I sigma, fitted to two spacecraft. The amplitude, in standard
-# deviations of the noise, from which on a saturated integral may run away.
+# Force required by noise: times K_P I sigma, fitted to two spacecraft. Amplitude, in standard
+# deviations of the noise, from which a saturated integral may run away.
 _NOISE_PEAK, _TOLERATED = 3.0, 50.0
 _NOTABLE, _LARGE = 0.05, 0.5  # share of saturated samples; that is said though a run settles
 
@@ -35,9 +35,9 @@ _NOTABLE, _LARGE = 0.05, 0.5  # share of saturated samples; that is said though 
 def predicted_load(linearizer: Linearizer) -> float:
     """Largest force after a grasp, without noise, as a fraction of its limit; above 1 it saturates.
 
-    The first second, in which the loop responds to the difference between true and planned velocity
-    after the grasp, is run without noise and limits. After that it is the force of perfect tracking
-    with the true payload, less the disturbance.
+    In the first second the loop responds to the difference between true and planned velocity after
+    the grasp; this is simulated without noise and limits. Afterwards the force is that of perfect
+    tracking with the true payload, less the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
@@ -54,12 +54,13 @@ def predicted_load(linearizer: Linearizer) -> float:
 def advice(
     scenario: Scenario, saturated: Mapping[str, float], *, settles: bool
 ) -> tuple[Advice, ...]:
-    """What helps where actuators of the base saturate, as they say themselves.
+    """Remedies for saturated actuators of the base, from the actuators' own advice.
 
     Args:
       scenario: the mission.
-      saturated: the share of the samples, by an actuator's title in lower case.
-      settles: whether it settles nonetheless, so that only much saturation is worth a change.
+      saturated: the share of saturated samples, by an actuator's title in lower case.
+      settles: whether the mission settles nonetheless; then only heavy saturation calls for a
+        change.
 
     Raises: as ``PlannedDynamics``.
     """
@@ -88,7 +89,7 @@ def saturated_shares(scenario: Scenario, signals: Signals) -> dict[str, float]:
 
 
 def _base_load(scenario: Scenario) -> Load:
-    """What a mission asks of its base's actuators, and what is less."""
+    """The load of a mission on its base's actuators, and changes that reduce it."""
     held = from_grasp(scenario)
     planned = PlannedDynamics(held)
     coordinates, peak = planned.coordinates, _motion_peak(planned)
@@ -153,8 +154,8 @@ def _slower(scenario: Scenario, groups: Mapping[str, GroupLoad]) -> Advice | Non
 def _softer(
     scenario: Scenario, coordinates: Coordinates, groups: Mapping[str, GroupLoad]
 ) -> Iterator[tuple[str, Advice]]:
-    """By group the gains of a law that is designed by axis, where noise at their bandwidth, or a
-    saturated integral, asks for more than is given.
+    """Smaller gains by group, for a law designed by axis, if noise at their bandwidth, or a
+    saturated integral, requires more than the available force.
     """
     law: Any = controller_factory(scenario)
     unit = law.gains_for(1.0, 1.0) if hasattr(law, "gains_for") else {}

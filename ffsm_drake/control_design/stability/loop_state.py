@@ -53,7 +53,7 @@ class PlantState:
         """
         coordinates, split = self._loop.coordinates, self._loop.split
         nq, model = len(coordinates.position_names), self._loop.model(self._context)
-        # of the base, which comes first in every state
+        # the base comes first in every state
         undriven = np.flatnonzero(~coordinates.is_driven)
         places = np.arange(4) if "base_rotation" in coordinates.undriven else np.empty(0, dtype=int)
         places = np.concatenate([places, undriven[undriven >= len(BASE_ROTATION)] + 1])
@@ -141,7 +141,7 @@ class Memory:
         return self.which(index), self.phases(index)
 
     def phases(self, index: int) -> tuple[int, ...]:
-        """Of the systems that behave differently from sample to sample."""
+        """Phases of the systems with changing behaviour from sample to sample."""
         return tuple(system.phase(index) for system in self._phased)
 
     def which(self, index: int) -> tuple[bool, ...]:

@@ -87,7 +87,7 @@ class Margins:
     eta: np.ndarray
     loops: tuple[LinearLoop, ...]  # the wired loop at POSTURES, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
-    motion: MotionStability | None  # of a tracked frame, at chosen instants
+    motion: MotionStability | None  # motion of a tracked frame, at chosen instants
     # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
     radius_at_bounds: float
     hidden_modes: tuple[VibrationMode, ...]  # at the start of the motion
@@ -96,7 +96,7 @@ class Margins:
     locked_eta: tuple[float, float]
     # None for a law that is not by axis, and with delays
     axes: AxisMargins | None
-    # with parts that are rehearsed, of a loop that is stable without their limits
+    # with rehearsed parts, for a loop that is stable without their limits
     rehearsal: Rehearsal | None = None
 
     @property
@@ -119,8 +119,8 @@ class Margins:
 
     @property
     def edge_time(self) -> float:
-        """The time, s, of the posture nearest to instability: that of the largest spectral radius,
-        or of the largest eta with hidden coordinates, whose slow poles are the same everywhere.
+        """The time, s, of the posture nearest to instability: at the largest spectral radius, or,
+        with hidden coordinates, at the largest eta (their slow poles are the same everywhere).
         """
         return (
             float(self.times[int(np.argmax(self.eta.max(axis=1)))])
@@ -168,7 +168,7 @@ class Margins:
 
     @property
     def _bounds_unstable(self) -> bool:
-        """Whether K_s may reach bounds that are unstable, and no forecast says that it does not."""
+        """Whether K_s may reach unstable bounds, without a forecast to the contrary."""
         return self.axes is None and self.radius_at_bounds >= 1.0
 
     @property

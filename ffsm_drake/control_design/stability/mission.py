@@ -32,7 +32,7 @@ _STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstabl
 
 
 def _scope(scenario: Scenario, leg: Leg) -> str:
-    """What the linear loop of a leg covers, and what it leaves out."""
+    """The scope of a leg's linear loop, and its omissions."""
     left = ["limits", "noise"]
     if scenario.supervisor is not None:
         left.append("the supervisor")
@@ -53,8 +53,8 @@ class LegVerdict:
 
     leg: Leg  # "motion" without a capture
     radius: float  # largest spectral radius
-    time: float  # of the run at which, s
-    growth: float  # of small errors along the worst stretch of the leg
+    time: float  # time of the run, s
+    growth: float  # growth of small errors along the worst stretch of the leg
     instants: int  # at which the loop was linearised
     rests_stable: bool  # radius below 1 where the leg begins or ends at rest
     status: Status

@@ -1,12 +1,12 @@
 """The linear verdict on a whole motion: the loop at instants chosen along it, and the growth of
 errors between them.
 
-A loop that is stable at rest at both ends, and at a few postures between, may be unstable on the
-way: where a coordinate becomes light, or where a gain no longer suits the posture. The instants are
-five fractions of the motion and those at which a coordinate is lightest. Between them they are
-bisected where the spectral radius crosses 1, and where the fast modes, which a slow pole hides in
-the spectral radius, change or are weakly damped; then where the growth is least known, until it is
-known whether errors grow little or much.
+A loop may be stable at rest at both ends, and at a few postures between, and unstable on the way:
+at postures with a light coordinate, or unsuited to a gain. The instants are five fractions of the
+motion and the instants of least inertia of each coordinate. They are bisected between values of the
+spectral radius on both sides of 1, and between instants with changing or weakly damped fast modes
+(a slow pole may hide these in the spectral radius); then where the growth is most uncertain, until
+it is clear whether errors grow little or much.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ import numpy as np
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
 
-# Error growth from which on it is reported, and from which on a motion counts as unstable.
+# Least reported error growth, and the growth from which a motion counts as unstable.
 GROWN, LARGE_GROWTH = 1.5, 100.0
 _POINTS = 1010  # instants at which rates are interpolated
 # Fast radius, and its changes between two instants, above which they are bisected: above _FAST a
@@ -81,7 +81,7 @@ class MotionStability:
 
     @property
     def rate_bounds(self) -> np.ndarray:
-        """Those of ``growth_bound`` (n - 1), 1/s."""
+        """The rates of ``growth_bound`` (n - 1), 1/s."""
         rates = self.rates
         bounds: np.ndarray = np.maximum(rates[1:], rates[:-1]) + np.abs(np.diff(rates))
         return bounds
@@ -107,7 +107,9 @@ def motion_stability(
 ) -> MotionStability:
     """The loop along a linearizer's planned motion, moving as planned.
 
-    Args: the linearizer; held memory, as for ``Linearizer.at``, which raises the same errors.
+    Args:
+      linearizer: the linearizer.
+      held: held memory, see ``Linearizer.at``. Errors are also the same.
     """
     span, found = linearizer.end - linearizer.begin, dict[float, LinearLoop]()
 
@@ -143,10 +145,13 @@ def _is_bisected(first: LinearLoop, second: LinearLoop, share: float) -> bool:
 
 
 def _least_known(motion: MotionStability, times: list[float], shortest: float) -> float | None:
-    """The middle, s, of the two instants between which the growth is least known; None if they are
-    near, or if it is known whether errors grow little or much.
+    """The middle, s, of the interval with the most uncertain growth; None if it is short, or if it
+    is clear whether errors grow little or much.
 
-    Args: the loops, and the ``times`` they were asked for, in their order.
+    Args:
+      motion: the loops.
+      times: requested times of the loops, in their order.
+      shortest: shortest interval.
     """
     growth, bound = motion.growth, motion.growth_bound
     if bound <= GROWN or growth > LARGE_GROWTH or (growth > GROWN and bound < 2.0 * growth):

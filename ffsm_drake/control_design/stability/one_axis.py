@@ -2,14 +2,14 @@
 
     d^2e/dt^2 = -eta (t - d),      t = Hhat^-1 tau - a_d held over a sample, exactly integrated,
 
-with the tracking error e, eta an eigenvalue of H^-1 Hhat and d = -N under perfect tracking, which
-the controller has to estimate. With the one-sample estimate the pole at z = -1 sets the limit
+with the tracking error e, eta an eigenvalue of H^-1 Hhat and d = -N under perfect tracking, to be
+estimated by the controller. With the one-sample estimate the pole at z = -1 sets the limit
 (K_D + K_s) L < 2 (2 - eta) / eta.
 
-It equals the wired loop (``linearization``) where the true payload is the nominal one, so that the
-axes are decoupled, and is used for speed: one set of gains takes 54 ms on the wiring, 34 ms where
+It equals the wired loop (``linearization``) for a true payload equal to the nominal one, with
+decoupled axes, and is used for speed: one set of gains takes 54 ms on the wiring, 34 ms where
 only held gains change, and 0.27 ms here with six values of eta; thousands at once take 11 us each.
-Limits by coordinate, maps, the course of adaptation and the search of gains, which need thousands,
+Limits by coordinate, maps, the course of adaptation and the search of gains need thousands and
 use it; spectral radii, boundaries and the choice of a design use the wiring.
 """
 
@@ -212,10 +212,14 @@ def _largest_stable(
     low: float,
     high: float,
 ) -> np.ndarray:
-    """The largest x (m) in [low, high] at which the law ``change(x)`` of one coordinate is stable;
-    NaN where none is. The stable set need not start at ``low``.
+    """The largest x (m) in [low, high] with a stable law ``change(x)`` of one coordinate; NaN
+    without one. The stable set need not start at ``low``.
 
-    Args: values (..., m or 1, 1) -> law; eta (m); as for ``axis_loop``; the ends.
+    Args:
+      change: values (..., m or 1, 1) -> law.
+      eta: (m).
+      euler: see ``axis_loop``.
+      low, high: ends of the interval.
     """
 
     def is_stable(x: np.ndarray) -> np.ndarray:

@@ -117,7 +117,7 @@ class Demand:
 
 
 def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
-    """The demand of a scenario, interpolated between ``points`` instants; errors as for
+    """The demand of a scenario, interpolated between ``points`` instants. Raises the errors of
     PlannedDynamics.
     """
     from scipy.interpolate import CubicSpline  # slow to load

@@ -1,6 +1,6 @@
-"""Accuracy and effort of a scenario, predicted from its closed loop as it is wired.
+"""Accuracy and effort of a scenario, predicted from its wired closed loop.
 
-The mean is the run without noise. Around it the loop is linear, so that the sensors' noise adds a
+The mean is the run without noise. Around it the loop is linear, so the sensors' noise adds a
 stationary part (``LinearLoop.noise_response``). Errors and efforts add as squares. Every
 controller, estimator, delay and block is covered; actuator limits are not: compare
 ``peak_effort``.
@@ -45,7 +45,7 @@ class Prediction:
         if not np.isfinite(force).all():  # it diverges without noise, too
             error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
         settled = np.arange(len(error)) * period > settled_after
-        settled[-1] = True  # of a shorter run, its last error
+        settled[-1] = True  # last error of a shorter run
         of_noise = len(force) * self.noise_force**2
         return dataclasses.replace(
             self,
@@ -83,9 +83,9 @@ def predict(
     Args:
       scenario: the scenario; K_s is held at its largest expected value, sign terms are left out.
       settled_after: s; the rms error counts from here on.
-      blocks: as for ``simulate``.
+      blocks: see ``simulate``.
 
-    Raises: as ``Linearizer`` and ``Linearizer.at``.
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks=blocks) as linearizer:
         return predict_from(linearizer, settled_after=settled_after)
@@ -103,7 +103,7 @@ def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Predi
 
 
 def predict_noise(linearizer: Linearizer, held: Mapping[str, np.ndarray]) -> Prediction:
-    """The noise's part of a prediction, a fraction of its cost; ``held`` as for
+    """The noise's part of a prediction, at a fraction of its cost; ``held``: see
     ``Linearizer.at``.
     """
     scenario, coordinates = linearizer.given, linearizer.loop.coordinates

@@ -1,9 +1,9 @@
 """The linearised loop under its actuators' real pulses and limits: does it settle?
 
 The controller and the plant are linear about the planned motion (``linearization``). In every
-control sample the actuators get the force that the loop asks for, and what they give instead acts
-on it. That takes a tenth of a run's time, and shows what no spectral radius does: whether the loop
-tolerates saturation.
+control sample the actuators get the loop's command, and their actual output acts on the loop. This
+takes a tenth of a run's time, and shows, unlike a spectral radius, whether the loop tolerates
+saturation.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 
 SEEDS, MANY = 16, 64  # noises, under actuators of the base; where they cost little
-_FURTHER = 1.5  # standard deviations, by which the largest of 64 runs exceeds that of one
+_FURTHER = 1.5  # standard deviations; excess of the largest of 64 runs over one run
 _CONFIDENCE = 3.0  # none of n noises diverges: the chance is below 3 / n, at 95 %
 _LIMIT = "actuation.limit"  # among what saturates
 _BLENDED = 50  # control samples for which the loop between two postures is kept
@@ -46,7 +46,7 @@ _LAST = 2.0  # s, at the end, over which the largest error is taken
 _SETTLED_AFTER = 5.0  # s, from which on the rms error counts
 _CLOSEST = 1.0 / 64.0  # share of the motion between two postures
 _PUSH = "push"  # the source of what actuators add to the command
-Maps = tuple[np.ndarray, np.ndarray]  # of one control sample, from x and from w
+Maps = tuple[np.ndarray, np.ndarray]  # maps of one control sample, from x and from w
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +65,7 @@ class Rehearsal:
     rms_error: np.ndarray
 
     def __str__(self) -> str:
-        """One line: the actuators' limits, the forces asked of them, and the outcome."""
+        """One line: the actuators' limits, the commanded forces, and the outcome."""
         told = f"{self._asked}; {self._saturating}"
         times = self.diverged[np.isfinite(self.diverged)]
         if times.size:
@@ -79,7 +79,9 @@ class Rehearsal:
 
     @property
     def share(self) -> str:
-        """In how many of the noises it diverges; where in none, what that says of the chance."""
+        """Share of noise sequences with divergence; if none, the implied bound on its
+        probability.
+        """
         count = int(np.isfinite(self.diverged).sum())
         if self.noises == 1:
             return "it diverges" if count else "it does not diverge"
@@ -101,8 +103,8 @@ class Rehearsal:
 
     @property
     def _asked(self) -> str:
-        """The limits and the forces asked: of the base's actuators or, where there are none, of
-        the group nearest to its limit.
+        """The limits and the commanded forces: for the base's actuators or, without these, for the
+        group nearest to its limit.
         """
         names = [name for name in self.saturated if name != _LIMIT]
         if not names:
@@ -138,17 +140,16 @@ def rehearse(
     held: Mapping[str, np.ndarray] | None = None,
     mean: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Rehearsal:
-    """Rehearse a scenario with parts that are ``rehearsed``, or with ``actuation.limit``, from the
-    grasp on.
+    """Rehearse a scenario with ``rehearsed`` parts, or with ``actuation.limit``, from the grasp on.
 
     Args:
       scenario: the scenario.
       seeds: number of noise sequences; 64 cost about a second without actuators of the base.
-      held: as for ``Linearizer.at``.
+      held: see ``Linearizer.at``.
       mean: error and force (n, nv) of the run without noise and limits, from
-        ``Linearizer.follow``, which takes half a run; default: those of perfect tracking.
+        ``Linearizer.follow`` (half the time of a run); default: those of perfect tracking.
 
-    Raises: as ``Linearizer`` and ``Linearizer.at``.
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
         loops = _close_loops(linearizer, held)
@@ -175,8 +176,8 @@ def rehearse(
 
 
 def is_near_limits(scenario: Scenario, coordinates: Coordinates, force: np.ndarray) -> bool:
-    """Whether another noise may take commands beyond ``actuation.limit``, by those of one run
-    (n, nv; N m or N), whose changes from sample to sample tell the noise.
+    """Whether another noise sequence may take commands beyond ``actuation.limit``, from the
+    commands of one run (n, nv; N m or N); their changes from sample to sample give the noise.
     """
     if scenario.actuation.limit is None or scenario.blocks.actuation is not None or len(force) < 2:
         return False
@@ -289,7 +290,7 @@ class _Runs:
     def _noise(
         self, generators: Sequence[np.random.Generator], maps: Sequence[Maps], first: int
     ) -> np.ndarray:
-        """What noise adds to [u; x+] (runs, _BLENDED, rows) from a control sample on."""
+        """Effect of noise on [u; x+] (runs, _BLENDED, rows) from a control sample on."""
         width = maps[0][1].shape[1]
         w = np.stack([each.standard_normal((_BLENDED, width)) for each in generators])
         w[..., self._push] = 0.0
@@ -405,7 +406,9 @@ def _without_push(loop: LinearLoop) -> LinearLoop:
 
 
 def _pushed(setup: BlockSetup) -> Diagram | None:
-    """Actuators whose base gives what is asked of it and a source's value of each sample."""
+    """Actuators for the base with output equal to the command plus a source's value at each
+    sample.
+    """
     builder, size, period = DiagramBuilder(), len(setup.coordinates.names), setup.sample_time
     source = builder.AddNamedSystem(_PUSH, RandomSource(RandomDistribution.kGaussian, size, period))
     held = builder.AddNamedSystem("held", ZeroOrderHold(period, size))

@@ -153,7 +153,9 @@ def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], met
 
 
 def _sensitivity(findings: Findings) -> Panel:
-    """Share of the variance of failure that each value explains, and what chance would."""
+    """Share of the variance of failure explained by each value, and the share expected by
+    chance.
+    """
     names = findings.drivers
     traces: list[Trace] = []
     for k, (controller, style) in enumerate(_styles(findings).items()):
@@ -184,8 +186,8 @@ def _sensitivity(findings: Findings) -> Panel:
 
 
 def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
-    """The runs to tell apart: mask, label, color and symbol; failed ones by the first limit that
-    they left.
+    """The groups of runs to distinguish: mask, label, color and symbol; failed runs by the first
+    limit they left.
     """
     failed = ~runs.settled
     marked = [(runs.settled, "settled", SETTLED, "circle")]
@@ -225,7 +227,7 @@ def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Panel:
             "x": grid.x,
             "y": grid.y,
             "z": grid.side(runs.controller),
-            # One level, at 1: what is below it is left clear, what is above is shaded.
+            # One level, at 1: clear below it, shaded above.
             "autocontour": False,
             "contours": {"start": 1.0, "end": 1.0, "size": 0.1, "coloring": "fill"},
             "zmin": 0.95,

@@ -42,7 +42,7 @@ class _Panel:
     needed: str  # a variable of the analysis
     verdicts: dict[str, str]  # finding -> its name in the panel
     charts: Callable[[Analysis], list[Chart]]  # from top to bottom
-    columns: int = 3  # of the legend
+    columns: int = 3  # columns of the legend
 
 
 def plot_analysis(analysis: Analysis) -> Figure:
@@ -314,8 +314,8 @@ def _bounds(analysis: Analysis, name: str, label: str) -> Iterator[Level]:
 
 
 def _error_bounds(analysis: Analysis, near: float) -> Iterator[Level]:
-    """N*, and what is left of it without the start-up; from the share ``near`` of it on the text of
-    that stands below its line.
+    """N*, and N* without the start-up; from the share ``near`` of N* on, the text of the second is
+    below its line.
     """
     series = analysis.series
     bound, late = (

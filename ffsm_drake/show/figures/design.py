@@ -17,7 +17,7 @@ from ffsm_drake.show.style import (
     label_of,
 )
 
-_LEAST = 1e-3  # effort beyond that of perfect tracking that is still drawn
+_LEAST = 1e-3  # least effort beyond perfect tracking in the drawing
 
 
 def plot_design(found: Design) -> Figure:

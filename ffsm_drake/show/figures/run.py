@@ -95,7 +95,7 @@ def plot_errors(records: Sequence[RunRecord]) -> Figure:
     """Tracking error of every coordinate, runs overlaid (the paper's Figure 4).
 
     Two panels each: the error itself, the roughest run behind the others, and below it its rms over
-    one second on a logarithmic axis, which separates controllers whose errors differ by orders of
+    one second on a logarithmic axis, to separate controllers with errors that differ by orders of
     magnitude or overlap in noise.
     """
     runs = results_of(records)

@@ -49,16 +49,16 @@ def _path(base: str, solid: Solid) -> str:
 
 
 class SwitchedSolids:
-    """Solids that are visible in the frames during which their signal is above zero."""
+    """Solids visible in the frames with their signal above zero."""
 
     def __init__(
         self, meshcat: Meshcat, base: str, solids: Sequence[Solid], on: np.ndarray, *,
         longest: float,
     ) -> None:  # fmt: skip
-        """Args as for ``draw_solids``, and whether each is on (samples, solids)."""
+        """Args: see ``draw_solids``; ``on`` (samples, solids): whether each is on."""
         self._meshcat, self._on = meshcat, on
         self._paths = [_path(base, solid) for solid in solids]
-        # What was shown last; kept apart for a recording, which starts afresh.
+        # Last visible state; kept apart for a recording, which starts anew.
         self._last: dict[bool, np.ndarray] = {}
         self.legend = list(dict.fromkeys(solid.legend for solid in solids if solid.legend))
         draw_solids(meshcat, base, solids, longest=longest)
@@ -67,7 +67,7 @@ class SwitchedSolids:
     def of(
         cls, meshcat: Meshcat, base: str, record: RunRecord, *, longest: float
     ) -> "SwitchedSolids":
-        """The solids of a run whose signals it records. Args as for ``draw_solids``."""
+        """The solids of a run with recorded signals. Args: see ``draw_solids``."""
         data = record.dataset
         solids = [each for each in solids_of(record.scenario) if each.shown_by in data]
         columns = []

@@ -74,10 +74,10 @@ _TRIES = 3
 
 
 class CodeLock:
-    """A lock for a page's controls; it opens when the code passed to ``tell`` is entered there.
+    """A lock for a page's controls; the code passed to ``tell`` opens it.
 
-    Drake's server does not check origins: any page that reaches it can send commands and sees the
-    code being entered. So a code works once, and only while a single page is connected; when
+    Drake's server does not check origins: any connected page can send commands and sees the code
+    during entry. So a code works once, and only while a single page is connected; when
     another joins or that one leaves, the lock closes with a new code. After three wrong codes it
     stays closed.
     """

@@ -22,8 +22,8 @@ _PLURAL = {"mass": "masses"}
 class Deflections:
     """The hidden coordinates of a record, magnified by a round factor for each kind of part.
 
-    The largest deflection stays below 10 degrees (a chain's plates together) or 0.3 m. Parts that
-    carry the end effector are not magnified, so that the arm still meets its path.
+    The largest deflection stays below 10 degrees (a chain's plates together) or 0.3 m. Parts
+    that carry the end effector are not magnified, to keep the arm on its path.
     """
 
     def __init__(

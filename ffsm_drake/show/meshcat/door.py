@@ -1,8 +1,8 @@
-"""The way from a browser to Drake's Meshcat server.
+"""A proxy between browsers and Drake's Meshcat server.
 
-Drake's server answers every page of every origin, and a frame that is not msgpack ends its thread.
-So pages reach it through a door (``common.door``), which serves the page, hears its own pages only,
-and passes on nothing but clicks and slider values, encoded anew.
+Drake's server accepts connections from every page of every origin, and a frame that is not msgpack
+ends its thread. So it listens on a private port; a proxy (``common.door``) serves the page, accepts
+connections from it only, and forwards only clicks and slider values, newly encoded.
 """
 
 import ctypes
@@ -23,7 +23,7 @@ from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
 _PORTS = range(7000, 8000)
 _PATIENCE = 5.0  # s for Drake's server to answer
-_IGNORED = ("camera_pose", "gamepad")  # what the page sends besides, and nobody here reads
+_IGNORED = ("camera_pose", "gamepad")  # other messages of the page, without use here
 _DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # whatever HTTP_PROXY says
 
 
@@ -83,7 +83,7 @@ class MeshcatDoor(Door):
 
 
 def keep_for_ever(meshcat: Meshcat) -> None:
-    """Never free a server that has failed: that would hang or end the process."""
+    """Never free a failed server: that would hang or end the process."""
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(meshcat))
 
 

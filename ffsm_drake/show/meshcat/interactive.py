@@ -1,9 +1,9 @@
-"""A live simulation, to watch or with an operator's panel in Meshcat, whose use is recorded.
+"""A live simulation in Meshcat, to watch or with an operator's panel; its use is recorded.
 
 The panel appears once a code is entered (see ``CodeLock``). Controls marked "now" act on the
 current run from the next control sample on: the scale of the disturbance, and pushes on the
-payload. Those marked "next run" change the scenario of the runs that start later: the controller,
-by the start button clicked, and the payload's true mass.
+payload. Controls marked "next run" change the scenario of later runs: the controller, by the
+start button clicked, and the payload's true mass.
 (A body cannot change its mass during a run without its momentum jumping, so a new mass needs a new
 run; the record's scenario then holds it.)
 """
@@ -104,26 +104,26 @@ def run_interactive(
     """Run a scenario repeatedly with an operator's panel, until Quit is clicked or Ctrl-C is
     pressed.
 
-    A run that is restarted, quit or interrupted from the keyboard leaves a record up to then, with
+    After a restart, Quit or an interrupt from the keyboard the record ends there, with
     the status "interrupted". The record's scenario has the run's controller and payload; its
     ``disturbance_force`` is the generalized force on the plant (scaled disturbance and pushes). The
     operator's actions, if any, are in the dataset's attribute ``operator`` and noted in the
     outcome's message. A run without intervention gives the record of ``simulate``. The metric
-    ``momentum_residual`` assumes a smooth disturbance, which a push is not.
+    ``momentum_residual`` assumes a smooth disturbance, so it is not valid with pushes.
 
     Args:
       scenario: the scenario; the page's slider replaces its ``target_realtime_rate``.
-      meshcat: server to show it on; by default a new one behind a door (``door.live_server``),
-        whose address is printed.
+      meshcat: server for the display; default: a new one behind a proxy
+        (``door.live_server``), with its address printed.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
-      keep: called with each record as soon as its run has ended, to save it. What it returns, such
-        as the folder, is held for the rest of the session in the record's place.
-      tell: called with each line for the person at the terminal, such as the code that unlocks the
-        panel; default: print to standard error.
+      keep: called with each record at the end of its run, to save it. Its result, such as the
+        folder, replaces the record for the rest of the session.
+      tell: called with each line for the terminal, such as the code for the panel; default: print
+        to standard error.
       wait: called to let wall time pass, with seconds.
 
-    Returns: the records of all runs in their order, or what ``keep`` returned for each.
+    Returns: the records of all runs in their order, or the results of ``keep``.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -177,7 +177,7 @@ class _Operator:
     ) -> None:
         self.meshcat = meshcat
         self.stopped_run = False  # the last run ended by Quit or by a start button
-        self._lost = False  # Drake's server has failed: nothing can be shown or asked any more
+        self._lost = False  # Drake's server has failed: no display and no input any more
         self._scenario = scenario
         self._run_scenario = scenario
         self._wait = wait
@@ -244,8 +244,8 @@ class _Operator:
 
     @contextmanager
     def beside(self) -> Iterator[None]:
-        """Of a failure of Drake's server in the block comes one warning, and the end of the view:
-        the run goes on without it.
+        """Turn a failure of Drake's server in the block into one warning and the end of the view;
+        the run continues.
         """
         try:
             yield

@@ -70,10 +70,10 @@ def quiet_drake() -> Iterator[None]:
 
 
 class _Started(threading.local):
-    """The servers that a thread has started, for as long as anything else may use them.
+    """The servers started by a thread, as long as they may be in use.
 
-    Drake ends the process if another thread frees a server, and Python collects its garbage in
-    whichever thread asks for memory. What is held here is freed by its own thread only.
+    Drake ends the process if another thread frees a server, and Python collects garbage in any
+    allocating thread. Servers held here are freed by their own thread only.
     """
 
     def __init__(self) -> None:

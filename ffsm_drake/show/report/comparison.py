@@ -261,7 +261,7 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
                 for closest in run_clearance(result.record)
             ]
         except (FfsmError, KeyError) as error:
-            # a model that does not load any more, a variable that is not there
+            # an unloadable model, a missing variable
             sentences.append(f"{name}Limits of the model not compared: {one_line(error)}.")
     return list(dict.fromkeys(sentences))
 

@@ -221,10 +221,10 @@ def _settled_rule(scenario: Scenario) -> str:
 
 
 def _attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:
-    """What ``make`` returns, or why there is nothing: a section that fails must not take the report
-    with it.
+    """Result of ``make``, or the reason for its absence: a failing section must not prevent the
+    report.
 
-    Warns (MissingWarning) where a block fails.
+    Warns (MissingWarning) if a block fails.
     """
     try:
         return make(), ""
@@ -234,7 +234,7 @@ def _attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | N
             text = f"{name}: the report lacks its {section}: {one_line(error)}"
             warnings.warn(text, MissingWarning, stacklevel=4)
         return None, one_line(error)
-    except KeyError as error:  # a variable that the record lacks, a controller that has no law
+    except KeyError as error:  # a variable missing in the record, a controller without a law
         return None, (
             "there is no "
             f"{one_line(error).strip(chr(34)).removeprefix('No variable named ').split('. ')[0]}"
@@ -251,7 +251,7 @@ def _summary(results: Sequence[Result]) -> str:
 
 
 def _remarks(result: Result) -> Json:
-    """The limits that a run broke, and what helps one that failed or whose actuators saturated."""
+    """Limits exceeded in a run, and remedies for a failed run or saturated actuators."""
     record = result.record
     if not record.dataset.sizes.get("time", 0):
         return {"broken": [], "helps": []}

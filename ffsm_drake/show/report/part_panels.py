@@ -13,8 +13,8 @@ from ffsm_drake.show.run_charts import run_curve
 from ffsm_drake.show.style import Style
 from ffsm_drake.systems.part import STEPS, TIMELINE, Drawing, PartRecord, pulses_of
 
-_MOST_BOXES = 20_000  # of one run that are drawn one by one
-_BOX = (-0.2, 0.2, 0.2, -0.2, -0.2)  # of a row's height
+_MOST_BOXES = 20_000  # largest number of boxes of one run drawn one by one
+_BOX = (-0.2, 0.2, 0.2, -0.2, -0.2)  # corners, share of a row's height
 
 
 def part_sections(results: Sequence[Result]) -> dict[str, PartRecord]:

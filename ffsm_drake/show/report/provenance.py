@@ -25,7 +25,7 @@ _MOST_OVERRIDES = 8  # in a command that is still read
 
 
 def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
-    """Of each run: facts, command and scenario, whose paths start at ``folder``."""
+    """Facts, command and scenario of each run; paths in the scenario start at ``folder``."""
     shipped = {name: flatten(scenario_to_dict(load_scenario(name))) for name in shipped_scenarios()}
     items = []
     for result in results:

@@ -1,8 +1,8 @@
-"""User-supplied URDFs: reading one, and writing a copy that Drake loads.
+"""User-supplied URDFs: reading one, and writing a copy for Drake.
 
-URDFs hold much that a free-flying spacecraft in Drake does not use: settings of controllers and
-simulators, collision shapes, friction, missing meshes. The copy leaves these out and lists them. A
-gap that only the author can fill, such as a missing mass, is an error that names the remedy.
+URDFs contain elements of no use for a free-flying spacecraft in Drake: settings of controllers and
+simulators, collision shapes, friction, missing meshes. The copy omits these and lists them. A gap
+to be filled by the author, such as a missing mass, is an error with its remedy.
 """
 
 from ffsm_drake.spacecraft.urdf.elements import Joint

@@ -42,7 +42,7 @@ class Servicer:
     source: Path
     base: str
     base_links: tuple[str, ...]  # the base and the links fixed to it
-    base_mass: float  # of those, kg
+    base_mass: float  # mass of these bodies, kg
     total_mass: float  # kg
     joints: tuple[Joint, ...]  # the moving ones, in the file's order
     tip: Tip

@@ -31,12 +31,12 @@ _REASONS = {
 def write_urdf(
     servicer: Servicer | Target, directory: Path, *, file_name: str, packages: Mapping[str, Path]
 ) -> tuple[str, ...]:
-    """Write the copy that Drake loads, with its meshes. Returns the omissions, one per line.
+    """Write the copy for Drake, with its meshes. Returns the omissions, one per line.
 
     Args:
-      servicer: the servicer or target that was read.
+      servicer: the servicer or target read from the original.
       directory: gets the URDF and a folder ``meshes``.
-      packages: folder of each ROS package that mesh addresses name; others are looked for above the
+      packages: folder of each ROS package in mesh addresses; other packages are searched above the
         URDF.
 
     Raises:

@@ -117,7 +117,9 @@ class ActuatorRow(Part):
 
 
 def _by_copy(settings: Actuation) -> dict[str, Any]:
-    """What copies of the spacecraft may differ in; the drives' torque falls from the limit."""
+    """Settings that may differ between copies of the spacecraft; the drives' torque falls from the
+    limit.
+    """
     alike = settings.drives is not None
     return {name: getattr(settings, name) for name in ("limit", "quantization")[alike:]}
 
@@ -129,17 +131,17 @@ def make_actuation(
     sample_time: float,
     base: System | None = None,
 ) -> Actuators | None:
-    """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None where
-    they are the same.
+    """Build a diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None if
+    they are equal.
 
     With thrusters, wheels or drives it has the input ``state`` and outputs for the signals of their
-    parts; with wheels ``gyroscopic_force`` (nv), which acts on the plant too, and
-    ``stored_momentum``; with friction of the drives ``friction_force`` (nv), which acts on the
-    plant too, and ``friction_work`` (nv).
+    parts; with wheels ``gyroscopic_force`` (nv), also applied to the plant, and
+    ``stored_momentum``; with friction of the drives ``friction_force`` (nv), also applied to the
+    plant, and ``friction_work`` (nv).
 
     Args:
-      settings: of the actuators.
-      coordinates: of the forces.
+      settings: settings of the actuators.
+      coordinates: names of the forces' components.
       sample_time: s.
       base: from force to force (nv), in place of thrusters and wheels.
 
@@ -224,8 +226,8 @@ def make_base_actuators(
     faults: Sequence[Hit] = (),
     detects: bool = False,
 ) -> BaseActuators:
-    """Thrusters and wheels, of all copies of the spacecraft, as one system, with their faults and
-    an input for what is detected of them; errors as for ``make_actuation``.
+    """Thrusters and wheels, for all copies of the spacecraft, as one system, with their faults and
+    an input for detected faults. Raises the errors of ``make_actuation``.
     """
     thrusters, wheels = None, None
     if settings.thrusters is not None:

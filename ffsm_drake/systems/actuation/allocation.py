@@ -1,14 +1,14 @@
-"""Allocation: which forces of thrusters give a wrench on the base at the least propellant.
+"""Allocation: thruster forces for a wrench on the base at the least propellant.
 
     minimise c . f   over   W f = w,   0 <= f <= F
 
-W (6, n) holds the wrench of each thruster's unit force, c what a unit of its impulse costs. Without
-the upper bounds the dual is: maximise w . y over W' y <= c. Its finitely many vertices y are found
-once; the best for a wrench say which thrusters may fire in a cheapest solution: those whose bound
-they all touch. Of these solutions the one of least squares is taken, in which thrusters that push
-alike share alike, so that their pulses fall together and their torques cancel. Where that has a
-negative force, it is a solution with six thrusters, f = B^-1 w with a basis B of a vertex. Only
-where a thruster cannot give what that asks for is the linear program itself solved.
+W (6, n) holds the wrench of each thruster's unit force, c the cost of a unit of its impulse.
+Without the upper bounds the dual is: maximise w . y over W' y <= c. Its finitely many vertices y
+are found once. The thrusters of a cheapest solution are those with a bound touched by all optimal
+vertices of the wrench. The least-squares solution among them is used: equivalent thrusters share
+equally, so their pulses coincide and their torques cancel. If it has a negative force, a solution
+with six thrusters replaces it, f = B^-1 w with a basis B of a vertex. The linear program itself is
+solved only if a force exceeds its thruster's limit.
 """
 
 import functools
@@ -23,7 +23,7 @@ from ffsm_drake.common.products import times
 
 _SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
 _SLACK = 1e-9  # relative; by which a bound may be missed
-# By which costs are set apart, so that of equally cheap forces one is chosen.
+# Relative perturbation of the costs, to select one of equally cheap forces.
 _DISTINCT = 1e-7
 _DISTINCT_PROGRAM = 1e-4  # in the linear program, whose solver takes differences of 1e-7 for none
 _TOUCHES = 1e-10  # relative to the largest cost
@@ -69,11 +69,13 @@ class Allocation:
     def solve(
         self, wrench: np.ndarray, leak: np.ndarray | float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The forces (..., n, N) of the largest part of a wrench (..., 6, N m and N) that can be
-        given, and that part (...), 0 to 1.
+        """The forces (..., n, N) for the largest feasible part of a wrench, and that part (...), 0
+        to 1.
 
-        Args: the wrench; the part of it that is there already (6), such as of a thruster that is
-          stuck on, which the others must be able to cancel.
+        Args:
+          wrench: (..., 6), N m and N.
+          leak: (6), the wrench already present, for example of a thruster stuck on; the other
+            thrusters must be able to cancel it.
         """
         wanted = wrench.reshape(-1, 6)
         left, bound = wanted - leak, self._largest * (1.0 + _SLACK)

@@ -30,12 +30,13 @@ from ffsm_drake.systems.actuation.thrusters import (
 )
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 
-# Control samples in which wheels recover an impulse of pulses that they could not counter at once.
-# Commands beyond their limits are not: the controller reads applied_force and repeats them.
+# Control samples in which wheels recover the torque impulse of pulses beyond their capability.
+# Commands beyond their limits are not recovered: the controller reads applied_force and repeats
+# them.
 _RECOVERY = 10
 Hit = tuple[str, Fault, int]  # unit, fault, the control sample from which on it is there
-# What detection tells of a thruster or wheel: it does nothing and gets nothing, the valve upstream
-# of a thruster being shut; a thruster that stays open.
+# Codes of fault detection for a thruster or wheel: it is off and gets no command (a thruster's
+# upstream valve is shut); a thruster stays open.
 LOST, STUCK_ON = 1.0, 2.0
 _LARGEST = 1e300  # N m and N; products of larger numbers overflow
 
@@ -44,39 +45,38 @@ _Working = tuple[ThrusterSet | None, WheelSet | None, bool]
 
 
 class BaseActuators(LeafSystem):
-    """Thrusters, wheels or both: they give the base's wrench, all else passes.
+    """Thrusters, wheels or both: they provide the base's wrench; other forces pass unchanged.
 
-    Torque is the wheels', force the thrusters', which unload the wheels and may help them; without
-    wheels torque is the thrusters', without thrusters force acts as commanded. In each sample the
-    wheels counter what torque thrusters fire. Inputs:
+    Wheels provide torque; thrusters provide force, unload the wheels and may help them. Without
+    wheels, thrusters provide torque too; without thrusters, force acts as commanded. In each sample
+    the wheels counter the torque of the thrusters' pulses. Inputs:
       commanded_force: (nv), the base's torque and force in world axes.
       state: [q; v] of the plant (nq + nv).
-      stored_momentum: with wheels only, their momentum in world axes as it is integrated (3), N m
-        s.
-      isolated: with detection only, of each thruster, then wheel, 0, ``LOST`` or ``STUCK_ON``.
-    Output, which changes at control samples only:
+      stored_momentum: with wheels only, their integrated momentum in world axes (3), N m s.
+      isolated: with detection only, 0, ``LOST`` or ``STUCK_ON`` for each thruster, then wheel.
+    Output (changes at control samples only):
       sample: stacked by ``sizes``, each for copy after copy of the spacecraft:
         applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world
           axes, without the wheels' gyroscopic torque;
-        with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the share
-          of the sample for which each is open; thruster_given (1), the part of the wanted wrench
-          that the last allocation could give;
+        with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the open
+          share of the sample for each; thruster_given (1), the part of the wanted wrench given by
+          the last allocation;
         with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
           (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
-          (3), the part of applied_force's torque that is theirs;
-        with faults or detection told_force (nv), what seems to be applied to whom they are
-          unknown; told_units, likewise the force of each thruster, N, and the torque on each
+          (3), the wheels' part of applied_force's torque;
+        with faults or detection told_force (nv), the reported force (undetected faults not
+          included); told_units, the reported force of each thruster, N, and torque on each
           wheel, N m;
-        memory, which the next update keeps.
-    With these the discrete state has ``gains_and_floors``, and 1 of each wheel that stops; with
+        memory, for the next update.
+    With faults the discrete state has ``gains_and_floors``, and 1 for each stopped wheel; with
     detection also ``isolated``.
-    The base turns within a sample. Its attitude at the middle, from the angular velocity at the
-    start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
-    of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
-    begins (1), w_WB in the base's axes and the reaction that is missing from the wheels' integrated
-    momentum (6); of wheels the impulse of torque that is short (3, world axes, N m s), their
-    momentum (n), and whether thrusters unload them and motors rearrange it (2); of thrusters the
-    impulse that was asked of them and not fired (6, world axes, N m s and N s), and ThrusterMemory.
+    The base turns within a sample. Its attitude at the middle, extrapolated with the angular
+    velocity at the start, is held; the relative error of a body-fixed impulse is then
+    (w L)^2 / 24. Discrete state, updated every control sample: R_WB at its middle (9), whether a
+    frame begins (1), w_WB in the base's axes and the reaction missing from the wheels' integrated
+    momentum (6); for wheels the missing impulse of torque (3, world axes, N m s), their momentum
+    (n), and whether thrusters unload them and motors rearrange it (2); for thrusters the impulse
+    requested but not fired (6, world axes, N m s and N s), and ThrusterMemory.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class BaseActuators(LeafSystem):
         detects: bool = False,
     ) -> None:
         super().__init__()
-        # of one spacecraft vectors, which are faster than rows
+        # for one spacecraft, vectors are faster than rows
         self._rows = (copies, -1) if copies > 1 else (-1,)
         self.thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
         # control samples from one allocation to the next
@@ -157,11 +157,10 @@ class BaseActuators(LeafSystem):
         isolated: np.ndarray | None = None,
     ) -> np.ndarray:
         """The output ``sample`` (...), a row for each copy, as a pure function of the command
-        (..., nv) and of what the discrete state holds: ``memory`` (...), ``rotation`` (..., 3, 3),
+        (..., nv) and of the discrete state: ``memory`` (...), ``rotation`` (..., 3, 3),
         ``turning`` (..., 6), ``begins``, with faults ``broken``, with detection ``isolated``.
 
-        A command beyond ``_LARGEST``, such as an infinite one, is none: what it gives is NaN, and
-        such a run has diverged.
+        Commands beyond ``_LARGEST`` give NaN, which marks the run as diverged.
         """
         commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
         thrusters, wheels = self.thrusters, self.wheels
@@ -169,7 +168,7 @@ class BaseActuators(LeafSystem):
             thrusters, wheels, _ = self.without(isolated)
         # torque, force in the base's axes
         wanted = np.matmul(commanded[..., :6].reshape(*commanded.shape[:-1], 2, 3), rotation)
-        asked = wanted.copy()  # of the thrusters
+        asked = wanted.copy()  # requested from the thrusters
         memories = iter([memory[..., part] for part in self._parts])
         parts, kept, told_units = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
         applied = commanded.copy()
@@ -214,7 +213,7 @@ class BaseActuators(LeafSystem):
                 by_wheels = times(rotation, torques.on_base) + missing
             applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
             parts += [momentum, torques.motor, unloads * 1.0, by_wheels]
-            # What is missing has been given already, in a direction that was held.
+            # The missing part has already been given, in a held direction.
             given = told[..., :3] - missing
             left = short + (commanded[..., :3] - given) * self._sample_time
             momentum = momentum + torques.on_wheels * self._sample_time
@@ -234,8 +233,8 @@ class BaseActuators(LeafSystem):
         *,
         begins: bool,
     ) -> tuple[Firing, list[np.ndarray]]:
-        """What thrusters fire of the torque and force that are asked of them (..., 2, 3, the base's
-        axes), with the impulse that they owe; and what they keep.
+        """Fire thrusters for the requested torque and force (..., 2, 3, the base's axes), with the
+        owed impulse; also returns the memory.
         """
         fuel = ThrusterMemory.unpacked(memory)
         if begins:
@@ -340,17 +339,18 @@ def _turned_back(wrench: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def _part_after_part(sizes: list[int], copies: int) -> np.ndarray:
-    """Of rows for the copies, with parts of these sizes, the entries part after part."""
+    """For rows of copies with parts of these sizes: the entries part after part."""
     rows = np.arange(copies * sum(sizes)).reshape(copies, -1)
     parts = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
     return np.concatenate([part.ravel() for part in parts])
 
 
 class BaseBlock(Diagram):
-    """Thrusters and wheels with the momentum that the wheels store.
+    """Thrusters and wheels with the stored momentum of the wheels.
 
-    Inputs: ``commanded_force`` (nv), and ``state`` [q; v] of the plant. Outputs: those that are
-    stacked in ``BaseActuators``, ``applied_force`` first; with wheels also those of ``Gyroscopic``.
+    Inputs: ``commanded_force`` (nv), and ``state`` [q; v] of the plant. Outputs: the
+    entries stacked in ``BaseActuators``, ``applied_force`` first; with wheels also the outputs of
+    ``Gyroscopic``.
     """
 
     def __init__(self, base: BaseActuators, coordinates: Coordinates, *, copies: int = 1) -> None:
@@ -398,7 +398,7 @@ def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: f
     from (w, x, y, z) (..., 4).
     """
     before = quaternion.reshape(-1, 4).tolist()
-    halves = (0.5 * time * angular_velocity).reshape(-1, 3).tolist()  # of the rotation vector
+    halves = (0.5 * time * angular_velocity).reshape(-1, 3).tolist()  # half of the rotation vector
     turned = [_turned(one, half) for one, half in zip(before, halves, strict=True)]
     return np.array(turned).reshape(*quaternion.shape[:-1], 9)
 

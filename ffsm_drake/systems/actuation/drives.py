@@ -1,14 +1,14 @@
-"""Drives of the joints: what force they give at what rate, and their friction.
+"""Joint drives: torque-speed limit and friction.
 
-A motor with a limited current gives its full torque up to some speed; from there the voltage that
-is left above the back-EMF falls linearly, to nothing at its no-load speed (the torque-speed line of
-a DC motor). It brakes at any speed. Friction is that of Armstrong-Helouvry, Dupont and Canudas de
+A motor with a limited current gives its full torque up to some speed; beyond it the voltage above
+the back-EMF falls linearly, to zero at the no-load speed (the torque-speed line of a DC motor). It
+brakes at any speed. The friction model is by Armstrong-Helouvry, Dupont and Canudas de
 Wit (Automatica 30, 1994), with tanh in place of the sign:
 
     F(v) = -((F_c + (F_s - F_c) exp(-(v / v_s)^2)) tanh(v / v_0) + b v)
 
 with Coulomb friction F_c, static friction F_s, Stribeck rate v_s, smoothing rate v_0 and viscous
-friction b. A joint that it holds against a force F < F_c creeps at v_0 artanh(F / F_c).
+friction b. Under a force F < F_c a joint held by friction creeps at v_0 artanh(F / F_c).
 """
 
 import dataclasses
@@ -52,7 +52,7 @@ from ffsm_drake.systems.setup import BlockSetup
 _KEY = "actuation.drives"
 # Integration schemes that are stable at any step, for any friction.
 _IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
-# the system whose state is friction's work, from which nothing feeds back
+# the system with the work of friction as its state; it feeds nothing back
 FRICTION = "friction_of_drives"
 FRICTION_FORCE, FRICTION_WORK = "friction_force", "friction_work"  # its outputs
 
@@ -137,8 +137,8 @@ class DriveSet:
             )
 
     def give(self, force: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """What comes of a wanted force (..., n) at joint rates (..., n): the part with the motion
-        is cut, N m or N.
+        """Applied force after the torque-speed limit, from a wanted force (..., n) at joint rates
+        (..., n), N m or N; only force in the direction of motion is cut.
         """
         most = self.available(rate)
         return np.clip(
@@ -146,11 +146,10 @@ class DriveSet:
         )
 
     def time_constant(self, inverse_inertia: np.ndarray) -> tuple[float, str]:
-        """The shortest time constant, s, with which friction slows a joint near rest, and that
-        joint.
+        """The shortest time constant, s, of friction on a joint near rest, and that joint.
 
         Args:
-          inverse_inertia: accelerations of the joints by forces on them (n, n).
+          inverse_inertia: (n, n), accelerations of the joints per force on them.
         """
         slope = self.static / self.smoothing_rate + self.viscous
         root = np.sqrt(slope)
@@ -160,11 +159,12 @@ class DriveSet:
 
 
 class RateLimit(LeafSystem):
-    """Cuts the forces on joints to what their drives give at the rates of the last control sample.
+    """Limits the forces on joints to the drives' capability at the rates of the last control
+    sample.
 
-    Inputs: ``force`` (nv) and ``state`` [q; v] (nq + nv). Output: ``limited`` (nv), which changes
+    Inputs: ``force`` (nv) and ``state`` [q; v] (nq + nv). Output: ``limited`` (nv), changing
     at control samples only. Discrete state, updated every control sample: the joint rates (n).
-    All of copy after copy of the spacecraft.
+    All vectors hold copy after copy of the spacecraft.
     """
 
     def __init__(
@@ -252,7 +252,7 @@ class JointFriction(Diagram):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class JointDrives(Part):
-    """What the drives of a scenario's own actuators bring to its records and pages."""
+    """Signals and metrics of the drives of a scenario's own actuators."""
 
     title = "Drives"
     section = "Actuators"
@@ -262,7 +262,7 @@ class JointDrives(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "JointDrives | None":
-        """Those of a scenario."""
+        """The drives of a scenario."""
         settings = scenario.drives
         return None if settings is None else cls(settings=settings, limit=scenario.actuation.limit)
 
@@ -350,8 +350,8 @@ class JointDrives(Part):
         return [Limit.of_coordinates(RATE, f"{_KEY}.rate_limit", coordinates, rate)]
 
     def metrics(self) -> Sequence[Metric]:
-        """By joint, the first two for joints with such a limit, and what friction took out; the
-        share of the samples in which the rate cut the force of any joint.
+        """Metrics by joint (the first two for joints with such a limit): use of limits and friction
+        losses; and the share of samples in which the rate limited the force of any joint.
         """
 
         def by_joint(key: str, unit: str, of: Callable[[View], Mapping[str, float]]) -> Metric:

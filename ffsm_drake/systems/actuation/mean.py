@@ -1,9 +1,9 @@
-"""What thrusters give on average over their control frame: linear, in place of their pulses where a
-loop is linearised.
+"""Mean output of thrusters over their control frame: a linear stand-in for their pulses in a
+linearised loop.
 
-Over a frame they give the mean wrench that was wanted at its start, and in the next one what is
-still owed. Wheels counter the torque of pulses and give what is wanted at once. Limits are left
-out.
+Over a frame they give the mean wrench wanted at its start, and in the next frame the remaining
+impulse. Wheels counter the torque of pulses and give the wanted torque immediately. Limits are
+omitted.
 """
 
 import numpy as np
@@ -18,10 +18,10 @@ from ffsm_drake.systems.setup import BlockSetup
 
 
 class MeanThrusters(LeafSystem):
-    """The base's wrench, of which some entries are held over a control frame.
+    """The base's wrench, with some entries held over a control frame.
 
     Input: ``commanded_force`` (nv). Output: ``applied_force`` (nv).
-    Discrete state, updated every control sample: the held wrench and the impulse that is owed (12),
+    Discrete state, updated every control sample: the held wrench and the owed impulse (12),
     whether a frame begins (1).
     """
 
@@ -51,7 +51,7 @@ class MeanThrusters(LeafSystem):
         untie(self)
 
     def phase(self, sample: int) -> int:
-        """What happens at a control sample: how many went by since a frame began."""
+        """Phase of a control sample: the number of samples since a frame began."""
         return sample % self.phase_period
 
     def _give(self, context: Context, *, begins: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
-"""Modulators: from wanted forces to times that valves stay open, and the force that follows.
+"""Modulators: from wanted forces to opening times of valves, and the resulting force.
 
-A modulator decides at control samples. What it decides is for how long each valve stays open from
-then on; it may open for part of a sample.
+A modulator decides at control samples for how long each valve stays open from then on; a valve may
+open for part of a sample.
 """
 
 import dataclasses
@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-_EVEN = 1e-9  # of a force: so that thrusters of the same share open together in spite of rounding
+_EVEN = 1e-9  # relative tolerance of forces: equal shares open together despite rounding
 
 
 def whole_frames(share: np.ndarray, *, frame: float, threshold: float) -> np.ndarray:
@@ -54,10 +54,13 @@ class SchmittTrigger:
     def step(
         self, share: np.ndarray, filtered: np.ndarray, is_on: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """One control sample: the filter's output, exact for an input that is held, and which
-        triggers are on.
+        """One control sample: the filter's output, exact for a held input, and the state of the
+        triggers.
 
-        Args: r (n); of the last sample the filter's output (n) and which were on (n; 1 or 0).
+        Args:
+          share: r (n).
+          filtered: (n), the filter's output at the last sample.
+          is_on: (n), triggers that were on at the last sample; 1 or 0.
         """
         kept = math.exp(-self.sample_time / self.time_constant)
         filtered = kept * filtered + (1.0 - kept) * self.gain * (share - is_on)

@@ -46,7 +46,7 @@ _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
 class Firing(NamedTuple):
-    """What thrusters do in one control sample; of one spacecraft, or of several in rows."""
+    """Output of thrusters in one control sample; for one spacecraft, or for several in rows."""
 
     # (..., 6) its mean on the base, torque then force in the base's axes; N m and N
     wrench: np.ndarray
@@ -59,14 +59,14 @@ class Firing(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ThrusterMemory:
-    """What thrusters remember from sample to sample; all (..., n) but ``given`` (..., 1)."""
+    """Memory of the thrusters between samples; all (..., n) except ``given`` (..., 1)."""
 
     open_for: np.ndarray  # s; for how long from now on each is open
     level: np.ndarray  # share of its force that each gives now
     wanted: np.ndarray  # N; forces of the last allocation
-    filtered: np.ndarray  # of the Schmitt triggers
+    filtered: np.ndarray  # filter output of the Schmitt triggers
     is_on: np.ndarray  # likewise; 1 or 0
-    given: np.ndarray  # of the last allocation
+    given: np.ndarray  # given part of the last allocation
 
     def packed(self) -> np.ndarray:
         return np.concatenate([*(getattr(self, name) for name in _PACKED)], axis=-1)
@@ -83,8 +83,8 @@ _PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
 def gains_and_floors(
     names: Sequence[str], faults: Sequence[tuple[str, Fault]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What thrusters with faults do: what multiplies their force, and the share of it that they
-    give at least; (n) each.
+    """Effect of faults on thrusters: the factor on the force, and the least share of it; (n)
+    each.
     """
     gain, floor = np.ones(len(names)), np.zeros(len(names))
     for name, fault in faults:
@@ -148,8 +148,8 @@ class ThrusterSet:
 
     @property
     def carries_over(self) -> bool:
-        """Whether what was wanted and not fired is to be wanted again; a trigger's filter does that
-        by itself.
+        """Whether the wanted impulse that was not fired is requested again; a trigger's filter does
+        this by itself.
         """
         return self.settings.modulator != "pwpf"
 
@@ -175,10 +175,10 @@ class ThrusterSet:
         }
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
-        """The start of a frame: memory with what a wanted wrench (..., 6; base's axes, N m and N)
-        opens.
+        """The start of a frame: memory with the opening times for a wanted wrench (..., 6; base's
+        axes, N m and N).
 
-        A wrench that is not finite gives forces that are none either: such a run has diverged.
+        A wrench that is not finite gives forces that are not finite: the run has diverged.
         """
         known = np.isfinite(wrench).all(axis=-1, keepdims=True)
         all_known = bool(known.all())
@@ -203,7 +203,7 @@ class ThrusterSet:
         return pulse_widths(share, frame=self.frame, minimum=settings.minimum_on_time)
 
     def fire(self, memory: ThrusterMemory) -> tuple[Firing, ThrusterMemory]:
-        """One control sample from memory as it is at its start, after any allocation."""
+        """One control sample, from the memory at its start, after any allocation."""
         filtered, is_on, open_for = memory.filtered, memory.is_on, memory.open_for
         if not self.carries_over:
             filtered, is_on = self._trigger.step(memory.wanted / self.force, filtered, is_on)
@@ -220,7 +220,7 @@ class ThrusterSet:
             fall=self.settings.fall_time,
         )
         force = share * self.force
-        # What is left of rounding would be a pulse of its own.
+        # A remainder from rounding would be a pulse of its own.
         left = open_for - opened
         left[left < 1e-9 * self.sample_time] = 0.0
         after = dataclasses.replace(
@@ -233,7 +233,7 @@ class ThrusterSet:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FiredThrusters(Part):
-    """What the thrusters of a scenario's own actuators bring to its records and pages."""
+    """Signals and metrics of the thrusters of a scenario's own actuators."""
 
     title = "Thrusters"
     section = "Actuators"
@@ -244,13 +244,13 @@ class FiredThrusters(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "FiredThrusters | None":
-        """Those of a scenario."""
+        """The thrusters of a scenario."""
         settings = allocated(scenario).thrusters
         return None if settings is None else cls(settings=settings, units=thrusters_of(settings))
 
     @classmethod
     def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
-        """Of every thruster."""
+        """Possible faults of every thruster."""
         part = cls.of(scenario)
         kinds = ["stuck_on", "stuck_off", "leaking", "weak"]
         return {} if part is None else {f"thrusters.{name}": kinds for name in part.units}
@@ -296,11 +296,12 @@ class FiredThrusters(Part):
         ]
 
     def metrics(self) -> Sequence[Metric]:
-        """Propellant; impulse, pulses and open time by thruster and of all; what was not given.
+        """Propellant; impulse, pulses and open time by thruster and in total; share of unmet
+        commands.
 
-        ``propellant_of_force`` is what the part of the commanded base force that could be given
-        would take of thrusters that push exactly its way, the integral of its size over the largest
-        specific impulse: no layout takes less for it.
+        ``propellant_of_force`` is a lower bound for any layout: the propellant of ideal thrusters
+        along the feasible part of the commanded base force, the integral of its size over the
+        largest specific impulse.
         """
 
         return (
@@ -382,7 +383,7 @@ class FiredThrusters(Part):
         return np.squeeze(signals["thruster_given"]) < _WHOLE
 
     def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:
-        """The shortest frame, and what helps any actuator of the groups that are theirs."""
+        """Remedies: the shortest frame, and those for any actuator of their groups."""
         shortest = math.ceil(self.settings.minimum_on_time / scenario.sample_time - 1e-9)
         if self.settings.frame > max(1, shortest):
             yield Advice(
@@ -393,7 +394,7 @@ class FiredThrusters(Part):
         yield from load.advice("base_position", *(("base_rotation",) if alone else ()))
 
     def sentence(self, figures: Sequence[Figure]) -> str:
-        """What they took and gave."""
+        """Propellant, impulse and pulses."""
         found = by_key(figures)
         propellant, least, shortest = (
             1e3 * found[f"thrusters.{name}"]
@@ -414,7 +415,7 @@ class FiredThrusters(Part):
         )
 
     def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
-        """What each thruster did."""
+        """Impulse, pulses and open time of each thruster."""
         found = by_key(figures)
         impulse, pulses, opened = (
             found[f"thrusters.{name}"] for name in ("impulse", "pulses", "on_time")
@@ -426,11 +427,11 @@ class FiredThrusters(Part):
 
     @property
     def _exhaust(self) -> np.ndarray:
-        """Of each, m/s."""
+        """Exhaust speed of each thruster, m/s."""
         return STANDARD_GRAVITY * np.array([unit.specific_impulse for unit in self.units.values()])
 
     def _impulse(self, run: View) -> np.ndarray:
-        """Of each, N s."""
+        """Impulse of each thruster, N s."""
         impulse: np.ndarray = run["thruster_force"][:-1].sum(axis=0) * _period(run)
         return impulse
 
@@ -483,7 +484,7 @@ def _count(run: View) -> np.ndarray:
 
 
 def _shortest(run: View) -> float | None:
-    """Of all pulses that end within the run, s: that of a valve which is open at the end is cut off
+    """Shortest of all pulses that end within the run, s; a valve open at the end is cut off
     there.
     """
     ended = [

@@ -1,14 +1,14 @@
-"""Reaction wheels: what torque they give, and what that makes of their momentum.
+"""Reaction wheels: torque, and the resulting momentum.
 
-A balanced wheel that is symmetric about its axis a (base's frame) is described by its momentum
-about the axis, h, with the base's turning in it: dh/dt is the torque u on it about the axis, of
-motor and friction, and its speed relative to the base is Omega = h/J - a . w. The base, whose
-inertia then counts the wheel without J a a', feels -d(h a)/dt: -u a in its own axes, and -w x (h
-a).
+A balanced wheel, symmetric about its axis a (base's frame), is described by its momentum h about
+the axis, which includes the base's rotation: dh/dt is the torque u on it about the axis, of
+motor and friction, and its speed relative to the base is Omega = h/J - a . w. The base's
+inertia then includes the wheel without J a a', and the base feels -d(h a)/dt: -u a in its own axes,
+and -w x (h a).
 
-Of the momenta h of wheels with axes A the part N h, N = 1 - A^+ A, is held by wheels against each
-other: A N = 0, so that the motors alone can take it out without a torque on the base. The rest is
-what thrusters must take (A h).
+The part N h, N = 1 - A^+ A, of the momenta h of wheels with axes A is held by wheels against each
+other: A N = 0, so the motors alone can remove it without a torque on the base. Thrusters must
+remove the rest (A h).
 """
 
 import dataclasses
@@ -50,13 +50,13 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
 _LEAST = 1e-12
-_UNLOADING = 0.5  # of the motors' torque, at most
-_REARRANGED = 0.02  # of the speed limit; less that wheels hold against each other is left there
+_UNLOADING = 0.5  # largest share of the motors' torque
+_REARRANGED = 0.02  # share of the speed limit; motors leave a smaller internal momentum
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class WheelTorques:
-    """What wheels do in one control sample; of one spacecraft, or of several in rows."""
+    """Output of wheels in one control sample; for one spacecraft, or for several in rows."""
 
     motor: np.ndarray  # (..., n) torque of each motor, N m
     on_wheels: np.ndarray  # (..., n) torque of motor and friction on each, N m
@@ -69,11 +69,14 @@ class WheelSet:
     def __init__(
         self, settings: Wheels, *, sample_time: float, alone: bool, lost: Sequence[str] = ()
     ) -> None:
-        """Args: the wheels; s; whether there are no thrusters beside them; wheels that get no
-        torque.
+        """Args:
+          settings: the wheels.
+          sample_time: s.
+          alone: whether there are no thrusters.
+          lost: wheels without torque.
 
-        Raises ScenarioError: alone they cannot give every torque. Beside them thrusters give the
-        torque about an axis that the wheels leave out.
+        Raises ScenarioError: alone they cannot give every torque. Thrusters, if present, give the
+        torque about an axis not covered by wheels.
         """
         units = settings.units.values()
         self.names = tuple(settings.units)
@@ -161,8 +164,8 @@ class WheelSet:
         momentum: np.ndarray,
         angular_velocity: np.ndarray,
     ) -> WheelTorques:
-        """The torques in place of those told where some wheels (n) stop: their motors give nothing,
-        their bearings brake them with the motor's largest torque until they turn with the base.
+        """The torques with some wheels (n) stopped: their motors give nothing, and their bearings
+        brake them with the motor's largest torque until they turn with the base.
         """
         spin = self.inertia * self.speed(momentum, angular_velocity)
         brake = -np.clip(spin / self._sample_time, -self._torque, self._torque)
@@ -181,8 +184,8 @@ class WheelSet:
         return self.axes * self._torque
 
     def most(self, direction: np.ndarray) -> float:
-        """The largest multiple of a torque (3; base's axes, N m) that the motors give, but for its
-        part about axes that are left to thrusters; infinite if that is all of it.
+        """The largest multiple of a torque (3; base's axes, N m) within the motors' limits, without
+        its part about axes left to thrusters; infinite if nothing remains.
         """
         used = float((np.abs(self._share.dot(direction)) / self._torque).max())
         return 1.0 / used if used > _LEAST * float(np.linalg.norm(direction)) else np.inf
@@ -193,11 +196,14 @@ class WheelSet:
         return self.axes @ self.initial_momentum
 
     def filled(self, momentum: np.ndarray) -> np.ndarray:
-        """The share of its speed limit (..., n) at which each wheel turns when they hold a momentum
-        in a base at rest.
+        """The share of its speed limit (..., n) of each wheel for a total momentum, in a base at
+        rest.
 
-        Args: in the base's axes (..., 3), N m s. From their initial momentum the motors, which
-        share as ``give`` does and have rearranged nothing, have brought the wheels there.
+        The motors have brought the wheels there from their initial momentum, sharing torque as in
+        ``give``, without rearranging.
+
+        Args:
+          momentum: (..., 3), base's axes, N m s.
         """
         share: np.ndarray = (
             np.abs(momentum @ self._share.T + self._idle @ self.initial_momentum)
@@ -226,8 +232,8 @@ class WheelSet:
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def assist_torque(self, torque: np.ndarray) -> np.ndarray:
-        """The part of a wanted torque on the base (..., 3, base's axes, N m) that thrusters are
-        asked for: what wheels cannot give about any axis, and by ``assist_above``.
+        """The part of a wanted torque on the base (..., 3, base's axes, N m) requested from
+        thrusters: axes not covered by wheels, and the excess defined by ``assist_above``.
         """
         if len(self._lost):
             lost = times(self._lost.T, times(self._lost, torque))
@@ -235,7 +241,7 @@ class WheelSet:
         return self._beyond(torque)
 
     def _beyond(self, torque: np.ndarray) -> np.ndarray:
-        """The part of a torque that wheels can give which ``assist_above`` leaves to thrusters."""
+        """The part of a feasible torque left to thrusters by ``assist_above``."""
         if self.settings.assist_above is None:
             return np.zeros_like(torque)
         share = self.settings.assist_above / (self._loads(times(self._share, torque)) + _LEAST)
@@ -277,29 +283,28 @@ class WheelSet:
         return fullest
 
     def unloading_torque(self, momentum: np.ndarray) -> np.ndarray:
-        """Torque on the base (..., 3, base's axes) that thrusters are to give so that wheels
-        against it lose momentum.
+        """Torque on the base (..., 3, base's axes) for thrusters, to make the opposing wheels lose
+        momentum.
         """
         torque = -times(self.axes, momentum) / self.settings.desaturation_time
         largest = self._loads(times(self._share, torque)) / _UNLOADING
         return torque / np.maximum(1.0, largest)
 
     def rearranging_torque(self, momentum: np.ndarray) -> np.ndarray:
-        """Torques of the motors (..., n) that take out what wheels hold against each other."""
+        """Motor torques (..., n) that remove the momentum held by wheels against each other."""
         motor = -times(self._opposed, momentum) / self.settings.desaturation_time
         return motor / np.maximum(1.0, self._loads(motor) / _UNLOADING)
 
 
 class Gyroscopic(Diagram):
-    """The wheels' total momentum p in world axes as continuous state, and what it does to a turning
+    """The wheels' total momentum p in world axes as continuous state, and its torque on a turning
     base.
 
     Inputs: ``state`` [q; v] of the plant, and ``reaction`` (3), the torque of the wheels on the
-    base in world axes but for the gyroscopic one, held over a sample: dp/dt = w x p - reaction.
+    base in world axes without the gyroscopic torque, held over a sample: dp/dt = w x p - reaction.
     Outputs: ``gyroscopic_force`` (nv), -w x p on the base, and ``stored_momentum`` p (3). All of it
-    runs in C++. The base gets the opposite of dp/dt in every stage of the integrator, so that the
-    sum of both momenta is kept to rounding. Of several copies of the spacecraft the ports hold copy
-    after copy.
+    runs in C++. The base gets the opposite of dp/dt in every stage of the integrator, so the
+    sum of both momenta is conserved to rounding. Ports hold copy after copy of the spacecraft.
     """
 
     def __init__(self, coordinates: Coordinates, *, copies: int = 1) -> None:
@@ -307,7 +312,7 @@ class Gyroscopic(Diagram):
         nv = len(coordinates.names)
         builder = DiagramBuilder()
         nq = NUM_BASE_POSITIONS + nv - NUM_BASE_VELOCITIES
-        first = [copy * (nq + nv) + nq for copy in range(copies)]  # of w
+        first = [copy * (nq + nv) + nq for copy in range(copies)]  # start of w
         inputs = builder.AddNamedSystem("inputs", _turning_and_reaction(nq + nv, first))
         vectors = (MakeVectorVariable(3 * copies, name).reshape(copies, 3) for name in "wrp")
         of_copies = list(zip(*vectors, strict=True))
@@ -358,7 +363,7 @@ def _turning_and_reaction(size: int, first: Sequence[int]) -> Selector:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReactionWheels(Part):
-    """What the wheels of a scenario's own actuators bring to its records and pages."""
+    """Signals and metrics of the wheels of a scenario's own actuators."""
 
     title = "Wheels"
     section = "Actuators"
@@ -368,7 +373,7 @@ class ReactionWheels(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "ReactionWheels | None":
-        """Those of a scenario."""
+        """The wheels of a scenario."""
         return None if scenario.wheels is None else cls(settings=scenario.wheels)
 
     @classmethod
@@ -556,7 +561,7 @@ class ReactionWheels(Part):
         )
 
     def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
-        """What each wheel did, beside its limits."""
+        """Peak momentum, speed and torque of each wheel, beside its limits."""
         found = by_key(figures)
         momentum, speed, torque = (
             found[f"wheels.peak_{name}"] for name in ("momentum", "speed", "torque")

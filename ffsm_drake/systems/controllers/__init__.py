@@ -185,7 +185,7 @@ def _make(setup: BlockSetup, factory: Factory | None) -> Any:
 
 
 def controller_factory(scenario: Scenario) -> Factory:
-    """What makes the scenario's controller, such as the class of its law; errors as
+    """The factory of the scenario's controller, such as the class of its law. Raises the errors of
     ``make_controller``.
     """
     return find_factory("controller", scenario.controller, python_path=scenario.python_path)

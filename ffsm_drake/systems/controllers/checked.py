@@ -1,4 +1,4 @@
-"""What a user-supplied control law says and returns, checked against the contract of ControlLaw.
+"""Checks of a user-supplied law's attributes and results against the contract of ControlLaw.
 
 Shipped laws are not checked in a run; the tests hold them to the contract.
 """
@@ -40,12 +40,12 @@ def checked_memory(
     """A law's memory by name, as vectors of floats.
 
     Args:
-      returned: what the law returned.
+      returned: the law's result.
       what: the method, for errors.
       shapes: the memory's shapes by name; None: those of ``returned``.
 
     Raises:
-      BlockError: it is no such mapping, or lacks a name of ``shapes``.
+      BlockError: the result is not such a mapping, or lacks a name of ``shapes``.
     """
     found = mapping(returned, what)
     if shapes is None:
@@ -82,7 +82,7 @@ def attribute_of(law: ControlLaw, name: str, default: Any) -> Any:
 
 
 def reaching_gain_of(law: ControlLaw | None) -> ReachingGain | None:
-    """K_s of a law as it says each time it is asked.
+    """Reaching gain K_s of a law, read from it at each call.
 
     Raises BlockError: a user-supplied law gives something else.
     """
@@ -95,9 +95,9 @@ def reaching_gain_of(law: ControlLaw | None) -> ReachingGain | None:
 
 
 def check_law(law: ControlLaw, place: str, memory: Mapping[str, np.ndarray], size: int) -> None:
-    """Check what a user-supplied law says of itself; its memory, and its number nv of velocities.
+    """Check a user-supplied law's attributes, its memory, and its number nv of velocities.
 
-    Raises BlockError: an attribute raises, or is not what ControlLaw says.
+    Raises BlockError: an attribute raises, or violates the contract of ControlLaw.
     """
     if not has_user_code(law):
         return
@@ -133,7 +133,7 @@ def _is_reaching(value: Any, size: int) -> bool:
     )
 
 
-# Attribute -> what it is where the law has none, whether a value is right, and what is.
+# Attribute -> default, check of a value, and description of a valid one.
 _ATTRIBUTES: dict[str, tuple[Any, Callable[[Any, int], bool], str]] = {
     "tracks_frame": (False, _is_flag, "True or False"),
     "random_walks": ((), _is_names, "a tuple of names"),
@@ -159,9 +159,9 @@ def _check_held(held: Mapping[str, Any], memory: Mapping[str, Any], what: str) -
 def checked_step(law: ControlLaw, place: str) -> Step:
     """The ``step`` of a law, with a function that gives the time (s) for errors.
 
-    Every result of a user-supplied law is checked, in about half a microsecond where it is as it
-    should be. At its first sample, and the first after a grasp, it cannot change its inputs in
-    place. A shipped law's step is called as it is.
+    Every result of a user-supplied law is checked, in about half a microsecond if it is valid.
+    At its first sample, and the first after a grasp, its inputs are read-only. A shipped law's step
+    is called directly.
     """
     if not has_user_code(law):
         own = law.step
@@ -209,7 +209,7 @@ def _is_right(returned: Any, sample: Sample, state: State) -> bool:
 def _converted(
     returned: Any, shape: tuple[int, ...], state: State, what: str
 ) -> tuple[np.ndarray, State]:
-    """What ``step`` returned, as arrays of floats. Raises BlockError for what is none."""
+    """The results of ``step`` as arrays of floats. Raises BlockError for other results."""
     if not (
         isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)
     ):
@@ -226,10 +226,10 @@ def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str 
     """A value as an array of floats.
 
     Args:
-      value: what user-supplied code returned.
+      value: result of user-supplied code.
       shape: its shape; None: any vector of at most MOST_MEMORY numbers.
-      what: names it in the error.
-      kinds: the kinds of arrays that are allowed.
+      what: its name in the error.
+      kinds: the allowed kinds of arrays.
 
     Raises:
       BlockError: it is something else.

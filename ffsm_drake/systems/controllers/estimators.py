@@ -1,36 +1,36 @@
 """Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)), for all
 time-delay laws.
 
-Each gives, at a sample, what the law works on (error and its rate) and a pair (base force, base
-acceleration) that turns the law's acceleration u into the force tau = base force + Hhat (u - base
-acceleration).
+Each gives, at a sample, the input of the law (error and its rate) and a pair (base force, base
+acceleration), with which the law's acceleration u becomes the force tau = base force + Hhat (u -
+base acceleration).
 
-*One sample* (equation (5), the paper's): N is what it was a sample ago, from the differentiated
+*One sample* (equation (5), the paper's): N is its value a sample ago, from the differentiated
 velocity. It is deadbeat, so the noise of the velocity enters multiplied by 1/L.
 
 *Kalman*: per coordinate, a stationary filter for [e, e', d] with d = -N a random walk, driven by
 the known w = q_d'' - Hhat^-1 tau, correcting with the measured e and e'. The noise of the sensors
-and the walk's intensity decide how fast it follows. One sample is its limit for exact velocities,
+and the walk's intensity determine its bandwidth. One sample is its limit for exact velocities,
 useless positions and an infinitely fast walk. Relatives are the extended state observer and the
 disturbance observer in Kalman form (Han 2009, "From PID to active disturbance rejection control",
 doi:10.1109/TIE.2008.2011621).
 
-*Kalman with late and slow measurements*: the same filter for sensors whose measurements arrive
-late, come less often than the control samples, or have a velocity bias, which is then a fourth
-state b. It remembers what e and e' were over the delay, compares a measurement with that of its own
-time, and corrects all of it, the present included. This equals a filter at the time of measurement
-that predicts over the delay with the force that acted.
+*Kalman with late and slow measurements*: the same filter for sensors with delayed measurements,
+periods longer than the control samples, or a velocity bias (then a fourth state b). It keeps e and
+e' over the delay, compares a measurement with the values at its own time, and corrects all of them,
+the present included. This equals a filter at the time of measurement with a prediction over the
+delay under the applied force.
 
-The errors of the base's sensors, a gyro's bias among them, turn with the base. Where a bias is
-estimated, or what is assumed differs along the base's three axes, the filters of its rotation and
+The errors of the base's sensors, a gyro's bias among them, turn with the base. If a bias is
+estimated, or assumptions differ along the base's three axes, the filters of its rotation and
 its position take innovations along the measured base's axes, and b stays in them.
 
-*Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
-f, with f a random walk. One filter of all their measurements then knows more of each than one for
-each. Biases are states of it, as above. H changes along a motion, and the gain of a posture with
-H_0 makes the filter unstable where an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains
-for as many postures of the plan as it takes, and that of the one nearest to the desired posture is
-used.
+*Coupled*: the disturbance is a force, and H couples its effects on attitude and joints: d =
+-Hhat^-1 f, with f a random walk. One filter of all their measurements is then more accurate than
+separate filters. Biases are states of it, as above. H changes along a motion, and the gain of a
+posture with H_0 makes the filter unstable if an eigenvalue of H^-1 H_0 exceeds about 2.4. Gains are
+therefore computed for enough postures of the plan, and the gain of the posture nearest to the
+desired one is used.
 """
 
 import abc
@@ -69,11 +69,11 @@ from ffsm_drake.systems.sensing import measurement_times
 # Largest eigenvalue of the inertia of a posture with a gain of its own relative to its neighbour's.
 _NEIGHBOURS = 1.15
 _MOST_POSTURES = 41  # 3 to 4 ms each
-_INSTANTS = 201  # of a plan, from which those are taken
+_INSTANTS = 201  # instants of a plan, candidates for these postures
 
 
 class Estimate(NamedTuple):
-    """What the law and the force are computed from; arrays (..., nv)."""
+    """The inputs of the law and of the force; arrays (..., nv)."""
 
     e: np.ndarray
     e_dot: np.ndarray
@@ -94,8 +94,8 @@ class Estimator(abc.ABC):
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> "Estimator":
-        """That of a scenario; see ``make_estimator``. Raises LinAlgError without a stationary
-        filter.
+        """The estimator of a scenario; see ``make_estimator``. Raises LinAlgError without a
+        stationary filter.
         """
 
     @abc.abstractmethod
@@ -109,20 +109,19 @@ class Estimator(abc.ABC):
         """One sample: the estimate, and the memory at the next.
 
         Args:
-          sample: what was measured and wanted, and the force that acted.
+          sample: the measured and desired states, and the applied force.
           nominal_mass_matrix: Hhat (..., nv, nv) at this sample.
           state: the memory at this sample, by name; must not be changed in place.
         """
 
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """What changes of the memory at the grasp of a target, by name; the next sample counts as a
-        first one. The force of the last sample, and one that is estimated, go on by themselves.
+        """Changes of the memory at the grasp of a target, by name; the next sample counts as a
+        first one. The force of the last sample and an estimated force continue unchanged.
 
         Args:
           state: the memory up to then.
-          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force
-            gives now, and the velocity error that is left of one before, as the grasp keeps
-            momentum.
+          ratio: Hhat^-1 Hhat (nv, nv) of after and before: it maps accelerations under the same
+            force and, by conservation of momentum, velocity errors to those after the grasp.
           v_d: (nv) the reference's velocity after the grasp.
         """
         names = ("estimated_error_rate", "estimated_negative_n")
@@ -231,12 +230,10 @@ class KalmanEstimator(Estimator):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LateKalmanEstimator(Estimator):
-    """Kalman estimate of [e, e', d], and b where the velocity has a bias, from measurements that
-    are late or slow.
+    """Kalman estimate of [e, e', d], and b with a velocity bias, from late or slow measurements.
 
-    ``gain`` acts on x = [e, e', d, b, past] with ``past`` what e and e' were at each of the last
-    samples, up to the measurements' delays: the errors that the present reference would have had
-    then, [q_d(t_k) - q(t_(k-j)), ...].
+    ``gain`` acts on x = [e, e', d, b, past]. ``past`` holds e and e' at each of the last samples,
+    up to the measurements' delays, relative to the present reference: [q_d(t_k) - q(t_(k-j)), ...].
     """
 
     wide: ClassVar[bool] = True
@@ -246,8 +243,8 @@ class LateKalmanEstimator(Estimator):
     # whether the gains of the base's coordinates, and its bias, are along its axes
     in_base: bool
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
-    # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
-    # position, both; those of each of several runs
+    # and e'; the first index is the new measurement of that coordinate: none, velocity, position,
+    # both; a tuple for several runs
     gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
     @classmethod
@@ -275,7 +272,7 @@ class LateKalmanEstimator(Estimator):
 
     @functools.cached_property
     def _owner(self) -> np.ndarray:
-        """Of each entry of ``past``, the entry of [e, e'] that it was (n)."""
+        """The entry of [e, e'] for each entry of ``past`` (n)."""
         return np.repeat(np.arange(self.delay.size), self.delay)
 
     @functools.cached_property
@@ -366,7 +363,7 @@ class LateKalmanEstimator(Estimator):
         return {**super().resume(state, ratio, v_d), "past": self._moved_past(state, v_d)}
 
     def _moved_past(self, state: State, v_d: np.ndarray) -> np.ndarray:
-        """What was is as it was, against a reference that has moved on to the velocity v_d."""
+        """Past values relative to a reference that has moved on to the velocity v_d."""
         old_v_d = state["delayed_desired_velocity"]
         moved = np.concatenate((0.5 * self.sample_time * (v_d + old_v_d), v_d - old_v_d), axis=-1)
         before = np.concatenate(
@@ -387,8 +384,8 @@ class CoupledEstimator(Estimator):
     separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     biased: np.ndarray  # (k,) those of them whose velocities have a bias
-    # (m, nq) for which there are gains, and (m, 3 n + k, 2 n): correction of [e, e', f, b] per unit
-    # of innovation of [e, e']; those of each of several runs
+    # postures (m, nq) of the gains, and gains (m, 3 n + k, 2 n): correction of [e, e', f, b] per
+    # unit of innovation of [e, e']; tuples for several runs
     postures: np.ndarray | tuple[np.ndarray, ...] = of_each()
     gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
 
@@ -482,7 +479,7 @@ def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Which of some postures (m, nq) is the nearest to q (..., nq), as ``gain_at`` says."""
     each = q[..., None, :]
     joints = (each - postures)[..., NUM_BASE_POSITIONS:]
-    cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # of half the angle
+    cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # cosine of half the angle
     nearest: np.ndarray = ((joints * joints).sum(axis=-1) - 8.0 * cosine).argmin(axis=-1)
     return nearest
 
@@ -528,15 +525,15 @@ KINDS: Mapping[str, type[Estimator]] = {
 def make_estimator(
     scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None = None
 ) -> Estimator:
-    """The scenario's estimator, for the spacecraft's coordinates, or for m whose velocities are
-    J v, with the Jacobian J (m, nv).
+    """The scenario's estimator, for the spacecraft's coordinates, or for m coordinates with
+    velocities J v and the Jacobian J (m, nv).
 
-    A Kalman filter of those takes what it assumes of noise and walk from the spacecraft's,
-    independent of each other, through J. An estimator that is not ``by_axis`` is of the
-    spacecraft's coordinates in any case.
+    The noise and walk of a Kalman filter in such coordinates follow through J from the
+    spacecraft's, taken as independent. An estimator without ``by_axis`` always uses the
+    spacecraft's coordinates.
 
-    Raises ScenarioError: unknown or missing coordinates, sensors that it cannot take, or no
-    stationary filter.
+    Raises ScenarioError: unknown or missing coordinates, unsupported sensors, or no stationary
+    filter.
     """
     try:
         return KINDS[scenario.estimator.kind].make(scenario, coordinates, jacobian)
@@ -550,7 +547,7 @@ def make_estimator(
 
 
 def _axes(scenario: Scenario, coordinates: Coordinates) -> list[SensedAxis]:
-    """What a filter assumes of each coordinate."""
+    """Noise assumptions of a filter for each coordinate."""
     settings, nv = scenario.estimator, len(coordinates.names)
     walk = coordinates.vector(settings.walk, key="estimator.walk")
     bias_walk = coordinates.vector(
@@ -579,11 +576,14 @@ def _gains_along(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Postures (m, nq) of a scenario's plan, with the coupled gain of each (m, 3 n, 2 n).
 
-    Of a capture it is the plan of one leg: up to the grasp where nothing is in the gripper, else
-    from there on. Neighbours are so near that the eigenvalues of the one's inertia relative to the
-    other's stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough for that.
+    With a capture it is the plan of one leg: up to the grasp with an empty gripper, else from there
+    on. The relative eigenvalues of the inertias of neighbours stay within ``_NEIGHBOURS``, if
+    ``_MOST_POSTURES`` are enough.
 
-    Args: a scenario whose model and plan are made from ``files``; as for ``coupled_gain`` the rest.
+    Args:
+      scenario: its model and plan are made from ``files``.
+      files: files of model and plan, for the cache.
+      axes, noises: arguments of ``coupled_gain``.
     """
     model = driven_model(make_nominal_plant(scenario))
     motion = make_motion(scenario, model.coordinates)
@@ -603,9 +603,9 @@ def _gains_along(
 
 
 def assumed_noise(scenario: Scenario, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations (nv) that the filter assumes of the measured positions and velocities.
+    """Standard deviations (nv) of the measured positions and velocities assumed by the filter.
 
-    Correlated noise counts as the white noise that is as strong at low frequencies.
+    Correlated noise counts as white noise of equal strength at low frequencies.
     """
     sensing, nv = scenario.sensing, len(coordinates.names)
     period, _ = measurement_times(sensing, coordinates)

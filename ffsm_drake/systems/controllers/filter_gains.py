@@ -15,7 +15,7 @@ SMALLEST_RATIO = 1e-7
 _LARGEST = 3e8
 
 
-@memoized(maxsize=64)  # of all coordinates alike, and of all loops of a search for a boundary
+@memoized(maxsize=64)  # shared by equal coordinates, and by all loops of a search for a boundary
 def kalman_gain(
     *, position_noise: float, velocity_noise: float, walk: float, sample_time: float
 ) -> np.ndarray:
@@ -56,13 +56,13 @@ def coupled_gain(
     bias_walk: np.ndarray,
     sample_time: float,
 ) -> np.ndarray:
-    """Stationary gain (3 n + m, 2 n) of a CoupledEstimator that estimates m biases.
+    """Stationary gain (3 n + m, 2 n) of a CoupledEstimator with m biases.
 
     Args:
       inverse_mass_matrix: block (n, n) of Hhat^-1 for the coupled coordinates.
       position_noise, velocity_noise: standard deviations of the measured e and e' (n).
       walk: intensity of the force's random walk (n), N m or N per sqrt(s).
-      bias_walk: that of the velocities' biases (n), m of which are not zero.
+      bias_walk: random walk of the velocities' biases (n), m of them nonzero.
       sample_time: L, s.
     """
     from scipy.linalg import solve_discrete_are
@@ -92,13 +92,13 @@ def coupled_gain(
 
 @dataclasses.dataclass(frozen=True)
 class SensedAxis:
-    """What a filter assumes of one coordinate."""
+    """Noise assumptions of a filter for one coordinate."""
 
     position_noise: float  # standard deviations of the measured e and e'
     velocity_noise: float
     walk: float  # intensity of N's random walk, per sqrt(s)
-    bias_walk: float = 0.0  # that of the velocity's bias; 0: none is estimated
-    period: tuple[int, int] = (1, 1)  # of position and velocity, control samples
+    bias_walk: float = 0.0  # random walk of the velocity's bias; 0: none is estimated
+    period: tuple[int, int] = (1, 1)  # periods of position and velocity, control samples
     delay: tuple[int, int] = (0, 0)
 
     @property
@@ -166,7 +166,9 @@ class _LateFilter:
         return cls(late=late, transition=transition, output=output, noise=noise, process=process)
 
     def kinds(self, period: tuple[int, int]) -> list[int]:
-        """What is new at each sample of the common period. Raises LinAlgError if it is too long."""
+        """New measurements at each sample of the common period. Raises LinAlgError if it is too
+        long.
+        """
         samples, size = np.arange(math.lcm(*period)), len(self.transition)
         if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
             raise np.linalg.LinAlgError(

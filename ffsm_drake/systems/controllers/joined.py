@@ -21,12 +21,12 @@ class _CannotJoin(Exception):
 def join_controllers(
     controllers: Sequence[System], models: Sequence[PlantModel], scenario: Scenario
 ) -> SampledController | None:
-    """The controllers of several copies as one; None where their laws are not wide, or differ in
-    what rows cannot hold.
+    """The controllers of several copies as one; None if their laws are not wide, or differ in
+    fields without rows.
 
     Args:
-      controllers: of each copy.
-      models: of each copy, the nominal plant, which its law may hold.
+      controllers: the controller of each copy.
+      models: the nominal plant of each copy; its law may hold it.
       scenario: one of theirs; all have its model.
     """
     sampled = [each for each in controllers if isinstance(each, SampledController)]

@@ -34,7 +34,8 @@ from ffsm_drake.systems.setup import BlockSetup
 State = Mapping[str, np.ndarray]
 
 
-# a NamedTuple, as it is made in every control update: a frozen dataclass takes five times as long
+# a NamedTuple, since it is built in every control update: a frozen dataclass takes five times as
+# long
 class Sample(NamedTuple):
     """Inputs of a law at t_k; world axes, v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N."""
 
@@ -91,8 +92,8 @@ def gain(
 
 
 def of_each(**options: Any) -> Any:
-    """A field of a wide law that differs between runs in more than rows can hold, as gains that
-    follow from the model do: that of several runs is a tuple of theirs. Options as for
+    """A field of a wide law that differs between runs and has no rows, such as gains computed from
+    the model; for several runs it is a tuple with one value each. Options: see
     ``dataclasses.field``.
     """
     return dataclasses.field(metadata={"of_each": True}, **options)
@@ -129,10 +130,9 @@ class ControlLaw(abc.ABC):
 
     # True if it tracks a frame: it gets ``desired_frame``, and is evaluated by the frame's pose.
     tracks_frame: ClassVar[bool] = False
-    # True if ``step`` gives every row of arrays (B, nv) the bits that it has alone, with a row for
-    # each run in the fields that are vectors too, and a column (B, 1) in numbers that differ; other
-    # fields are equal, but for the model and those of ``of_each``. Runs in one diagram then share
-    # one law (``is_wide``).
+    # True if ``step`` gives every row of arrays (B, nv) the same bits as alone, with a row for each
+    # run in vector fields too, and a column (B, 1) in numbers that differ; other fields are equal,
+    # except the model and ``of_each`` fields. Runs in one diagram then share one law (``is_wide``).
     wide: ClassVar[bool] = False
     # The least change of its inputs (rad, m, per s) that a linearisation looks at: less would be
     # rounding to a law that computes in single precision.
@@ -143,10 +143,10 @@ class ControlLaw(abc.ABC):
         return {}
 
     def held(self) -> Mapping[str, float | None]:
-        """Memory that a linearisation holds constant: at the given number, or as it is (None).
+        """Memory held constant in a linearisation: at the given number, or at its value (None).
 
-        These are adapted gains, which are slow compared with the loop, and, at 0, the gain of a
-        sign term, which has no derivative.
+        Examples are adapted gains, slow compared with the loop, and, at 0, the gain of a sign
+        term, which has no derivative.
         """
         return {}
 
@@ -232,7 +232,7 @@ def gains_of(kind: Any) -> dict[str, Gain]:
 
 
 def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
-    """The values of a law's fields for a setup, besides those given; errors as for
+    """The values of a law's fields for a setup, besides those given. Raises the errors of
     ``ControlLaw.from_setup``.
     """
     for name in getattr(kind, "__abstractmethods__", ()):

@@ -1,8 +1,8 @@
-"""Laws that act as an agent does, and one of them: a trained policy from an ONNX file.
+"""Laws with the interface of an agent, and one of them: a trained policy from an ONNX file.
 
-``controller: policy:FILE`` is such a policy: the network maps observations (1, n; float32) to
-actions (1, na) between -1 and 1, and the file's metadata say which (``PolicyFile``). A file imports
-nothing: a user-supplied law that its actions change is named by the user, ``policy:FILE@LAW``. It
+``controller: policy:FILE`` names a policy: the network maps observations (1, n; float32) to
+actions (1, na) between -1 and 1, described in the file's metadata (``PolicyFile``). A file imports
+nothing: the user names a user-supplied law for its actions, ``policy:FILE@LAW``. It
 needs ``pip install 'ffsm-drake[policy]'``.
 """
 
@@ -36,7 +36,7 @@ _HELD, _AGE = "action", "action_age"  # memory of a policy whose actions last se
 def error_names(
     scenario: Scenario, coordinates: Coordinates, *, tracks_frame: bool
 ) -> list[tuple[str, str]]:
-    """Names of the errors that an agent observes, each with the group whose tolerance holds."""
+    """Names of the errors observed by an agent, each with its tolerance group."""
     errors = [*zip(coordinates.names, coordinates.group_of, strict=True)]
     if not tracks_frame:
         return errors
@@ -61,7 +61,7 @@ def observation_names(
 
 
 def observation(seen: np.ndarray, dtype: Any = np.float32) -> np.ndarray:
-    """What an agent observes (..., n), within its bounds."""
+    """Observation of an agent (..., n), within its bounds."""
     bounded: np.ndarray = np.clip(seen, -FURTHEST, FURTHEST)
     return bounded.astype(dtype)
 
@@ -74,7 +74,7 @@ class ActingLaw(ControlLaw):
     acts: np.ndarray  # (na) indices in v
     scale: np.ndarray  # (na) of the actions, N m and N, or rad and m
     inner: ControlLaw | None  # None: the action alone
-    task: TaskSpace | None  # of a law that tracks a frame
+    task: TaskSpace | None  # task space of a law that tracks a frame
 
     @property
     def tracks_frame(self) -> bool:  # type: ignore[override]
@@ -99,7 +99,7 @@ class ActingLaw(ControlLaw):
     def inner_step(
         self, inner: ControlLaw, sample: Sample, state: State
     ) -> tuple[np.ndarray, State]:
-        """That of the law that actions change."""
+        """Step of the law that is changed by actions."""
         return inner.step(sample, state)
 
     def told(self, error: np.ndarray, force: np.ndarray) -> None:
@@ -143,12 +143,12 @@ def inner_law(name: str, setup: BlockSetup) -> ControlLaw:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyFile:
-    """A network, and what the metadata of its file say; the factory of its law.
+    """A network with the metadata of its file; the factory of its law.
 
-    The metadata are texts: ``observation_names`` and ``action_names``, ``scale`` (of each action)
-    as JSON lists, ``action`` (one of ACTIONS), ``law`` (that actions change: a shipped or installed
-    one), ``samples_per_step`` (in which an action lasts). ``MissionEnv.policy_metadata`` has those
-    of an environment.
+    The metadata are texts: ``observation_names``, ``action_names`` and ``scale`` (of each action)
+    as JSON lists, ``action`` (one of ACTIONS), ``law`` (the shipped or installed law changed by
+    actions), ``samples_per_step`` (duration of an action). ``MissionEnv.policy_metadata`` returns
+    the metadata of an environment.
     """
 
     path: Path
@@ -162,11 +162,11 @@ class PolicyFile:
 
     @classmethod
     def at(cls, path: Path, *, law: str = "") -> "PolicyFile":
-        """That of a file. Raises BlockError: it is none, or its metadata are not as they should
-        be.
+        """Load a policy file. Raises BlockError: not a policy, or invalid metadata.
 
         Args:
-          law: that actions change, in place of the file's.
+          path: the ONNX file.
+          law: the law changed by actions, in place of the file's.
         """
         found = _read(path, path.stat().st_mtime_ns)
         if law:
@@ -224,7 +224,7 @@ class PolicyLaw(ActingLaw):
         return {**super().initial_state(), **own}
 
     def held(self) -> Mapping[str, float | None]:
-        # a linearisation asks for an action at every sample
+        # a linearisation needs an action at every sample
         own = {} if self.policy.samples_per_step == 1 else {_AGE: 0.0}
         return {**super().held(), **own}
 
@@ -251,7 +251,7 @@ def _read(path: Path, changed: int) -> PolicyFile:
     try:
         check_regular(path, limit=_MAX_FILE)
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # of many kinds
+    except Exception as error:  # many kinds of errors
         why = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", one_line(error))
         raise BlockError(f"policy:{path.name} is no ONNX model that can be run: {why}") from error
     return _checked(path, session, session.get_modelmeta().custom_metadata_map)

@@ -37,18 +37,18 @@ class SampledController(LeafSystem):
       desired_acceleration: (nv).
       applied_force: optional (nv), the force over the last period (saturated, quantised); the
         default is the commanded force.
-      measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without
-        it all are new.
-      desired_frame: optional (19), for a law that tracks a frame; see ``Sample.desired_frame``.
-      restart: optional (1), above 0.5 where the law starts afresh at this sample.
-    Outputs, read from the state so that no integrator stage runs Python:
+      measurement_is_new: optional (nq + nv), 1 for entries with a new measurement at this sample;
+        without the port all are new.
+      desired_frame: optional (19), for a law tracking a frame; see ``Sample.desired_frame``.
+      restart: optional (1), above 0.5 if the law restarts at this sample.
+    Outputs, read from the state; no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint
         torques.
       sliding_variable, reaching_gain, switching_gain: (nv), if the law's memory has them.
       smallest_singular_value: (1), if the law's memory has it.
     Discrete state, updated every ``sample_time``:
-      generalized_force (nv), has_previous (1; 0 before the first update), of several copies parked
-        (1 where ``park`` was called), then the law's memory by name.
+      generalized_force (nv), has_previous (1; 0 before the first update), with several copies
+        parked (1 after a call of ``park``), then the law's memory by name.
     """
 
     def __init__(
@@ -62,10 +62,15 @@ class SampledController(LeafSystem):
         copies: Sequence[ControlLaw] = (),
         restarts: bool = False,
     ) -> None:
-        """Args: a law for ``coordinates``; the system's name; the control period L, s; what names
-        the law in errors, by default the system's name; of several copies of the spacecraft the law
-        of each, which ``law`` joins: it has a row for each copy in all arrays, and so has the
-        memory; whether there is a port ``restart``, for one spacecraft.
+        """Args:
+          law: a law for ``coordinates``.
+          name: name of the system.
+          coordinates: names of the generalized velocities.
+          sample_time: the control period L, s.
+          place: name of the law in errors; default: the system's name.
+          copies: the laws of several copies of the spacecraft, joined in ``law``; all arrays and
+            the memory then have a row for each copy.
+          restarts: whether there is a port ``restart``, for one spacecraft only.
 
         Raises BlockError: a user-supplied law breaks its contract.
         """
@@ -214,8 +219,8 @@ class SampledController(LeafSystem):
         return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
     def read(self, context: Context) -> tuple[State, State]:
-        """All that an update reads, by name: inputs that are connected, and the law's memory; a row
-        for each of several copies.
+        """The inputs of an update, by name: connected input ports, and the law's memory; a row for
+        each of several copies.
         """
         value = context.get_discrete_state().value
         inputs = {

@@ -5,15 +5,15 @@ the frame's twist and acceleration are
 
     V = J* v_a + V_0,     A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
 
-all of them of the nominal plant at the measured state; where every coordinate is driven J* is J, H*
-is H. The joints serve the frame. A driven base follows its plan, and so do the joints in the
-frame's null space: from a motion z of all driven coordinates that follows the plan, and the frame's
-desired motion,
+all of them of the nominal plant at the measured state; with every coordinate driven J* is J, H* is
+H. The joints serve the frame. A driven base follows its plan, and so do the joints in the frame's
+null space: with a motion z of all driven coordinates along the plan, and the frame's desired
+motion,
 
     v_a = z + [0; J+ (V - V_0 - J* z)],     dv_a/dt = z + [0; J+ (A - A_0 - J* z)],
 
 J+ being the pseudoinverse of the joints' columns of J*, damped as in ``resolved_motion``: along
-each singular direction 1/s, and s (2 d^2 - s^2) / d^4 where s < d. So a twist takes rates of at
+each singular direction 1/s, and s (2 d^2 - s^2) / d^4 where s < d. A twist takes rates of at
 most 1.09/d times its size, and at a singularity the lost direction takes none. The inverse of least
 kinetic energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such bound, and turns light wrists
 needlessly.
@@ -197,7 +197,7 @@ class TaskSpaceLaw(ControlLaw):
     damping: float = gain(
         0.1,
         "rad/rad, m/rad",
-        "singular value of the joints' J*, rad counted as m, below which it is damped",
+        "singular value of the joints' J*, rad counted as m, below which its inverse is damped",
         scalar=True,
         positive=True,
         feedback=False,
@@ -205,7 +205,7 @@ class TaskSpaceLaw(ControlLaw):
     speed_limit: float = gain(
         0.1,
         "rad/s, m/s",
-        "speed at which at most a frame's error is taken back",
+        "largest speed for correcting a frame's error",
         scalar=True,
         positive=True,
         feedback=False,
@@ -264,7 +264,7 @@ class AccelerationLaw(TaskSpaceLaw):
     acceleration_limit: float = gain(
         0.5,
         "rad/s^2, m/s^2",
-        "what at most a frame's error asks for",
+        "largest correction of a frame's error",
         scalar=True,
         positive=True,
         feedback=False,
@@ -289,9 +289,9 @@ class AccelerationLaw(TaskSpaceLaw):
         return limited(wanted, self.acceleration_limit)
 
     def limited(self, e: np.ndarray) -> np.ndarray:
-        """The frame's error (..., m), shortened so that its correction keeps the speed limit.
+        """The frame's error (..., m), shortened to keep the correction within the speed limit.
 
-        At that limit K_p e is K_d times the speed. At a singularity no rate can remove an error,
+        At the limit K_p e is K_d times the speed. At a singularity no rate can remove an error,
         and joints oscillate faster the larger it is.
         """
         return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))

@@ -5,7 +5,7 @@ q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and using that for the present N giv
 
     tau_k = tau_{k-1} - Hhat q''_{k-1} + Hhat u_k,      q''_{k-1} = (qdot_k - qdot_{k-1}) / L,
 
-in which only the *injected dynamics* u differs between controllers (equations (6), (17), (18),
+where only the *injected dynamics* u differs between controllers (equations (6), (17), (18),
 (20)).
 """
 
@@ -105,7 +105,7 @@ class InjectedDynamics(abc.ABC):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "TimeDelayControl":
-        """Time-delay control with these dynamics and the scenario's estimator; errors as for
+        """Time-delay control with these dynamics and the scenario's estimator. Raises the errors of
         ControlLaw.from_setup.
         """
         return TimeDelayControl(

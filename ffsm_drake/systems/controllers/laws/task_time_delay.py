@@ -3,12 +3,12 @@
 The frame obeys A = N + Lambda^-1 F with Lambda = (J* H*^-1 J*^T)^-1, the task's mass matrix, and F
 the force on the frame; N holds everything unknown, and C* and A_0 too. An estimate needs only the
 frame's acceleration from the force, Lambda^-1 F = J* H*^-1 tau_a. So the estimators get this (m
-rows of the task) as the force, with a unit mass matrix, and no matrix is inverted that becomes
-singular at a singularity.
+rows of the task) as the force, with a unit mass matrix, and no matrix inverse is needed at a
+singularity.
 
-An estimator that takes coordinates together, or late or slow sensors of some of them, is of the
-coordinates instead: q and v are estimated with their accelerations' lumped uncertainty, and the
-frame is that of the estimated state.
+An estimator of coupled coordinates, or with late or slow sensors, uses the coordinates instead: q
+and v are estimated with their accelerations' lumped uncertainty, and the frame follows from the
+estimated state.
 """
 
 import dataclasses
@@ -110,7 +110,7 @@ class TaskTimeDelay(AccelerationLaw):
     def _limited(
         self, e: np.ndarray, e_dot: np.ndarray, point: TaskPoint, state: State
     ) -> tuple[np.ndarray, State]:
-        """u (..., m) within the limits on what an error asks for, and the dynamics' memory."""
+        """u (..., m) within the limits on the correction of an error, and the dynamics' memory."""
         wanted = point.desired_acceleration
         u, memory = self.dynamics.step(self.limited(e), e_dot, wanted, state)
         return wanted + self.feedback(u - wanted), memory
