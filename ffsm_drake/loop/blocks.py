@@ -47,7 +47,10 @@ BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
 ABORT = "abort_request"
 TOLD = "told_force"  # force that the actuators report (faults not included)
-THRUST = "thruster_force"  # an output of actuators that some forces follow from
+# Outputs of actuators for forces that follow from them: the mean force of each of n thrusters; the
+# angular momentum of wheels (world axes). These forces are held over a sample and recorded by their
+# own parts.
+FROM_ACTUATORS = {"thruster_force": "n", "stored_momentum": "3"}
 # Ports between fault detection and the actuators.
 OF_ACTUATORS, ISOLATED = (TOLD, "gyroscopic_force", "told_units", "wheel_momentum"), "isolated"
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # nh: number of hidden coordinates (``model.flexible``)
@@ -126,7 +129,7 @@ BLOCKS: dict[str, Ports] = {
             "state": STATE,
             "hidden_state": HIDDEN_STATE,
             "other_force": VELOCITY,
-            THRUST: "n",  # mean force of each of n thrusters
+            **FROM_ACTUATORS,
         },
         # The force after the update of a control sample: the record would see the one before it.
         # The force on hidden coordinates, after the update of a control sample.
@@ -451,6 +454,7 @@ def check_ports(
         VELOCITY: copies * len(coordinates.names),
         FRAME: copies * FRAME_SIZE,
         NUMBER: copies,
+        FROM_ACTUATORS["stored_momentum"]: 3 * copies,
     }
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),

@@ -32,9 +32,9 @@ from ffsm_drake.loop.blocks import (
     ABORT,
     BESIDES,
     BLOCKS,
+    FROM_ACTUATORS,
     ISOLATED,
     OF_ACTUATORS,
-    THRUST,
     TOLD,
     make_blocks,
 )
@@ -521,9 +521,9 @@ class _Wiring:
         forces, builder, name = self._forces, self._builder, "generalized_force"
         for system in forces.values():
             self._give_states(system)
-            acts = self._actuation
-            if system.HasInputPort(THRUST) and acts is not None and acts.HasOutputPort(THRUST):
-                builder.Connect(acts.GetOutputPort(THRUST), system.GetInputPort(THRUST))
+            for port in filter(system.HasInputPort, FROM_ACTUATORS):
+                if self._actuation is not None and self._actuation.HasOutputPort(port):
+                    builder.Connect(self._actuation.GetOutputPort(port), system.GetInputPort(port))
         last = [system for system in forces.values() if system.HasInputPort("other_force")]
         others = [(system, name) for system in forces.values() if system not in last]
         total = [self.sources["applied_force"], *others]
@@ -542,7 +542,7 @@ class _Wiring:
         now = {
             each: (system, f"next_{name}" if system.HasOutputPort(f"next_{name}") else name)
             for each, system in forces.items()
-            if not system.HasInputPort(THRUST)  # pulses, which their part records
+            if not any(map(system.HasInputPort, FROM_ACTUATORS))
         }
         self.sources["disturbance_force"] = self._sum("external_force", list(now.values()))
         if on_hidden:

@@ -501,3 +501,22 @@ def test_a_run_knows_when_it_exceeds_the_limit_of_a_part():
     scenario = load_scenario("flight_sensors", ["controller=tdc", "duration=0.3"])
     left = limits_left(Rollout(scenario, blocks={"actuation": Bounded()}).run())
     assert left == {"ramp of ramp": pytest.approx(0.1 + scenario.sample_time)}
+
+
+def test_coils_beside_wheels_take_momentum_out(monkeypatch):
+    """One file: no other one knows of them. The balance of momentum counts their impulse."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    from own_torquers import Magnetorquers
+
+    scenario = load_scenario("thrusters_and_wheels", ["controller=tdc", "duration=15"])
+    alone = simulate(scenario).dataset
+    record = simulate(scenario, blocks={"forces.coils": Magnetorquers(largest_dipole=4000.0)})
+    impulse = record.dataset["coil_force"].values[:-1, :3].sum(axis=0) * scenario.sample_time
+    change = (record.dataset["stored_momentum"] - alone["stored_momentum"]).values[-1]
+    assert np.linalg.norm(impulse) > 0.5
+    np.testing.assert_allclose(change, impulse, atol=0.02 * np.linalg.norm(impulse))
+    field = np.array(Magnetorquers().field)  # along it they give no torque
+    across = [np.cross(of["stored_momentum"].values[-1], field) for of in (record.dataset, alone)]
+    assert np.linalg.norm(across[0]) < 0.8 * np.linalg.norm(across[1])
+    assert record.metrics["momentum_residual"]["angular"] < 1e-7
+    assert record.metrics["magnetorquers"]["impulse"] == pytest.approx(np.linalg.norm(impulse))
