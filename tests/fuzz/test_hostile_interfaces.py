@@ -498,7 +498,7 @@ AREAS = {  # inputs, check, how many are quick, and how many are tried once
     "Foxglove": (CONNECTIONS, connect_to_foxglove, 20, 2000),
     "one folder": (WRITERS, write_together, 20, 2000),
     "Slurm": (SLURM, begin_step, 30, 2000),
-    "endings": (ENDINGS, end_interpreter, 6, 500),
+    "endings": (ENDINGS, end_interpreter, 6, 2000),
 }
 NEEDS = {
     "policies": ("onnx", "onnxruntime"),
