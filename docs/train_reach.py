@@ -20,7 +20,7 @@ from onnx import helper, numpy_helper
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-import ffsm_drake.interfaces.gym  # noqa: F401 (registers the missions)
+import ffsm_drake.plugins.gymnasium  # noqa: F401 (registers the missions)
 from ffsm_drake.show.figures.axes import tidy
 from ffsm_drake.show.style import BLUE
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ffsm_drake.common.plugins import offered
+from ffsm_drake.systems.registry import block_names
 
 
 def install(folder: Path, modules: dict[str, str], groups: dict[str, dict[str, str]]) -> None:
@@ -29,6 +30,8 @@ def installed(folder, monkeypatch, modules, groups):
     """A fixture's steps: within a test Python finds the package of ``install``."""
     install(folder, modules, groups)
     monkeypatch.syspath_prepend(folder)
-    offered.cache_clear()
+    for found in (offered, block_names):
+        found.cache_clear()
     yield
-    offered.cache_clear()
+    for found in (offered, block_names):
+        found.cache_clear()

@@ -3,10 +3,12 @@
 import base64
 import gc
 import os
+import re
 import socket
 import struct
 from urllib.parse import urlsplit
 
+import numpy as np
 from pydrake.geometry import Meshcat
 
 
@@ -24,6 +26,27 @@ def slider_message(slider: str, value: float) -> bytes:
     """The message that moving a slider sends."""
     named = _text("type") + _text("slider") + _text("name") + _text(slider)
     return b"\x83" + named + _text("value") + b"\xcb" + struct.pack(">d", value)
+
+
+def transform(meshcat: Meshcat, path: str) -> np.ndarray:
+    """The 4 x 4 matrix that the browser was last told; msgpack stores it as the last 16 doubles or
+    floats.
+    """
+    packed = meshcat._GetPackedTransform(path)
+    numbers = re.search(rb"matrix(.*)", packed, re.DOTALL)[1]
+    assert numbers[0] == 0xDC  # an array of 16
+    values, i = [], 3
+    while len(values) < 16:
+        if numbers[i] == 0xCB:
+            values.append(np.frombuffer(numbers[i + 1 : i + 9], ">f8")[0])
+            i += 9
+        elif numbers[i] == 0xCA:
+            values.append(np.frombuffer(numbers[i + 1 : i + 5], ">f4")[0])
+            i += 5
+        else:
+            values.append(np.frombuffer(numbers[i : i + 1], "i1")[0])
+            i += 1
+    return np.array(values, dtype=float).reshape(4, 4).T
 
 
 def click(meshcat: Meshcat, button: str) -> None:

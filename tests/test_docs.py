@@ -93,8 +93,8 @@ def ffsm_parameters(words: tuple[str, ...]) -> dict[str, object]:
     command, rest = main, list(words)
     while isinstance(command, click.Group):
         name, *rest = rest
-        assert name in command.commands, f"no command 'ffsm {' '.join(words)}'"
-        command = command.commands[name]
+        command = command.get_command(context, name)
+        assert command is not None, f"no command 'ffsm {' '.join(words)}'"
         context = command.make_context(name, list(rest), parent=context)
     return context.params
 

@@ -23,16 +23,14 @@ ROOMS = (
     "analysis",
     "campaign",
     "show",
-    "studies",
-    "interfaces",
     "cli",
 )
 # neighbours: neither imports the other
 APART = ({"control_design", "runs"}, {"analysis", "campaign"})
 DRAWING = {"matplotlib", "plotly", "jinja2", "markupsafe"}  # what only pictures and pages need
-DRAWS = {"show", "studies", "plugins"}
+DRAWS = {"show", "plugins"}
 PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
-NEEDS: dict[str, set[str]] = {}  # plug-in -> others that it may import
+NEEDS = {"gymnasium": {"policy"}}  # plug-in -> others that it may import
 # What stands at the top for users: the verbs, the command, the conformance kit.
 FACES = ("__init__", "__main__", "testing")
 
@@ -86,6 +84,18 @@ def test_nothing_imports_another_plugin(path):
     assert named <= {own, *NEEDS.get(own, ())}
 
 
+TESTS = Path(__file__).parent
+
+
+@pytest.mark.parametrize("path", sorted(TESTS.rglob("*.py")), ids=lambda path: path.name)
+def test_tests_of_the_core_need_no_plugin(path):
+    """Where they look at one, they skip without it."""
+    inside = path.relative_to(TESTS).parts
+    if inside[0] in (PLUGINS, "fuzz"):
+        return
+    assert not [name for name in modules_in(path) if name.startswith(f"ffsm_drake.{PLUGINS}.")]
+
+
 def module_files() -> dict[str, Path]:
     names = {
         path.relative_to(PACKAGE.parent).with_suffix(""): path for path in PACKAGE.rglob("*.py")
@@ -116,7 +126,7 @@ def test_no_files_import_each_other_in_a_circle():
 
 @pytest.mark.parametrize(
     "folder",
-    sorted({path.parent for path in Path(__file__).parent.glob("*/test_*.py")}),
+    sorted({path.parent for path in TESTS.rglob("test_*.py")}),
     ids=lambda folder: folder.name,
 )
 def test_every_folder_has_smoke_tests(folder):

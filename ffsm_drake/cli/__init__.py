@@ -8,15 +8,13 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.audit import audit
-from ffsm_drake.cli.benchmark import benchmark
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
-from ffsm_drake.cli.paper import reproduce
 from ffsm_drake.cli.plan import plan
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
-from ffsm_drake.cli.show import diagram, export, plot, replay
+from ffsm_drake.cli.show import diagram, plot, replay
 from ffsm_drake.common.workers import ONE_THREAD
 
 
@@ -49,7 +47,7 @@ def main() -> None:
 
 
 for command in (
-    new, plan, run, compare, analyze, audit, stability, design, campaign, benchmark, replay, plot,
-    diagram, export, scenarios, validate, schema, reproduce, doctor, completion,
+    new, plan, run, compare, analyze, audit, stability, design, campaign, replay, plot,
+    diagram, scenarios, validate, schema, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

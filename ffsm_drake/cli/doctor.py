@@ -8,6 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.plugins import (
+    COMMANDS,
+    CONTROLLER_FILES,
+    EXPORTERS,
+    LIVE,
+    load,
+    offered,
+)
 from ffsm_drake.scenario import load_scenario, override_scenario
 
 
@@ -24,6 +32,7 @@ def examine() -> list[dict[str, str]]:
         ("a short run", "missing", _short_run),
         ("writing here", "missing", _writing),
         ("controllers", "without", _controllers),
+        ("plug-ins", "without", _plugins),
         ("Meshcat", "without", _meshcat),
         ("Graphviz", "without", _graphviz),
     )
@@ -88,16 +97,19 @@ def _controllers() -> str:
     return ", ".join(names) + ", or module:attribute"
 
 
+def _plugins() -> str:
+    groups = {"commands": COMMANDS, "files": EXPORTERS, "live": LIVE, "laws": CONTROLLER_FILES}
+    for group in groups.values():
+        for name in offered(group):
+            load(group, name, name)
+    return "; ".join(f"{kind}: {', '.join(offered(group))}" for kind, group in groups.items())
+
+
 def _meshcat() -> str:
     from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
-    from ffsm_drake.show.meshcat.door import MeshcatDoor
 
     with quiet_drake():
-        door = MeshcatDoor(start_meshcat())
-    try:
-        return f"serves {door.url}, to this machine only"
-    finally:
-        door.close()
+        return f"serves {start_meshcat().web_url()}, to this machine only"
 
 
 def _graphviz() -> str:

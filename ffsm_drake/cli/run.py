@@ -26,6 +26,7 @@ from ffsm_drake.cli.common import (
     scenario_stem,
 )
 from ffsm_drake.common.interrupts import exit_code
+from ffsm_drake.common.plugins import LIVE, load
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -106,13 +107,10 @@ def run(
         sys.exit(_finish(records, directory, as_json=as_json, report=report, require=require))
     _warn_replaced([(directory, scenario)], directory)
     if meshcat:
-        from ffsm_drake.show.meshcat.interactive import watch
-
-        record = watch(scenario, open_browser=True)
+        record = load(LIVE, "meshcat", "--meshcat")(scenario, open_browser=True)
     elif foxglove:
-        from ffsm_drake.interfaces.foxglove import watch as watch_in_foxglove
-
-        record = watch_in_foxglove(scenario, tell=partial(click.echo, err=True))
+        tell = partial(click.echo, err=True)
+        record = load(LIVE, "foxglove", "--foxglove")(scenario, tell=tell)
     else:
         with _kept(directory, before):
             record = _simulate(scenario)
@@ -255,8 +253,8 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
 def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord"]:
     """Run live under an operator's panel; each run is saved into a folder of its own."""
     from ffsm_drake.runs.record import RunRecord
-    from ffsm_drake.show.meshcat.interactive import run_interactive
 
+    run_interactive = load(LIVE, "controls", "--controls")
     click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
     folders = (
         folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()

@@ -1,4 +1,4 @@
-"""Commands that draw: plot, diagram, replay; and export."""
+"""Commands that draw: plot, diagram, replay."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ffsm_drake.cli.common import out_option, run_argument, scenario_options
+from ffsm_drake.common.plugins import LIVE, load
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
@@ -114,59 +115,15 @@ def replay(
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import RunRecord
-    from ffsm_drake.show.meshcat import replay_live, write_recording
+    from ffsm_drake.show.meshcat import write_recording
 
     file = out or run / "recording.html"
     if not live:
         check_writable(file.parent)
     record = RunRecord.load(run)
     if live:
-        replay_live(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
+        show = load(LIVE, "replay", "--live")
+        show(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
         return
     write_recording(record, file, speed=speed, ghost=ghost, path=path, forces=forces)
-    click.echo(f"Written to {file}")
-
-
-@click.command()
-@run_argument
-@click.option(
-    "--to",
-    "file",
-    required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Its ending says what it is: .mat, .csv, .parquet, .mcap, .aem, .oem or .fmu.",
-)
-@click.option(
-    "--part",
-    type=click.Choice(["plant", "controller"]),
-    help="Of an .fmu: what it holds (default: plant).",
-)
-@click.option("--ros2", is_flag=True, help="In an .mcap: messages of ROS 2.")
-def export(run: Path, file: Path, part: str | None, ros2: bool) -> None:
-    """Write a recorded run's series, or a scenario as an FMU, for other programs.
-
-    An .fmu (FMI 3.0, co-simulation) is of a scenario, by name or file, or of a run's.
-
-    \b
-    Examples:
-      ffsm export out/postcapture --to run.mat
-      ffsm export out/postcapture --to run.csv
-      ffsm export postcapture --to law.fmu --part controller
-    """
-    from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.interfaces.tables import export as write
-    from ffsm_drake.runs.record import RunRecord
-
-    if ros2 and file.suffix != ".mcap":
-        raise FfsmError(f"--ros2: is of an .mcap, not of '{file}'")
-    if part and file.suffix != ".fmu":
-        raise FfsmError(f"--part: is of an .fmu, not of '{file}'")
-    if file.suffix == ".fmu":
-        from ffsm_drake.interfaces.fmu import export as write_fmu
-        from ffsm_drake.scenario import load_scenario
-
-        write_fmu(load_scenario(str(run)), file, part or "plant")
-    else:
-        write(RunRecord.load(run), file, ros2=ros2)
     click.echo(f"Written to {file}")

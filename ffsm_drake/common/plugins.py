@@ -12,6 +12,13 @@ from ffsm_drake.common.guard import passes, where
 
 # Name of a command -> click command. Its module imports slow packages inside of the command.
 COMMANDS = "ffsm_drake.commands"
+# Ending of a file, without its dot -> function of a RunRecord and a Path, which writes the file.
+EXPORTERS = "ffsm_drake.exporters"
+# What shows a run as it goes. "meshcat", "foxglove": function of a scenario, gives the RunRecord;
+# "controls": of a scenario, with ``keep`` for the record of each run; "replay": of a RunRecord.
+LIVE = "ffsm_drake.live"
+# Beginning of ``KIND:FILE@LAW`` -> function of the file's Path and ``law``, gives a law's factory.
+CONTROLLER_FILES = "ffsm_drake.controller_files"
 
 
 @functools.cache  # searches the installed packages once per process

@@ -15,6 +15,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes, where
+from ffsm_drake.common.plugins import CONTROLLER_FILES, load
 from ffsm_drake.scenario import Scenario, kind_of, policy_parts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
@@ -131,8 +132,8 @@ def find_factory(
     address = SHIPPED.get(block, {}).get(name, name)
     try:
         if block == "controller" and (policy := policy_parts(name)):
-            reader: Any = _load("ffsm_drake.systems.controllers.policy:PolicyFile", place, ())
-            factory = reader.at(_policy_file(name, policy[0], place, python_path), law=policy[1])
+            read = load(CONTROLLER_FILES, "policy", place)
+            factory = read(_policy_file(name, policy[0], place, python_path), law=policy[1])
         elif ":" in address:
             factory = _load(address, place, python_path)
         else:

@@ -13,7 +13,6 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.analysis.audit import audit
 from ffsm_drake.analysis.mcap_log import read_mcap
 from ffsm_drake.common.errors import FfsmError, RecordError
-from ffsm_drake.interfaces import foxglove, ros2
 from ffsm_drake.spacecraft.plant import models_dir
 
 pytest.importorskip("foxglove", reason="needs foxglove-sdk")
@@ -21,6 +20,10 @@ pytest.importorskip("mcap_protobuf", reason="needs mcap-protobuf-support")
 writer = pytest.importorskip("mcap_ros2.writer", reason="needs mcap-ros2-support")
 
 from mcap.reader import make_reader  # noqa: E402
+
+foxglove, ros2 = (
+    pytest.importorskip(f"ffsm_drake.plugins.exports.{name}") for name in ("foxglove", "ros2")
+)
 
 URDF = models_dir() / "postcapture.dmd.yaml"
 ARM = Path(__file__).parent / "basilisk_arm.urdf"

@@ -15,7 +15,6 @@ import resource
 import shlex
 import shutil
 import signal
-import socket
 import sys
 import time
 import warnings
@@ -993,24 +992,6 @@ def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, run, monke
     assert kept.scenario.duration == pytest.approx(kept.outcome.time)
     assert kept.dataset["time"].values[-1] == pytest.approx(kept.outcome.time)
     assert len(list((tmp_path / "run").iterdir())) == 3
-
-
-# The browser view.
-
-
-def test_the_browser_view_passes_over_a_port_in_use():
-    from ffsm_drake.show.meshcat.door import live_server
-
-    with socket.socket() as taken:
-        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the door does
-        try:
-            taken.bind(("127.0.0.1", 7000))
-            taken.listen()
-        except OSError:
-            pass  # in use already, which serves as well
-        with live_server(None) as (_, url):
-            assert re.fullmatch(r"http://127\.0\.0\.1:7\d{3}", url)
-            assert not url.endswith(":7000")
 
 
 @pytest.mark.parametrize("where", ["logging", "update"])

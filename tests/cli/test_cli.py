@@ -1,6 +1,5 @@
 """The command line: what it prints, writes and answers with."""
 
-import inspect
 import json
 import re
 import sys
@@ -20,7 +19,6 @@ from ffsm_drake.cli.common import forgiving_stderr, show_life
 from ffsm_drake.control_design.stability import boundaries
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.scenario import shipped_scenarios
-from ffsm_drake.studies.paper import reproduce
 
 SHORT = ["--set", "duration=0.3"]
 
@@ -295,29 +293,6 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
     assert "computed_torque" in [
         item.value for item in completer.get_completions(["run", "--controller"], "comp")
     ]
-
-
-def test_reproduce_a_figure(tmp_path, monkeypatch):
-    asked = {}
-
-    def asking(what, directory, **options):  # the figure itself: ``studies/test_reproduction.py``
-        inspect.signature(reproduce).bind(what, directory, **options)
-        asked.update(options, what=what)
-        options["progress"](2, 2, "tables, figures, page")
-        return directory / "figure.png"
-
-    monkeypatch.setattr("ffsm_drake.studies.paper.reproduce", asking)
-    result = ffsm("reproduce", "fig3", "--seeds", 2, "--out", tmp_path / "new")
-    assert result.exit_code == 0, result.output
-    assert (asked["what"], asked["seeds"], asked["workers"]) == ("fig3", 2, 2)
-    assert "2 of 2 runs: tables, figures, page" in result.output
-    assert f"open {tmp_path / 'new' / 'figure.png'}" in " ".join(result.output.split())
-
-
-def test_reproduce_refuses_what_the_paper_has_not(tmp_path):
-    result = ffsm("reproduce", "fig9", "--out", tmp_path)
-    assert result.exit_code == 2
-    assert "'fig9' is not one of" in result.output
 
 
 @pytest.mark.usefixtures("few_delays")

@@ -13,7 +13,8 @@ SHARED = {"controller", "overrides", "seed"}
 
 
 def commands(group=main, path=()):
-    for name, command in group.commands.items():
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
         if isinstance(command, click.Group):
             yield from commands(command, (*path, name))
         else:

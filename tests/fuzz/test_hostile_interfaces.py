@@ -88,7 +88,7 @@ def model():
     """A network as ONNX, its scenario, and metadata that fit."""
     import onnx
 
-    from ffsm_drake.systems.controllers.policy import observation_names
+    from ffsm_drake.plugins.policy.policy import observation_names
 
     scenario, coordinates = load_scenario("postcapture"), nominal().coordinates
     names = observation_names(scenario, coordinates, tracks_frame=False)
@@ -173,7 +173,7 @@ ACTIONS = st.lists(
 def environment(kind):
     import gymnasium
 
-    import ffsm_drake.interfaces.gym  # noqa: F401
+    import ffsm_drake.plugins.gymnasium  # noqa: F401
 
     return gymnasium.make_vec(
         "ffsm/PostCapture-v0", num_envs=3, vectorization_mode="vector_entry_point",
@@ -224,7 +224,7 @@ def step_fmu(given):
     """Only the step that is due is one."""
     from pythonfmu3 import Fmi3Status
 
-    from ffsm_drake.interfaces.fmu import PlantSlave
+    from ffsm_drake.plugins.exports.fmu import PlantSlave
 
     Path("scenario.yaml").write_text(scenario_to_yaml(load_scenario("postcapture", SHORT)))
     plant = PlantSlave(instance_name="p", resources=str(Path.cwd()))
@@ -272,7 +272,7 @@ def served():
     """A door, and what the server behind it was told."""
     from websockets.sync.server import serve
 
-    from ffsm_drake.interfaces.foxglove import FoxgloveDoor
+    from ffsm_drake.plugins.exports.foxglove import FoxgloveDoor
 
     told = []
 
@@ -429,11 +429,11 @@ ENDINGS = st.fixed_dictionaries(
 
 def begun(kind):
     """Something with a run under way, what lets its run go on, and what steps it."""
-    from ffsm_drake.interfaces.gym import MissionEnv
-    from ffsm_drake.interfaces.gym_vector import MissionVectorEnv
+    from ffsm_drake.plugins.gymnasium.environment import MissionEnv
+    from ffsm_drake.plugins.gymnasium.vector import MissionVectorEnv
 
     if kind == "fmu":
-        from ffsm_drake.interfaces.fmu import PlantSlave
+        from ffsm_drake.plugins.exports.fmu import PlantSlave
 
         Path("scenario.yaml").write_text(scenario_to_yaml(load_scenario("postcapture", SHORT)))
         plant = PlantSlave(instance_name="p", resources=str(Path.cwd()))
@@ -455,8 +455,8 @@ class Cycle:
 
 def end_interpreter(given):
     """In a fork: exit code 0, or 1 after an exception, whatever holds the run."""
-    for module in ("gym_vector", *(["fmu"] if "fmu" in KINDS else [])):
-        importlib.import_module(f"ffsm_drake.interfaces.{module}")  # once, for all forks
+    for module in ("gymnasium.vector", *(["exports.fmu"] if "fmu" in KINDS else [])):
+        importlib.import_module(f"ffsm_drake.plugins.{module}")  # once, for all forks
     ended = forked(lambda _: end_this_interpreter(given), silence=60.0)
     assert ended.code == int(given["raises"]), f"{ended.death} exit code {ended.code}"
 

@@ -9,9 +9,8 @@ from pydrake.math import RotationMatrix
 from ffsm_drake import simulate
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.show.block_diagram import closed_loop_dot
-from ffsm_drake.show.meshcat import LiveReplay, recording_html, start_meshcat
+from ffsm_drake.show.meshcat import recording_html, start_meshcat
 from ffsm_drake.show.meshcat.deflections import Deflections
-from ffsm_drake.show.meshcat.interactive import watch
 from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import table
@@ -118,15 +117,6 @@ def test_a_diverged_run_ends_with_its_last_finite_deflection(meshcat, record):
     assert view.duration == data["time"].values[-4]
 
 
-def test_live_replay_says_how_much_larger(meshcat, record):
-    replay = LiveReplay(
-        scaled(record, port=2e-3, starboard_1=1e-3, starboard_2=1e-3), meshcat=meshcat
-    )
-    assert any("panels x 50" in name for name in meshcat.GetButtonNames())
-    assert replay.step(0.1)
-    replay.close()
-
-
 def test_sloshing_masses_show_through_the_base(meshcat, record):
     meshcat.Delete()
     ReplayView(meshcat, record, ghost=False, path=False, forces=False)
@@ -135,9 +125,8 @@ def test_sloshing_masses_show_through_the_base(meshcat, record):
     assert meshcat._GetPackedProperty(path, "material.depthTest").endswith(b"\xc2")
 
 
-def test_a_run_to_watch_is_the_run(meshcat, record):
-    watched = watch(record.scenario, meshcat=meshcat, wait=lambda seconds: None)
-    assert watched.dataset["hidden_position"].equals(record.dataset["hidden_position"])
+def test_a_run_is_shown_as_it_goes(meshcat, record):
+    meshcat.Delete()
     shown = simulate(
         dataclasses.replace(record.scenario, duration=0.05), meshcat=meshcat, check_stability=False
     )

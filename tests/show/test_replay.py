@@ -1,6 +1,4 @@
-"""A record on the screen: the recorded page, the force arrows, and the live replay under its
-controls.
-"""
+"""A record on the screen: the recorded page, and the force arrows."""
 
 import base64
 import dataclasses
@@ -9,7 +7,7 @@ import re
 import flight_settings
 import numpy as np
 import pytest
-from meshcat_page import click
+from meshcat_page import transform
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
@@ -17,17 +15,9 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.scenario import load_scenario, thruster_layouts
-from ffsm_drake.show.meshcat import (
-    LiveReplay,
-    live,
-    recording_html,
-    replay_live,
-    start_meshcat,
-    write_recording,
-)
+from ffsm_drake.show.meshcat import recording_html, start_meshcat, write_recording
 from ffsm_drake.show.meshcat.actuators import SwitchedSolids, solids_of
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
-from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
 from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.report.page import render_report
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -49,27 +39,6 @@ def view(meshcat, record, **options):
     return ReplayView(
         meshcat, record, **({"ghost": False, "path": False, "forces": False} | options)
     )
-
-
-def transform(meshcat, path):
-    """The 4 x 4 matrix that the browser was last told; msgpack stores it as the last 16 doubles or
-    floats.
-    """
-    packed = meshcat._GetPackedTransform(path)
-    numbers = re.search(rb"matrix(.*)", packed, re.DOTALL)[1]
-    assert numbers[0] == 0xDC  # an array of 16
-    values, i = [], 3
-    while len(values) < 16:
-        if numbers[i] == 0xCB:
-            values.append(np.frombuffer(numbers[i + 1 : i + 9], ">f8")[0])
-            i += 9
-        elif numbers[i] == 0xCA:
-            values.append(np.frombuffer(numbers[i + 1 : i + 5], ">f4")[0])
-            i += 5
-        else:
-            values.append(np.frombuffer(numbers[i : i + 1], "i1")[0])
-            i += 1
-    return np.array(values, dtype=float).reshape(4, 4).T
 
 
 def animation_of(page):
@@ -137,11 +106,9 @@ def test_the_caption_is_text_not_markup(record, tmp_path):
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
 @pytest.mark.smoke
-def test_a_bad_speed_gets_one_line(record, meshcat, speed):
+def test_a_bad_speed_gets_one_line(record, speed):
     with pytest.raises(FfsmError, match="speed: must be > 0"):
         recording_html(record, speed=speed)
-    with pytest.raises(FfsmError, match="speed: must be > 0"):
-        LiveReplay(record, speed=speed, meshcat=meshcat)
 
 
 def test_parts_that_are_not_asked_for_are_not_there(meshcat, record):
@@ -291,104 +258,6 @@ def test_a_recording_tells_only_when_plumes_change():
         (first, "visible", False, 0), (second, "visible", True, 0), (first, "visible", True, 1),
         (first, "visible", False, 2), (second, "visible", False, 2),
     ]  # fmt: skip
-
-
-# The live replay: no browser, the test moves the sliders and sends the clicks.
-
-
-@pytest.fixture
-def replay(meshcat, record):
-    meshcat.Delete()
-    replay = LiveReplay(record, meshcat=meshcat, forces=True)
-    yield replay
-    replay.close()
-
-
-def test_it_plays_at_the_speed_of_its_slider(replay):
-    assert replay.step(0.5)
-    assert replay.time == pytest.approx(0.5)
-    replay.meshcat.SetSliderValue(SPEED, 2.0)
-    replay.step(0.25)
-    assert replay.time == pytest.approx(1.0)
-    assert replay.meshcat.GetSliderValue(TIME) == pytest.approx(1.0)
-
-
-def test_it_shows_the_record(replay, record):
-    replay.step(0.7)
-    force = record.dataset["applied_force"].values[70, 3:6]
-    arrow = transform(replay.meshcat, ARROW_KINDS[0].path)
-    assert arrow[:3, 2] == pytest.approx(force / np.linalg.norm(force), abs=1e-6)
-
-
-def test_pause_and_play(replay):
-    replay.step(0.5)
-    click(replay.meshcat, PLAY)
-    replay.step(0.5)
-    replay.step(0.5)
-    assert replay.time == pytest.approx(0.5)
-    click(replay.meshcat, PLAY)
-    replay.step(0.5)
-    assert replay.time == pytest.approx(1.0)
-
-
-def test_the_time_slider_pauses_there(replay):
-    replay.step(0.1)
-    replay.meshcat.SetSliderValue(TIME, 1.5)
-    replay.step(0.1)
-    replay.step(0.1)
-    assert not replay.playing
-    assert replay.time == pytest.approx(1.5)
-
-
-def test_it_pauses_at_the_end_and_starts_over(replay):
-    replay.step(5.0)
-    assert replay.time == pytest.approx(2.0)
-    assert not replay.playing
-    click(replay.meshcat, PLAY)
-    replay.step(0.3)
-    assert replay.time == pytest.approx(0.3)
-
-
-def test_arrow_buttons_hide_and_show(replay):
-    labels = [
-        name
-        for name in replay.meshcat.GetButtonNames()
-        if name.startswith("red: disturbance force")
-    ]
-    assert len(labels) == 1
-    shown = {}
-    for state in ("hidden", "shown"):
-        click(replay.meshcat, labels[0])
-        replay.step(0.1)
-        shown[state] = replay.meshcat._GetPackedProperty(ARROW_KINDS[2].path, "visible")
-    assert shown["hidden"].endswith(b"\xc2")  # msgpack's false
-    assert shown["shown"].endswith(b"\xc3")
-
-
-def test_quit_ends_it_and_takes_the_controls_away(meshcat, record):
-    replay = LiveReplay(record, meshcat=meshcat)
-    click(meshcat, QUIT)
-    assert not replay.step(0.1)
-    replay.close()
-    assert meshcat.GetButtonNames() == []
-    assert meshcat.GetSliderNames() == []
-
-
-@pytest.mark.parametrize("by_keyboard", [False, True])
-def test_replay_live_runs_until_it_is_told_to_stop(meshcat, record, monkeypatch, by_keyboard):
-    shown = []
-
-    def sleep(_):
-        shown.append(meshcat.GetSliderValue(TIME))
-        if len(shown) == 5:
-            if by_keyboard:
-                raise KeyboardInterrupt
-            click(meshcat, QUIT)
-
-    monkeypatch.setattr(live.time, "sleep", sleep)
-    replay_live(record, speed=4.0, meshcat=meshcat, ghost=False)
-    assert len(shown) == 5
-    assert meshcat.GetButtonNames() == []
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ from pydrake.systems.primitives import TrajectoryLinearSystem
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.linalg import solve_discrete_are
 
-from ffsm_drake.campaign.benchmark import load_mission
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario
@@ -80,7 +79,11 @@ def test_its_gains_are_those_of_the_regulator_in_continuous_time():
     """Drake's finite-horizon regulator, with the published weights, whose base position takes a
     minute to settle. 1.0 % is left by sampling at 2 ms, 0.5 % at 1 ms.
     """
-    published = load_mission("planar_published").scenario.controllers["tvlqr"]
+    published = {
+        "error_size": {"base_rotation": 6.3245553e-3, "base_position": 3.1622777, "joints": 0.1},
+        "rate_size": {"base_rotation": 4.472136e-3, "base_position": 1.0, "joints": 3.1622777e-2},
+        "force_size": {"base_rotation": 3.1622777, "base_position": 1.0, "joints": 0.1},
+    }
     scenario = load_scenario("planar_detumble", ["controller=tvlqr", "sample_time=0.002"])
     scenario = scenario.replace(controllers={"tvlqr": published})
     model = make_nominal_plant(scenario)

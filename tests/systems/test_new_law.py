@@ -1,20 +1,12 @@
-"""A new law is one file and one registration: it then works in run, compare, campaign and the live
-panel.
-"""
+"""A new law is one file and one registration: it then works in run, compare and campaign."""
 
 import json
-import re
 
 import pytest
 from click.testing import CliRunner
-from meshcat_page import click
+from entry_points import installed
 
-from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.show.meshcat import start_meshcat
-from ffsm_drake.show.meshcat.controls import CODE, UNLOCK
-from ffsm_drake.show.meshcat.interactive import QUIT, run_interactive, start_button
-from ffsm_drake.systems.registry import block_names
 
 LAW = '''
 import dataclasses
@@ -33,30 +25,14 @@ class Stiff(InjectedDynamics):
     def step(self, e, e_dot, a_d, state):
         return a_d + self.k_d * e_dot + self.k_p * (1.0 + np.abs(e)) * e, {}
 '''
-REGISTRATION = "[ffsm_drake.controllers]\nstiff = stiff_law:Stiff\n"
-
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder on Python's path with the law and, as an installed package has it, its entry
-    point.
-    """
-    folder = tmp_path_factory.mktemp("site")
-    (folder / "stiff_law.py").write_text(LAW)
-    information = folder / "stiff_law-1.0.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: stiff-law\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text(REGISTRATION)
-    return folder
+REGISTRATION = {"ffsm_drake.controllers": {"stiff": "stiff_law:Stiff"}}
 
 
 @pytest.fixture
-def known(installed, monkeypatch):
+def known(tmp_path_factory, monkeypatch):
     """The law can be found, as after its installation."""
-    monkeypatch.syspath_prepend(installed)
-    block_names.cache_clear()
-    yield
-    block_names.cache_clear()
+    folder = tmp_path_factory.mktemp("site")
+    yield from installed(folder, monkeypatch, {"stiff_law": LAW}, REGISTRATION)
 
 
 @pytest.fixture
@@ -106,25 +82,3 @@ def test_campaign(ffsm, tmp_path):
         "campaign", "rerun", "spec.db", "--case", "0", "--controller", "stiff", "--no-recording"
     )
     assert "all values equal the stored ones, bit for bit" in rows
-
-
-@pytest.mark.usefixtures("known")
-def test_the_live_panel():
-    meshcat, told = start_meshcat(), []
-    steps = iter([start_button("stiff"), QUIT])
-
-    def wait(_):
-        if UNLOCK in meshcat.GetButtonNames():
-            meshcat.SetSliderValue(CODE, float(re.search(r"type (\d{5}) beside", told[-1])[1]))
-            click(meshcat, UNLOCK)
-            return
-        status = next(name for name in meshcat.GetButtonNames() if name.startswith("[ "))
-        if "ready" in status or "completed" in status:
-            click(meshcat, next(steps))
-
-    scenario = load_scenario("postcapture", ["duration=0.1"])
-    (record,) = run_interactive(
-        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait
-    )
-    assert record.scenario.controller == "stiff"
-    assert record.outcome.completed

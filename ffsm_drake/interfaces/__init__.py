@@ -1,1 +1,0 @@
-"""What other programs read: files of a recorded run."""

@@ -1,0 +1,1 @@
+"""The benchmark: every law on published missions, beside lower bounds (``ffsm benchmark``)."""

@@ -1,0 +1,89 @@
+"""The command ``ffsm benchmark``."""
+
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import click
+
+from ffsm_drake.cli.campaign import ProgressLine, processors, workers_option
+from ffsm_drake.cli.common import (
+    EXIT_GOOD,
+    EXIT_UNSTABLE,
+    controller_option,
+    json_option,
+    out_option,
+    print_result,
+)
+
+
+@click.command()
+@click.argument("missions", nargs=-1, metavar="[MISSION]...")
+@controller_option(multiple=True, help="A law, or module:Class; repeatable. Default: every law.")
+@click.option("--check", is_flag=True, help="Only what has published figures; exits with 3 if one "
+              "is not reproduced.")  # fmt: skip
+@workers_option
+@out_option(help="Folder (default: out/benchmark).")
+@json_option
+def benchmark(
+    missions: tuple[str, ...],
+    controller: tuple[str, ...],
+    check: bool,
+    workers: int | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Rank every law on published missions, three seeds each, beside lower bounds.
+
+    MISSION is a name, or a scenario's file (default: every mission). Writes benchmark.html and
+    benchmark.json. Ctrl-C stops after the current runs; the same command continues. Laws that ran
+    before stay in the table.
+
+    \b
+    Examples:
+      ffsm benchmark
+      ffsm benchmark paper -c tde_aismc -c my_module:MyLaw
+      ffsm benchmark --check
+    """
+    from ffsm_drake.common.files import check_writable, write_text
+    from ffsm_drake.common.workers import local_workers, stop_on_signals
+    from ffsm_drake.plugins.benchmark.missions import (
+        check_mission,
+        load_mission,
+        mission_names,
+        run_mission,
+    )
+    from ffsm_drake.plugins.benchmark.page import (
+        benchmark_data,
+        benchmark_page,
+        board_text,
+        checks_table,
+    )
+    from ffsm_drake.runs.record import to_json
+    from ffsm_drake.show.tables import aligned
+
+    folder = out or Path("out/benchmark")
+    check_writable(folder)
+    loaded = [load_mission(name) for name in missions or mission_names()]
+    if check:
+        loaded = [mission for mission in loaded if mission.checks]
+    boards, texts = [], []
+    with stop_on_signals() as stop, local_workers(workers or processors()) as crew:
+        for mission in loaded:
+            laws = mission.checked_laws if check else controller
+            with closing(ProgressLine(mission.name)) as progress:
+                boards.append(
+                    run_mission(
+                        mission, laws, folder / "runs", workers=crew, stop=stop, progress=progress
+                    )
+                )
+            texts.append(board_text(boards[-1]))
+            if not as_json:
+                click.echo(f"{texts[-1]}\n")
+    checks = [each for board in boards for each in check_mission(board)] if not controller else []
+    data, table = benchmark_data(boards, checks), checks_table(checks)
+    write_text(folder / "benchmark.json", to_json(data))
+    write_text(folder / "benchmark.html", benchmark_page(boards, checks))
+    print_result(as_json, data, "\n".join(aligned(table)) if checks else "")
+    click.echo(f"Written to {folder}: benchmark.html, benchmark.json", err=as_json)
+    sys.exit(EXIT_GOOD if all(each.holds for each in checks) else EXIT_UNSTABLE)

@@ -1,0 +1,161 @@
+"""The benchmark's results: a table, plain data, and a page that opens offline."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from ffsm_drake.common.numbers import number
+from ffsm_drake.plugins.benchmark.missions import Board, Reproduced, Standing
+from ffsm_drake.show.page import render
+from ffsm_drake.show.tables import aligned
+
+_COLUMNS = {
+    "itae": "ITAE",
+    "isv": "ISV",
+    "settled_time": "after [s]",
+    "propellant": "propellant [kg]",
+    "propellant_over_least": "of the least",
+    "final_drift_rotation": "drift [rad]",
+    "spectral_radius": "radius",
+    "payload_factor": "payload, linear",
+    "delay_margin": "delay, linear [s]",
+    "error_over_lqg": "of LQG's error",
+    "law_time": "law [µs]",
+}
+
+
+def _figures(board: Board, standing: Standing) -> dict[str, float | None]:
+    """The figures of a law by column, with its ratios to the mission's bounds."""
+    used, least = standing.figures["propellant"], board.propellant
+    ratio = None if used is None or least is None else used / least
+    return {**standing.figures, "propellant_over_least": ratio}
+
+
+def _leaderboard(board: Board) -> list[list[str]]:
+    """The header and a row for each law that applies; no column without a number."""
+    applied = [(each, _figures(board, each)) for each in board.standings if each.outcomes]
+    columns = [name for name in _COLUMNS if any(found[name] is not None for _, found in applied)]
+    rows = [["law", "settled", *(_COLUMNS[name] for name in columns)]]
+    for standing, found in applied:
+        cells = [_cell(name, found[name]) for name in columns]
+        early = [f"{count} {name}" for name, count in standing.ended_early.items()]
+        settled = ", ".join([f"{standing.settled} of {len(standing.outcomes)}", *early])
+        rows.append([standing.controller, settled, *cells])
+    return rows
+
+
+def _cell(name: str, value: float | None) -> str:
+    if name == "law_time":
+        return number(value and 1e6 * value, 2)
+    if name == "delay_margin" and value == 0.0:
+        return "none"
+    return number(value, 3)
+
+
+def _bounds(board: Board) -> str:
+    """The least times of a mission in one line."""
+    said = {
+        "momentum": "in any attitude and posture (bound)",
+        "held": "in those of the start",
+        "planner": "by the plan",
+    }
+    parts = [f"{time:.3g} s {said[name]}" for name, time in board.bounds.items()]
+    propellant = ""
+    if board.propellant is not None:
+        propellant = f" Least propellant: {number(1e3 * board.propellant, 3)} g."
+    if math.isnan(board.motion):
+        return "No motion within the limits."
+    if board.ratio is None:
+        least = f" Least time: {', '.join(parts)}." if parts else ""
+        return (
+            f"Motion of {board.motion:.3g} s; no lower bound: no momentum to take out, or no limit."
+            f"{least}{propellant}"
+        )
+    return (
+        f"Motion of {board.motion:.3g} s, at most {board.ratio:.3g} times the least that there is. "
+        f"Least time: {', '.join(parts)}.{propellant}"
+    )
+
+
+def board_text(board: Board) -> str:
+    """The leaderboard of a mission as plain text."""
+    title = f"{board.mission.name}: {board.mission.scenario.description}"
+    lines = [title, *aligned(_leaderboard(board))]
+    lines.append(_bounds(board))
+    if board.mission.assumed:
+        lines.append(f"assumed: {'; '.join(board.mission.assumed)}")
+    if left := [each.controller for each in board.standings if not each.outcomes]:
+        lines.append(f"does not apply: {', '.join(left)}")
+    return "\n".join(lines)
+
+
+def checks_table(checks: Iterable[Reproduced]) -> list[list[str]]:
+    """Published figures beside those found, with a header."""
+    rows = [["mission", "figure", "published", "here", "tolerance", "reproduced", "source"]]
+    for each in checks:
+        wanted = each.published
+        figure = " of ".join(filter(None, (wanted.figure.replace("_", " "), wanted.controller)))
+        allowed = "at most" if wanted.at_most else f"{100.0 * wanted.within:g} %"
+        rows.append([
+            each.mission, figure, number(wanted.value), number(each.found), allowed,
+            "yes" if each.holds else "no", wanted.source,
+        ])  # fmt: skip
+    return rows
+
+
+def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dict[str, Any]:
+    """All results as plain data."""
+    return {
+        "missions": {
+            board.mission.name: {
+                "source": board.mission.source,
+                "published": board.mission.published,
+                "assumed": list(board.mission.assumed),
+                "least_time": dict(board.bounds),
+                "motion": None if math.isnan(board.motion) else board.motion,
+                "motion_over_least_time": board.ratio,
+                "least_propellant": board.propellant,
+                "laws": {
+                    each.controller: {
+                        "outcomes": list(each.outcomes),
+                        **_figures(board, each),
+                        "message": each.message,
+                    }
+                    for each in board.standings
+                },
+            }
+            for board in boards
+        },
+        "published_figures": [
+            {
+                "mission": each.mission,
+                "figure": each.published.figure,
+                "controller": each.published.controller,
+                "published": each.published.value,
+                "found": each.found,
+                "reproduced": each.holds,
+            }
+            for each in checks
+        ],
+    }
+
+
+def benchmark_page(boards: Sequence[Board], checks: Sequence[Reproduced]) -> str:
+    """The page, whole."""
+    return render(
+        "benchmark.html.j2",
+        {
+            "title": "Benchmark of laws for free-flying manipulators",
+            "boards": [
+                {
+                    "mission": board.mission,
+                    "table": _leaderboard(board),
+                    "notes": [each for each in board.standings if each.message],
+                    "bounds": _bounds(board),
+                }
+                for board in boards
+            ],
+            "checks": checks_table(checks),
+        },
+        package="ffsm_drake.plugins.benchmark",
+    )

@@ -1,0 +1,301 @@
+"""A scenario's plant or control law as an FMU (FMI 3.0, co-simulation) for other simulators.
+
+A step is one control sample. At each sample t_k a master takes the plant's outputs to the law,
+steps the law, takes its force to the plant, and steps the plant: the force of a sample follows from
+the measurement of the same sample. Needs ``pip install 'ffsm-drake[fmu]'``; the FMU runs in the
+Python of its host, which must have this package.
+"""
+
+import abc
+import dataclasses
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from ffsm_drake.common.aside import Aside
+from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.files import check_writable, written_whole
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.scenario import Scenario, load_scenario, scenario_to_yaml
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.setup import BlockSetup
+
+try:
+    from pythonfmu3 import (
+        DefaultExperiment,
+        Float64,
+        Fmi3Causality,
+        Fmi3Initial,
+        Fmi3Slave,
+        Fmi3Status,
+        Fmi3StepResult,
+        Fmi3Variability,
+        FmuBuilder,
+        Int64,
+    )
+except ImportError as _error:
+    raise FfsmError("an FMU needs pythonfmu3: pip install 'ffsm-drake[fmu]'") from _error
+
+PARTS = ("plant", "controller")
+_SCENARIO_FILE = "scenario.yaml"
+_SCRIPT = """from pythonfmu3 import Fmi3Slave
+
+from ffsm_drake.plugins.exports.fmu import {base}
+
+
+class {name}({base}, Fmi3Slave):
+    pass
+"""
+# what the law reads: its name in a Sample, that of the variables
+_POSITIONS = {"q": "measured_position", "q_d": "desired_position"}
+_VELOCITIES = {
+    "v": "measured_velocity",
+    "v_d": "desired_velocity",
+    "a_d": "desired_acceleration",
+    "e": "error",
+    "e_dot": "error_rate",
+    "applied_force": "applied_force",
+}
+
+
+def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
+    """Write the FMU of one of ``PARTS`` of a scenario.
+
+    Raises: FfsmError, for a scenario with a capture, or a law that tracks a frame.
+    """
+    if part not in PARTS:
+        raise FfsmError(f"--part: must be one of {', '.join(PARTS)}, not '{part}'")
+    if scenario.capture is not None:
+        raise FfsmError("capture: a scenario with a capture cannot be an FMU; leave it out")
+    factory = find_factory("controller", scenario.controller, python_path=scenario.python_path)
+    if part == "controller" and getattr(factory, "tracks_frame", False):
+        raise FfsmError(f"controller: {scenario.controller} tracks a frame; cannot be an FMU")
+    check_writable(path.parent)
+    with written_whole(path) as temporary, tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        script, text = folder / f"ffsm_{part}.py", folder / _SCENARIO_FILE
+        base = {"plant": "PlantSlave", "controller": "ControllerSlave"}[part]
+        script.write_text(_SCRIPT.format(base=base, name=f"Ffsm{part.capitalize()}"))
+        text.write_text(scenario_to_yaml(scenario))
+        options = {"canHandleVariableCommunicationStepSize": "false"}
+        built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text], **options)
+        temporary.write_bytes(built.read_bytes())
+
+
+class _Slave(Fmi3Slave):
+    """Variables of both parts; ``values`` (n) by group, such as ``measured_position``."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        self.file = Path(str(self.resources).removeprefix("file://")) / _SCENARIO_FILE
+        self.scenario = load_scenario(self.file)
+        self.coordinates = make_nominal_plant(self.scenario).coordinates
+        self.description = self.scenario.description
+        self.default_experiment = DefaultExperiment(
+            start_time=0.0, stop_time=self.scenario.duration, step_size=self.scenario.sample_time
+        )
+        self.time, self._steps = 0.0, 0
+        self.register_variable(
+            Float64(
+                "time",
+                causality=Fmi3Causality.independent,
+                variability=Fmi3Variability.continuous,
+            )
+        )
+        self.values = dict[str, np.ndarray]()
+        positions, velocities = self.coordinates.position_names, self.coordinates.names
+        self.groups = dict.fromkeys(_POSITIONS.values(), tuple(positions))
+        self.groups |= dict.fromkeys(_VELOCITIES.values(), tuple(velocities))
+        self.groups["is_new_position"] = self.groups["is_new_velocity"] = tuple(velocities)
+
+    def add(self, group: str, names: tuple[str, ...], causality: Any, start: float = 0.0) -> None:
+        """Register the variables of a group."""
+        values = self.values[group] = np.full(len(names), start)
+        for index, name in enumerate(names):
+            self.register_variable(
+                Float64(
+                    f"{group}.{name}",
+                    causality=causality,
+                    variability=Fmi3Variability.discrete,
+                    getter=lambda i=index: float(values[i]),
+                    setter=lambda value, i=index: values.__setitem__(i, value),
+                ),
+                nested=False,
+            )
+
+    @abc.abstractmethod
+    def advance(self) -> bool:
+        """One control sample. False where the run ended."""
+
+    def do_step(self, current_time: float, step_size: float) -> Any:
+        """One control sample, from where the last ended; any other is an error, and changes
+        nothing.
+        """
+        try:
+            self._check_step(current_time, step_size)
+            goes_on = self.advance()
+        except Exception as error:  # raised, it would end the host when it calls again
+            self.log(one_line(error), Fmi3Status.error)
+            return Fmi3StepResult(status=Fmi3Status.error)
+        self._steps += 1
+        return Fmi3StepResult(status=Fmi3Status.ok, terminateSimulation=not goes_on)
+
+    def _check_step(self, current_time: float, step_size: float) -> None:
+        period = self.scenario.sample_time
+        if not abs(step_size - period) <= 1e-9:  # also for NaN
+            problem = f"must be one control sample, {period:g} s, not {step_size:g}"
+            raise FfsmError(f"a step {problem}")
+        begin = self._steps * period
+        if not abs(current_time - begin) <= 1e-3 * period:
+            raise FfsmError(f"this step must begin at t = {begin:g} s, not {current_time:g}")
+
+
+class _Outside(ControlLaw):
+    """A law whose force comes from another thread."""
+
+    def __init__(self, ask: Callable[[Sample], np.ndarray]) -> None:
+        self._ask = ask
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        return self._ask(sample), state
+
+
+class _Course:
+    """The run of a plant; it outlives no slave, and refers to none."""
+
+    def __init__(self) -> None:
+        self.aside = Aside()
+        self.loop: tuple[ClosedLoop, Context] | None = None
+
+    def begin(self, loop: ClosedLoop, context: Context) -> None:
+        """Keep the diagram of a run that begins."""
+        self.loop = loop, context
+
+    def make_law(self, setup: BlockSetup) -> ControlLaw:
+        """The law whose force the master gives."""
+        return _Outside(self._ask)
+
+    def _ask(self, sample: Sample) -> np.ndarray:
+        """The force at a sample; within the run's thread."""
+        assert self.loop is not None
+        loop, context = self.loop
+        force: np.ndarray = self.aside.ask((sample, loop.whole_states(context)[0].copy()))
+        return force
+
+
+class PlantSlave(_Slave):
+    """All but the law: spacecraft, actuators, sensors, forces, reference."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        self.payload_mass = self.scenario.payload.truth.mass
+        self.seed = self.scenario.random_seed
+        fixed = {
+            "causality": Fmi3Causality.parameter,
+            "variability": Fmi3Variability.fixed,
+            "initial": Fmi3Initial.exact,
+        }
+        self.register_variable(Float64("payload_mass", **fixed))
+        self.register_variable(Int64("seed", **fixed))
+        velocities = tuple(self.coordinates.names)
+        self.add("force", velocities, Fmi3Causality.input)
+        self.add("position", tuple(self.coordinates.position_names), Fmi3Causality.output)
+        self.add("velocity", velocities, Fmi3Causality.output)
+        for group, names in self.groups.items():
+            self.add(group, names, Fmi3Causality.output)
+        self._course = _Course()
+
+    def exit_initialization_mode(self) -> None:
+        """Begin the run; outputs are those of the first sample."""
+        changed = (f"payload.truth.mass={self.payload_mass!r}", f"random_seed={self.seed}")
+        scenario = load_scenario(self.file, changed)
+        course = self._course
+        rollout = Rollout(scenario, blocks={"controller": course.make_law})
+
+        def run() -> RunLog:
+            return rollout.run(leg=Leg(begin=course.begin))
+
+        course.aside.start(run, rollout.release, owner=self)
+        self._take()
+
+    def _take(self) -> bool:
+        """Wait for the run's next sample, or its end; false there."""
+        found = self._course.aside.take()
+        if isinstance(found, RunLog):
+            self._show(found.whole_states[-1])
+            return False
+        sample, state = found
+        self._show(state)
+        for name, group in (_POSITIONS | _VELOCITIES).items():
+            self.values[group][:] = getattr(sample, name)
+        new = np.ones(2 * len(self.coordinates.names)) if sample.is_new is None else sample.is_new
+        self.values["is_new_position"][:], self.values["is_new_velocity"][:] = np.split(new, 2)
+        return True
+
+    def _show(self, state: np.ndarray) -> None:
+        """Output the true state, without flexible coordinates."""
+        assert self._course.loop is not None
+        shown = self._course.loop[0].split.known_part(state)
+        size = self.values["position"].size
+        self.values["position"][:] = shown[:size]
+        self.values["velocity"][:] = shown[size:]
+
+    def advance(self) -> bool:
+        if not self._course.aside.goes_on:
+            raise FfsmError("the run has ended")
+        self._course.aside.answer(self.values["force"].copy())
+        return self._take()
+
+    def terminate(self) -> None:
+        self._course.aside.stop()
+
+
+class ControllerSlave(_Slave):
+    """The law of a scenario; its output is the force of the sample at which a step begins."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        for group, names in self.groups.items():
+            start = 1.0 if group.startswith("is_new") else 0.0
+            self.add(group, names, Fmi3Causality.input, start)
+        self.add("force", tuple(self.coordinates.names), Fmi3Causality.output)
+
+    def exit_initialization_mode(self) -> None:
+        scenario, made = self.scenario, list[Any]()
+        factory = find_factory("controller", scenario.controller, python_path=scenario.python_path)
+
+        def make(setup: BlockSetup) -> Any:
+            settings = scenario.controllers.get(scenario.controller, {})
+            own = dataclasses.replace(setup, name=scenario.controller, settings=settings)
+            made.append(call_factory(factory, own, place=scenario.controller))
+            return made[-1]
+
+        Rollout(scenario, blocks={"controller": make}).release()
+        if not isinstance(made[-1], ControlLaw):
+            raise FfsmError(f"{scenario.controller}: must be a control law")
+        self._law, self._state, self._is_first = made[-1], made[-1].initial_state(), True
+
+    def advance(self) -> bool:
+        read = {name: self.values[of].copy() for name, of in (_POSITIONS | _VELOCITIES).items()}
+        new = np.concatenate([self.values["is_new_position"], self.values["is_new_velocity"]])
+        sample = Sample(
+            **read, is_first=self._is_first, is_new=None if new.all() else new.astype(bool)
+        )
+        force, state = self._law.step(sample, self._state)
+        force = np.array(force)
+        force[~self.coordinates.is_driven] = 0.0
+        if not np.isfinite(force).all():
+            worst = self.coordinates.names[int(np.argmin(np.isfinite(force)))]
+            raise FfsmError(f"the force on {worst} is no number")
+        self._state, self._is_first = state, False
+        self.values["force"][:] = force
+        return True

@@ -1,0 +1,347 @@
+"""A mission as an environment of Gymnasium: one step is one control sample, or several.
+
+The run is that of ``simulate``: a thread runs it, and its control law asks for an action at each
+step.
+"""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from ffsm_drake.common.aside import Aside
+from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.plugins.policy.policy import (
+    ACTIONS,
+    FURTHEST,
+    ActingLaw,
+    error_names,
+    inner_law,
+    observation,
+    observation_names,
+)
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.controllers.law import Sample, State, is_wide
+from ffsm_drake.systems.controllers.task_space import TaskSpace
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.registry import find_factory
+from ffsm_drake.systems.setup import BlockSetup
+
+WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
+_UNLIMITED = 100.0  # N m or N; where the scenario limits no force
+
+
+class Exchange:
+    """Where the run's law and the environment, in two threads, meet at every step."""
+
+    def __init__(self, samples_per_step: int) -> None:
+        self._every = samples_per_step
+        self.begin()
+
+    def begin(self) -> None:
+        """Of another run."""
+        self.run = Aside()
+        self.sample: Sample | None = None  # what the law sees
+        # of several copies of the spacecraft: those that begin anew, and those whose episode lasts
+        self.fresh: np.ndarray | None = None
+        self.lasts: np.ndarray | None = None
+        # of each copy that an action which is no number ended: the sample, and the coordinate in v
+        self.lost = dict[int, tuple[int, int]]()
+        self.first: State = {}  # the law's memory at the start
+        self._count, self._action = 0, np.zeros(0)
+        self._since = list[tuple[Any, ...]]()  # what was told since the last step
+
+    def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
+        """The action at a sample, of which a law sees this; zero for a copy of the spacecraft whose
+        action is no number. Raises StoppedError.
+        """
+        if self._count % self._every == 0:
+            self.sample = sample
+            self._action = self.run.ask((seen, self.spent()))
+        self._count += 1
+        return self._action if self.lasts is None else np.nan_to_num(self._action)
+
+    def told(self, error: np.ndarray, force: np.ndarray, acts: np.ndarray) -> None:
+        """Keep what the law saw and commanded at a sample; ``acts`` are the actions' indices. A
+        copy ends whose action is no number.
+        """
+        if self.lasts is None:
+            self._since.append((error, force, np.ones((), bool)))
+            return
+        unknown = np.isnan(self._action)
+        force[:, acts] = np.where(unknown, np.nan, force[:, acts])
+        self._since.append((error, force, self.lasts.copy()))
+        for copy in np.flatnonzero(unknown.any(axis=-1) & self.lasts).tolist():
+            self.lost[copy] = self._count - 1, int(acts[np.argmax(unknown[copy])])
+            self.lasts[copy] = False
+
+    def spent(self) -> list[np.ndarray]:
+        """Errors, forces and whether the episode lasted since the last step, a row each."""
+        since, self._since = self._since, []
+        return [np.array(each) for each in zip(*since, strict=True)]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Steered(ActingLaw):
+    """The law of an environment's actions."""
+
+    wide: ClassVar[bool] = True
+    exchange: Exchange
+
+    def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        return self.exchange.ask(seen, sample), {}
+
+    def told(self, error: np.ndarray, force: np.ndarray) -> None:
+        self.exchange.told(error, force, self.acts)
+
+    def inner_step(
+        self, inner: ControlLaw, sample: Sample, state: State
+    ) -> tuple[np.ndarray, State]:
+        """That of a law that begins anew with a copy of the spacecraft that does."""
+        exchange, fresh = self.exchange, self.exchange.fresh
+        if sample.is_first:
+            exchange.first = {name: np.array(values) for name, values in state.items()}
+        force, after = inner.step(sample, state)
+        if fresh is None or not fresh.any():
+            return force, after
+        first, anew = inner.step(sample._replace(is_first=True), exchange.first)
+        return np.where(fresh[:, None], first, force), {
+            name: np.where(fresh.reshape(-1, *[1] * (rows.ndim - 1)), anew[name], rows)
+            for name, rows in after.items()
+        }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Steering:
+    """How actions become the law of a run; without the environment, which may end before it."""
+
+    kind: str  # one of ACTIONS
+    law: str  # that actions change
+    acts: np.ndarray  # (na) indices in v
+    scale: np.ndarray  # (na)
+    tracks_frame: bool
+
+    def __call__(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
+        """The law of a run, which takes its actions there; of several runs if not ``alone``."""
+        inner = None if self.kind == "force" else inner_law(self.law, setup)
+        if not (inner is None or alone or is_wide(inner)):
+            raise BlockError(f"{self.law}: is no wide law; vectorization_mode must be sync")
+        return _Steered(
+            exchange=exchange,
+            kind=self.kind,
+            acts=self.acts,
+            scale=self.scale,
+            inner=inner,
+            task=TaskSpace.from_setup(setup) if self.tracks_frame else None,
+        )
+
+
+class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """A scenario whose control law is the agent, or a law that the agent corrects.
+
+    Observations are, by ``observation_names``: errors e and their rates (nv each; rad, m;
+    what the law sees; those of a frame too where the law tracks one), measured positions q (nq) and
+    velocities v (nv). Actions lie between -1 and 1, one for each driven coordinate
+    (``action_names``). ``sample`` is all that a law sees at the step, as a law gets it.
+
+    ``info`` has ``reward_terms``; at the end ``ending`` (as a run's last line says it) and
+    ``is_success`` (settled). An episode is terminated where the run diverges or misses its target,
+    truncated where the run's time is over.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "postcapture",
+        overrides: tuple[Any, ...] = (),
+        *,
+        action: str = "force",
+        law: str | None = None,
+        samples_per_step: int = 1,
+        scale: Mapping[str, float] | float | None = None,
+        weights: Mapping[str, float] | None = None,
+        dtype: type = np.float32,
+    ) -> None:
+        """Args:
+          scenario: a shipped name, a file, or a Scenario.
+          overrides: as for ``load_scenario``.
+          action: "force", the generalized force; "residual", a force on top of a law's;
+            "setpoint", an offset of the desired positions of a law.
+          law: of the last two; default: the scenario's.
+          samples_per_step: control samples in which an action is held.
+          scale: of actions by coordinate or group; default: forces by the limits (100 N m or N
+            where there is none), a tenth of them for residuals, set-points by 0.1 rad or m.
+          weights: of the reward's terms, see ``WEIGHTS``.
+          dtype: of observations and actions. In float64, with a ``scale`` of a power of two, a
+            force keeps its bits on its way through an action.
+
+        Raises ScenarioError, BlockError, ModelError as ``simulate``; FfsmError for an unknown
+        action or weight.
+        """
+        if action not in ACTIONS:
+            raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
+        if unknown := set(weights or {}) - set(WEIGHTS):
+            raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
+        if not isinstance(scenario, Scenario):
+            scenario = load_scenario(scenario, overrides)
+        law = law or scenario.controller
+        self.scenario = scenario.replace(controller=law)
+        self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
+        self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
+        self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
+        self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
+        factory = find_factory("controller", law, python_path=scenario.python_path)
+        self.steering = Steering(
+            kind=action,
+            law=law,
+            acts=coordinates.driven,
+            scale=self._scales(scale, action)[coordinates.driven],
+            tracks_frame=bool(getattr(factory, "tracks_frame", False)),
+        )
+        of_frame = {"tracks_frame": self.steering.tracks_frame}
+        errors = error_names(self.scenario, coordinates, **of_frame)
+        self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
+        self._counted = coordinates.is_driven.copy()
+        if self.steering.tracks_frame:  # its pose counts in place of the joints
+            if action == "setpoint":
+                raise FfsmError(f"action: {law} tracks a frame; must be force or residual")
+            self._counted &= np.array([group != "joints" for group in coordinates.group_of])
+        of_errors = len(errors) - self._counted.size
+        self._counted = np.append(self._counted, np.ones(of_errors, dtype=bool))
+        self.action_space = _box(len(self.action_names), 1.0, dtype)
+        self.observation_space = _box(len(self.observation_names), FURTHEST, dtype)
+        self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
+        self._exchange: Exchange | None = None
+        self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
+        self.log: RunLog | None = None  # of the last complete episode
+
+    def _scales(self, given: Mapping[str, float] | float | None, action: str) -> np.ndarray:
+        if given is not None:
+            by_name = given if isinstance(given, Mapping) else {"all": given}
+            return self.coordinates.vector(by_name, key="scale", default=0.0)
+        if action == "setpoint":
+            return np.full(len(self.coordinates.names), 0.1)
+        return self._limit * (0.1 if action == "residual" else 1.0)
+
+    @property
+    def sample(self) -> Sample | None:
+        """What a law sees at this step; None before the first."""
+        return None if self._exchange is None else self._exchange.sample
+
+    def policy_metadata(self) -> dict[str, str]:
+        """What an ONNX file of a policy for this environment says in its metadata, to be a control
+        law (``controller: policy:FILE``).
+        """
+        return {
+            "observation_names": json.dumps(self.observation_names),
+            "action_names": json.dumps(self.action_names),
+            "scale": json.dumps(self.steering.scale.tolist()),
+            "action": self.steering.kind,
+            "law": "" if self.steering.kind == "force" else self.steering.law,
+            "samples_per_step": str(self.samples_per_step),
+        }
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """A new run; ``seed`` is its ``random_seed``, by default drawn."""
+        super().reset(seed=seed)
+        self.close()
+        drawn = int(self.np_random.integers(2**31)) if seed is None else seed
+        scenario = self.scenario.replace(random_seed=drawn)
+        self._exchange = exchange = Exchange(self.samples_per_step)
+        law = functools.partial(self.steering, exchange=exchange)
+        rollout = make_rollout(scenario, blocks={"controller": law})
+        exchange.run.start(rollout.run, rollout.release, owner=self)
+        self._take()
+        return self._seen.copy(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """As Gymnasium's."""
+        if self._exchange is None:
+            raise FfsmError("the episode is over, or did not begin: call reset")
+        self._exchange.run.answer(clipped(action, self.action_space.shape))
+        log, spent = self._take()
+        terms = {name: float(value) for name, value in self.reward_terms(spent).items()}
+        info: dict[str, Any] = {"reward_terms": terms}
+        if log is not None:
+            self.log = log
+            terms["settled"] = float(log.ending.is_settled)
+            terms["failure"] = -float(log.ending.is_failure)
+            info |= {"ending": log.ending.sentence, "is_success": log.ending.is_settled}
+        reward = self.reward_of(terms)
+        ended = log is not None
+        completed = log is not None and log.outcome.completed
+        return self._seen.copy(), reward, ended and not completed, completed, info
+
+    def reward_terms(self, spent: list[np.ndarray]) -> dict[str, Any]:
+        """Of a step, from ``Exchange.spent``: of one run numbers, of several (B)."""
+        if not spent:
+            return {"tracking": 0.0, "effort": 0.0}
+        errors, forces, lasts = spent
+        excess, effort = (
+            np.fmin(np.abs(each) / size, 1e3)  # also for NaN
+            for each, size in ((errors, self._tolerance), (forces, self._limit))
+        )
+        sizes = {"tracking": excess[..., self._counted], "effort": effort**2}
+        count = np.maximum(lasts.sum(axis=0), 1)
+        return {
+            name: -np.where(lasts, each.mean(axis=-1), 0.0).sum(axis=0) / count
+            for name, each in sizes.items()
+        }
+
+    def reward_of(self, terms: Mapping[str, Any]) -> Any:
+        """Their weighted sum."""
+        return sum(self._weights[name] * value for name, value in terms.items())
+
+    def close(self) -> None:
+        """End the run, if there is one."""
+        if self._exchange is not None:
+            self._exchange.run.stop()
+        self._exchange = None
+
+    def _take(self) -> tuple[RunLog | None, list[np.ndarray]]:
+        """Wait for the run's next step, or its end; keep what it sees."""
+        assert self._exchange is not None
+        exchange = self._exchange
+        try:
+            found = exchange.run.take()
+        finally:
+            if not exchange.run.goes_on:
+                self._exchange = None
+        if isinstance(found, RunLog):
+            return found, exchange.spent()
+        seen, spent = found
+        self._seen = observation(seen, self.observation_space.dtype)
+        return None, spent
+
+
+def _finite(limit: np.ndarray) -> np.ndarray:
+    """Limits (nv), where there is none 100 N m or N."""
+    return np.where(np.isfinite(limit) & (limit > 0.0), limit, _UNLIMITED)
+
+
+def clipped(action: Any, shape: tuple[int, ...] | None) -> np.ndarray:
+    """An action within its bounds, float64. Raises FfsmError: it is no array of that shape."""
+    try:
+        given = np.asarray(action, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise FfsmError(f"action: must be numbers: {one_line(error)}") from error
+    if given.shape != shape:
+        raise FfsmError(f"action: must have the shape {shape}, not {given.shape}")
+    return np.clip(given, -1.0, 1.0)
+
+
+def _box(size: int, most: float, dtype: type) -> gymnasium.spaces.Box:
+    """Vectors of entries from -most to most."""
+    bound: np.ndarray = np.full(size, most, dtype)
+    return gymnasium.spaces.Box(-bound, bound, dtype=dtype)

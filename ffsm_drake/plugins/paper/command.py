@@ -1,0 +1,31 @@
+"""The command about the paper: reproduce."""
+
+from pathlib import Path
+
+import click
+
+from ffsm_drake.cli.common import batch_progress, out_option
+
+
+@click.command()
+@click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
+@out_option(default=Path("out/reproduction"), show_default=True)
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=3,
+    show_default=True,
+    help="Noise seeds per cell.",
+)
+def reproduce(what: str, out: Path, seeds: int) -> None:
+    """Recompute the paper's table and figures, and evaluate its claims.
+
+    \b
+    Examples:
+      ffsm reproduce                 everything, in out/reproduction/reproduction.html
+      ffsm reproduce table2 --seeds 5
+    """
+    from ffsm_drake.plugins.paper import reproduce as reproduce_paper
+
+    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=batch_progress)
+    click.echo(f"Written to {out}; open {main_file}")

@@ -1,0 +1,209 @@
+"""The published gains in a continuous block diagram: the law in every minor step.
+
+The paper does not say how its simulation coupled law and plant. Here a Runge-Kutta step of one
+control period advances plant, error integral and adapted gains together. Equation (5)'s force and
+acceleration of a sample ago are always those of the last major step. ``held`` evaluates the law at
+the major step only, as a digital controller does.
+"""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+
+from ffsm_drake.plugins.paper.runs import PROPOSED, Case
+from ffsm_drake.plugins.paper.wording import scientific
+from ffsm_drake.runs.metrics import isv, itae
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import error_rate, position_error
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.controllers import make_law
+from ffsm_drake.systems.controllers.time_delay import time_delay_force
+from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.reference import make_motion
+
+
+@dataclasses.dataclass(frozen=True)
+class Scheme:
+    """An explicit Runge-Kutta method: the rows below the diagonal of its tableau, and its
+    weights.
+    """
+
+    title: str
+    stages: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+
+
+EULER = Scheme("explicit Euler", ((),), (1.0,))
+HEUN = Scheme("Heun (order 2)", ((), (1.0,)), (1 / 2, 1 / 2))
+BOGACKI_SHAMPINE = Scheme(
+    "Bogacki-Shampine (order 3)", ((), (1 / 2,), (0.0, 3 / 4)), (2 / 9, 3 / 9, 4 / 9)
+)
+RUNGE_KUTTA = Scheme(
+    "Runge-Kutta (order 4)",
+    ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+)
+_INTEGRATED = ("integral_error", "reaching_gain", "switching_gain")  # entries of the law's memory
+# the paper's simulation: Euler has no minor step
+MINOR = (EULER, HEUN, BOGACKI_SHAMPINE, RUNGE_KUTTA)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MinorStepRun:
+    """Outcome of a run."""
+
+    scheme: Scheme
+    held: bool
+    diverged: float | None  # time of divergence, s
+    itae: float  # infinite when it diverged
+    isv: float  # of the force at the major steps; infinite when it diverged
+    largest_k_s: float  # 1/s
+
+    @property
+    def fate(self) -> str:
+        return "completes" if self.diverged is None else f"diverges at {self.diverged:.1f} s"
+
+
+@functools.lru_cache(maxsize=4)
+def minor_step_runs(overrides: tuple[str, ...] = ()) -> tuple[MinorStepRun, ...]:
+    """Runs of the proposed controller, published gains, under tau_d1; the last holds the force."""
+    scenario = Case(setting="euler", controller=PROPOSED).scenario(overrides)
+    return (*(run(scenario, scheme) for scheme in MINOR), run(scenario, RUNGE_KUTTA, held=True))
+
+
+def minor_step_table(overrides: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: place of evaluation, outcome, metrics."""
+    header = [
+        "integrator, step of a control period",
+        "law evaluated",
+        "outcome",
+        "ITAE",
+        "ISV",
+        "largest K_s, 1/s",
+    ]
+    rows = []
+    for made in minor_step_runs(overrides):
+        where = "once, its force held over the period" if made.held else "in every minor step"
+        where = "in its only step" if made.scheme is EULER else where
+        figures = [scientific(made.itae), f"{made.isv:.1f}", f"{made.largest_k_s:.1f}"]
+        rows.append(
+            [made.scheme.title, where, made.fate, *(figures if made.diverged is None else [""] * 3)]
+        )
+    return header, rows
+
+
+def run(scenario: Scenario, scheme: Scheme, *, held: bool = False) -> MinorStepRun:
+    """Simulate the proposed controller.
+
+    It uses the scenario's model, payloads, postures, reference, gains, disturbance, velocity noise
+    (drawn once a period), seed, sample time, duration and ``divergence_speed``, and ignores other
+    settings of sensing and actuation.
+    """
+    loop, period = _Loop(scenario), scenario.sample_time
+    times = period * np.arange(round(scenario.duration / period))
+    noise = (
+        np.random.default_rng(scenario.random_seed).standard_normal((times.size, loop.nv))
+        * loop.noise
+    )
+    errors, forces = np.zeros_like(noise), np.zeros_like(noise)
+    y, delayed_force, delayed_velocity, largest = loop.start, np.zeros(loop.nv), -noise[0], 0.0
+    for k, start in enumerate(times):
+        delayed_acceleration = (
+            (loop.parts(y)[1] + noise[k] - delayed_velocity) / period if k else np.zeros(loop.nv)
+        )
+        delayed_velocity = loop.parts(y)[1] + noise[k]
+        slopes: list[np.ndarray] = []
+        for stage in scheme.stages:
+            time, at = (
+                start + period * sum(stage),
+                loop.valid(y + period * _combined(stage, slopes)),
+            )
+            if not (slopes and held):
+                force, error, rates = loop.law(
+                    time, at, noise[k], delayed_force, delayed_acceleration
+                )
+            if not slopes:
+                forces[k], errors[k] = force, error
+            slopes.append(loop.slope(time, at, force, rates))
+        y = loop.valid(y + period * _combined(scheme.weights, slopes))
+        delayed_force = forces[k]
+        if not np.abs(loop.parts(y)[1]).max() <= scenario.divergence_speed:
+            figures = {"diverged": start + period, "itae": math.inf, "isv": math.inf}
+            return MinorStepRun(scheme=scheme, held=held, **figures, largest_k_s=largest)
+        largest = max(largest, float(loop.parts(y)[3].max()))
+    figures = {"diverged": None, "itae": itae(times, errors, period), "isv": isv(forces, period)}
+    return MinorStepRun(scheme=scheme, held=held, **figures, largest_k_s=largest)
+
+
+class _Loop:
+    """Plant and law as one differential equation of y = [q, v, integral of the error, K_s, G]."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.truth, self.nominal = make_true_plant(scenario), make_nominal_plant(scenario)
+        coordinates = self.nominal.coordinates
+        self.nv, self.period = len(coordinates.names), scenario.sample_time
+        self.dynamics = make_law(scenario, self.nominal).dynamics
+        self.motion = make_motion(scenario, coordinates)
+        self.disturbance = make_disturbance([scenario.disturbance], coordinates)
+        self.disturbance_context = self.disturbance.CreateDefaultContext()
+        self.noise = coordinates.vector(
+            scenario.sensing.velocity_noise, key="sensing.velocity_noise", default=0.0
+        )
+        q = configuration(self.truth.plant, scenario.initial_posture, key="initial_posture")
+        memory = self.dynamics.initial_state()
+        self.start = np.concatenate([q, np.zeros(self.nv), *(memory[name] for name in _INTEGRATED)])
+
+    def parts(self, y: np.ndarray) -> list[np.ndarray]:
+        """q, v, integral of the error, K_s, G."""
+        return np.split(y, self.nv + 1 + self.nv * np.arange(4))
+
+    def valid(self, y: np.ndarray) -> np.ndarray:
+        """y with a unit quaternion and non-negative adapted gains."""
+        y = y.copy()
+        y[:4] /= np.linalg.norm(y[:4])
+        y[-2 * self.nv :] = np.maximum(y[-2 * self.nv :], 0.0)
+        return y
+
+    def law(
+        self,
+        time: float,
+        y: np.ndarray,
+        noise: np.ndarray,
+        delayed_force: np.ndarray,
+        delayed_acceleration: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Force, tracking error, and the rates of the law's integrated memory."""
+        q, v, *memory = self.parts(y)
+        q_d, v_d, a_d = self.motion.evaluate(time)
+        error = position_error(q_d, q)
+        state = {**self.dynamics.initial_state(), **dict(zip(_INTEGRATED, memory, strict=True))}
+        u, after = self.dynamics.step(error, error_rate(error, v_d, v + noise), a_d, state)
+        force = time_delay_force(
+            delayed_force=delayed_force,
+            nominal_mass_matrix=self.nominal.calc_mass_matrix(q),
+            delayed_acceleration=delayed_acceleration,
+            u=u,
+        )
+        return (
+            force,
+            error,
+            np.concatenate([after[name] - state[name] for name in _INTEGRATED]) / self.period,
+        )
+
+    def slope(self, time: float, y: np.ndarray, force: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """dy/dt under a control force."""
+        q, v, *_ = self.parts(y)
+        self.disturbance_context.SetTime(time)
+        disturbance = self.disturbance.get_output_port().Eval(self.disturbance_context)
+        bias = self.truth.calc_bias(q, v)  # sets the positions for the map below
+        acceleration = np.linalg.solve(self.truth.calc_mass_matrix(q), force + disturbance - bias)
+        return np.concatenate(
+            [self.truth.plant.MapVelocityToQDot(self.truth.context, v), acceleration, rates]
+        )
+
+
+def _combined(weights: tuple[float, ...], slopes: list[np.ndarray]) -> np.ndarray | float:
+    return sum((weight * slope for weight, slope in zip(weights, slopes, strict=True)), 0.0)

@@ -1,1 +1,0 @@
-"""Studies made of many runs: the paper's reproduction."""

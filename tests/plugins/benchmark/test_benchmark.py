@@ -1,0 +1,316 @@
+"""The benchmark: laws ranked, resumed, with a user's law beside the shipped ones; lower bounds and
+published figures.
+"""
+
+import contextlib
+import dataclasses
+import json
+import re
+import sqlite3
+
+import numpy as np
+import pytest
+from campaign_tools import HERE
+from click.testing import CliRunner
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.cli import main
+from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.plugins.benchmark import missions
+from ffsm_drake.plugins.benchmark.missions import (
+    Mission,
+    Published,
+    Reproduced,
+    bounds_of,
+    check_mission,
+    least_propellant,
+    load_mission,
+    mission_names,
+    run_mission,
+)
+from ffsm_drake.plugins.benchmark.page import benchmark_data, benchmark_page, board_text
+from ffsm_drake.scenario import override_scenario, thrusters_of
+from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+
+LAW = """
+import dataclasses
+from ffsm_drake import ControlLaw
+
+@dataclasses.dataclass(frozen=True)
+class Idle(ControlLaw):
+    def step(self, sample, state):
+        return 0.0 * sample.v, state
+"""
+
+
+@pytest.fixture(scope="module")
+def mission():
+    short = load_mission("postcapture")
+    scenario = override_scenario(short.scenario, ["duration=0.3"])
+    checks = (Published(figure="isv", value=1e9, at_most=True, source="a test", controller="tdc"),)
+    return dataclasses.replace(short, scenario=scenario, checks=checks)
+
+
+@pytest.fixture(scope="module")
+def folder(mission, tmp_path_factory):
+    """The runs of two laws. Not to be written to."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
+    return folder
+
+
+def copied(folder, to):
+    for path in folder.iterdir():
+        (to / path.name).write_bytes(path.read_bytes())
+    return to
+
+
+@pytest.mark.smoke
+def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
+    """Every law; one that cannot be built does not apply."""
+    monkeypatch.setattr(missions, "controller_names", lambda: ("tdc", "asmc", "no_such_law"))
+    board = run_mission(mission, [], folder, workers=HERE)
+    ranked = [standing.controller for standing in board.standings]
+    assert ranked == ["asmc", "tdc", "no_such_law"]
+    assert [standing.settled for standing in board.standings] == [3, 3, 0]
+    asmc, tdc, unfit = board.standings
+    assert 0.0 < asmc.figures["itae"] < tdc.figures["itae"]
+    assert 0.0 < asmc.figures["law_time"] < 0.01
+    assert 1.0 < asmc.figures["payload_factor"] < tdc.figures["payload_factor"] < 2.0
+    assert asmc.figures["delay_margin"] == 0.0  # a sample's delay is one too many
+    assert tdc.figures["error_over_lqg"] > asmc.figures["error_over_lqg"] > 1.0
+    assert unfit.outcomes == ()
+    assert "no_such_law" in unfit.message
+    (found,) = check_mission(board)
+    assert found.found == tdc.figures["isv"]
+    assert found.holds
+    assert "does not apply: no_such_law" in board_text(board)
+
+
+def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
+    """Only what is missing is run."""
+    (path,) = copied(folder, tmp_path).glob("*.db")
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DELETE FROM results WHERE case_index = 1 AND controller = 'tdc'")
+    runs = []
+    laws = ["tdc", "asmc"]
+    board = run_mission(mission, laws, tmp_path, workers=HERE, progress=runs.append)
+    assert runs[-1].session == 1
+    again = run_mission(mission, laws, folder, workers=HERE)
+    for first, second in zip(board.standings, again.standings, strict=True):
+        assert first.figures == second.figures
+
+
+def test_a_users_law_gets_its_row(mission, folder, tmp_path, monkeypatch):
+    (tmp_path / "idle_law.py").write_text(LAW)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    board = run_mission(mission, ["idle_law:Idle"], copied(folder, tmp_path), workers=HERE)
+    assert [each.controller for each in board.standings] == ["asmc", "tdc", "idle_law:Idle"]
+    assert "error" not in board.standings[-1].outcomes
+    with pytest.raises(Exception, match="no_such_law"):
+        run_mission(mission, ["no_such_law:Law"], tmp_path, workers=HERE)
+
+
+def test_a_law_that_diverges_at_once_does_not_lead(mission, folder, tmp_path, monkeypatch):
+    """Its error in the little time that it had is no figure."""
+    (tmp_path / "wild_law.py").write_text(LAW.replace("0.0 *", "1e6 + 0.0 *"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    board = run_mission(mission, ["wild_law:Idle"], copied(folder, tmp_path), workers=HERE)
+    *_, last = board.standings
+    assert (last.controller, last.outcomes) == ("wild_law:Idle", ("diverged",) * 3)
+    assert last.figures["itae"] is None
+    assert "0 of 3, 3 diverged" in board_text(board)
+
+
+def test_other_scenarios_do_not_mix(mission, folder, tmp_path):
+    """Runs of a mission that has changed since are left out."""
+    changed = dataclasses.replace(
+        mission, scenario=override_scenario(mission.scenario, ["duration=0.2"])
+    )
+    board = run_mission(changed, ["tdc"], copied(folder, tmp_path), workers=HERE)
+    assert [each.controller for each in board.standings] == ["tdc"]
+
+
+def test_least_times_of_the_published_stop():
+    """3.86 N m s against 2.5 N m, and the least time of the shipped plan."""
+    mission = load_mission("planar_detumble")
+    bounds = bounds_of(mission)
+    assert bounds["held"] == pytest.approx(3.86 / 2.5, rel=0.01)
+    assert bounds["planner"] == pytest.approx(2.889, abs=0.002)
+    assert bounds["momentum"] < bounds["held"] < bounds["planner"]
+
+
+def test_wheels_and_thrusters_act_together():
+    """Each alone takes longer than both, and no torque goes beyond the sum of what they give."""
+    scenario = load_mission("capture_on_thrusters").scenario
+    both = bounds_of(Mission(name="", scenario=scenario))["held"]
+    assert both == pytest.approx(0.079, rel=0.01)
+    for left in ("wheels", "thrusters"):
+        alone = override_scenario(scenario, [f"actuation.{left}=null"])
+        assert bounds_of(Mission(name="", scenario=alone))["held"] > 1.2 * both
+
+
+def fastest(mission, rng, *, pieces=8):
+    """A time, s, that takes the momentum out: the base turns as it likes, the arm moves the centre
+    of mass wherever its length allows, and each piece has the actuators that serve best then.
+    """
+    scenario = mission.scenario
+    model = make_nominal_plant(scenario)
+    contact = planned_contact(scenario, model)
+    stack = free_floating(model, contact.q)
+    most = np.linalg.norm(stack.center_of_mass)  # a lever that there is
+    momentum = -np.concatenate([contact.spin_after, contact.momentum_after[3:]])
+    actuation = scenario.actuation
+    columns, least = [], []
+    for _ in range(pieces):
+        R = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+        lever = most * Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()[0]
+        if actuation.thrusters is not None:
+            units = thrusters_of(actuation.thrusters).values()
+            for unit in units:
+                force = R @ (np.array(unit.direction) / np.linalg.norm(unit.direction)) * unit.force
+                place = R @ np.array(unit.position) + lever
+                columns.append(np.r_[np.cross(place, force), force])
+                least.append(0.0)
+        for wheel in (actuation.wheels.units if actuation.wheels else {}).values():
+            axis = R @ (np.array(wheel.axis) / np.linalg.norm(wheel.axis))
+            columns.append(np.r_[wheel.torque_limit * axis, np.zeros(3)])
+            least.append(-1.0)
+        if actuation.thrusters is None:
+            limit = model.coordinates.vector(actuation.limit, key="", default=np.inf)[:6]
+            for k, unit in enumerate(np.eye(3)):
+                columns.append(np.r_[limit[k] * unit, np.zeros(3)])
+                columns.append(limit[3 + k] * np.r_[np.cross(lever, unit), unit])
+                least += [-1.0, -1.0]
+    shares, unit = np.array(least), np.eye(len(least))
+    found = linprog(
+        np.r_[np.zeros(len(least)), 1.0],
+        A_ub=np.vstack([
+            np.column_stack([unit, -np.ones(len(least)) / pieces]),
+            np.column_stack([-unit, shares / pieces]),
+        ]),
+        b_ub=np.zeros(2 * len(least)),
+        A_eq=np.column_stack([np.array(columns).T, np.zeros(6)]),
+        b_eq=momentum,
+        bounds=[*((None, None) for _ in least), (0.0, None)],
+    )  # fmt: skip
+    return found.x[-1] if found.x is not None else np.inf
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["tumbling_capture", "capture_on_thrusters", "envisat", "heavy_stage", "elsa_d", "proba_1"],
+)
+def test_no_attitude_and_posture_beats_the_bound(name):
+    mission, rng = load_mission(name), np.random.default_rng(0)
+    bounds = bounds_of(mission)
+    tried = [fastest(mission, rng) for _ in range(12)]
+    assert min(tried) >= bounds["momentum"]
+    assert min(tried) < 20.0 * bounds["momentum"]  # nor is it idle
+    assert bounds["momentum"] <= bounds["held"]
+
+
+def test_least_propellant_of_a_capture():
+    """Linear momentum over the exhaust's speed; without wheels the angular one by the longest
+    lever; none where nothing is to be taken out.
+    """
+    scenario = load_mission("capture_on_thrusters").scenario
+    contact = planned_contact(scenario, make_nominal_plant(scenario))
+    linear = np.linalg.norm(contact.momentum_after[3:])
+    assert least_propellant(scenario) == pytest.approx(linear / (226.1 * 9.80665))
+    alone = override_scenario(scenario, ["actuation.wheels=null"])
+    # of thrusters at a corner of the bus, about a centre of mass that is no further than the arm
+    angular = np.linalg.norm(contact.spin_after)
+    assert angular / (226.1 * 9.80665 * 3.0) < least_propellant(alone) < angular / (226.1 * 9.80665)
+    assert least_propellant(load_mission("thrusters_only").scenario) is None
+
+
+def test_published_figures_can_fail():
+    figure = Published(figure="isv", value=100.0, within=0.02, source="")
+    most = dataclasses.replace(figure, at_most=True)
+
+    def holds(published, found):
+        return Reproduced(mission="", published=published, found=found).holds
+
+    assert [holds(figure, x) for x in (99.0, 101.9, 103.0, None)] == [True, True, False, False]
+    assert [holds(most, x) for x in (1.0, 100.0, 100.1, None)] == [True, True, False, False]
+
+
+def test_every_mission_says_its_source_and_what_is_assumed():
+    for name in mission_names():
+        mission = load_mission(name)
+        assert mission.source
+        assert mission.published
+        assert mission.assumed
+    with pytest.raises(CampaignError, match="did you mean 'paper'"):
+        load_mission("papre")
+
+
+def test_the_page_opens_offline_and_holds_every_number(mission, folder):
+    board = run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
+    checks = list(check_mission(board))
+    page = benchmark_page([board], checks)
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert "1000000000" in page or "10⁹" in page
+    data = benchmark_data([board], checks)
+    assert data["missions"]["postcapture"]["laws"]["tdc"]["outcomes"] == ["settled"] * 3
+    assert data["published_figures"][0]["reproduced"] is True
+    assert json.loads(json.dumps(data)) == data
+    assert np.isfinite(data["missions"]["postcapture"]["laws"]["tdc"]["itae"])
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path, monkeypatch):
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text("extends: postcapture\nduration: 0.2\n")
+    words = [
+        "benchmark",
+        str(scenario),
+        "-c",
+        "tdc",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    for _ in range(2):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 0, result.output
+        assert "tdc  " in result.output
+    assert (tmp_path / "o" / "benchmark.html").is_file()
+    assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
+    missed = Published(figure="isv", value=1.0, source="a test")
+    monkeypatch.setattr(missions, "controller_names", lambda: ("tdc",))
+    monkeypatch.setattr(
+        missions,
+        "check_mission",
+        lambda board: [Reproduced(mission="short", published=missed, found=2.0)],
+    )
+    words.remove("-c")
+    words.remove("tdc")
+    assert CliRunner().invoke(main, words).exit_code == 3
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[" * 100_000,
+        "[]",
+        "{}",
+        "null",
+        json.dumps(dict.fromkeys(missions.FIGURES, "<b>")),
+        "x" * 200_000,
+    ],
+)
+def test_a_benchmark_takes_no_figures_from_another_file(text, tmp_path):
+    """They are then found anew."""
+    found = dict.fromkeys(missions.FIGURES, 1.0)
+    path = tmp_path / "figures.json"
+    path.write_text(json.dumps(found))
+    assert missions._read_figures(path) == found
+    path.write_text(text)
+    assert missions._read_figures(path) is None

@@ -1,0 +1,36 @@
+"""Hidden coordinates in live views."""
+
+import dataclasses
+
+import pytest
+
+from ffsm_drake.plugins.interactive.live import LiveReplay
+from ffsm_drake.plugins.interactive.panel import watch
+from ffsm_drake.show.meshcat import start_meshcat
+
+PORT = "model.flexible.port={position: [0, 1, 0], frequency: 1}"
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return start_meshcat()
+
+
+@pytest.fixture
+def record(run):
+    return run("postcapture", "controller=tdc", "duration=0.3", PORT)
+
+
+def test_live_replay_says_how_much_larger(meshcat, record):
+    data = record.dataset.copy(deep=True)
+    data["hidden_position"] *= 2e-3 / abs(data["hidden_position"]).max()
+    replay = LiveReplay(dataclasses.replace(record, dataset=data), meshcat=meshcat)
+    assert any("panels x 50" in name for name in meshcat.GetButtonNames())
+    assert replay.step(0.1)
+    replay.close()
+
+
+def test_a_run_to_watch_is_the_run(meshcat, record):
+    watched = watch(record.scenario, meshcat=meshcat, wait=lambda seconds: None)
+    assert watched.dataset["hidden_position"].equals(record.dataset["hidden_position"])
+    assert meshcat.HasPath("visualizer/flexible/port")

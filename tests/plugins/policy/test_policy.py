@@ -1,0 +1,236 @@
+"""A trained policy as a control law: a linear one is a PD law, and a bad file has its line."""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from ffsm_drake import BlockError, ScenarioError, load_scenario, simulate, stability
+from ffsm_drake.campaign.spec import load_spec, spec_from_json
+from ffsm_drake.runs.batches import run_many
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import make_controller
+from ffsm_drake.systems.registry import find_factory
+
+onnx = pytest.importorskip("onnx", reason="needs onnx, of the extra test")
+pytest.importorskip("onnxruntime", reason="needs onnxruntime, an extra")
+
+from ffsm_drake.plugins.policy.policy import observation_names  # noqa: E402
+
+GAINS = {"base_rotation": (300.0, 600.0), "base_position": (300.0, 600.0), "joints": (30.0, 60.0)}
+SCALE = 1000.0
+
+
+PD_LAW = f"""
+import dataclasses
+import numpy as np
+from ffsm_drake import ControlLaw, gain
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Pd(ControlLaw):
+    k_p: np.ndarray = gain({ {name: values[0] for name, values in GAINS.items()} })
+    k_d: np.ndarray = gain({ {name: values[1] for name, values in GAINS.items()} })
+
+    def step(self, sample, state):
+        return self.k_p * sample.e + self.k_d * sample.e_dot, state
+"""
+
+
+def linear_policy(path, weights, metadata, size=None):
+    """An ONNX file: actions = weights times observations."""
+    actions, observations = weights.shape
+    shapes = {"observation": [1, size or observations], "action": [1, actions]}
+    ports = [
+        onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+        for name, shape in shapes.items()
+    ]
+    given = np.zeros((size or observations, actions), np.float32)
+    given[:observations] = weights.T
+    graph = onnx.helper.make_graph(
+        [onnx.helper.make_node("MatMul", ["observation", "weights"], ["action"])],
+        "linear",
+        ports[:1],
+        ports[1:],
+        [onnx.numpy_helper.from_array(given, "weights")],
+    )
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
+    model.ir_version = 9
+    onnx.helper.set_model_props(model, metadata)
+    onnx.save(model, path)
+
+
+def metadata_of(scenario, coordinates, **changes):
+    names = observation_names(scenario, coordinates, tracks_frame=False)
+    return {
+        "observation_names": json.dumps(names),
+        "action_names": json.dumps(coordinates.names),
+        "scale": json.dumps([SCALE] * len(coordinates.names)),
+        "action": "force",
+        **changes,
+    }
+
+
+@pytest.fixture(scope="module")
+def pd(tmp_path_factory, coordinates):
+    """A folder with the PD law, ``written_pd:Pd``, and as a policy, ``pd.onnx``."""
+    folder, names = tmp_path_factory.mktemp("policy"), coordinates.names
+    (folder / "written_pd.py").write_text(PD_LAW)
+    weights = np.zeros((len(names), 4 * len(names) + 1))
+    for i, group in enumerate(coordinates.group_of):
+        weights[i, [i, len(names) + i]] = np.array(GAINS[group]) / SCALE
+    scenario = load_scenario("postcapture")
+    linear_policy(folder / "pd.onnx", weights, metadata_of(scenario, coordinates))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def coordinates():
+    return make_nominal_plant(load_scenario("postcapture")).coordinates
+
+
+def flown(folder, *changes):
+    given = ["controller=policy:pd.onnx", f"python_path=[{folder}]", *changes]
+    return load_scenario("postcapture", given)
+
+
+def test_a_linear_policy_runs_and_is_judged_as_the_pd_law(pd):
+    scenario = flown(pd, "duration=2")
+    written = scenario.replace(controller="written_pd:Pd")
+    run, same = (simulate(each, check_stability=False) for each in (scenario, written))
+    for name in ("position", "velocity", "generalized_force"):
+        np.testing.assert_allclose(
+            run.dataset[name].values, same.dataset[name].values, rtol=0.0, atol=1e-6
+        )
+    own, other = stability(scenario), stability(written)
+    np.testing.assert_allclose(own.eta, other.eta, atol=1e-6)
+    for loop, wanted in zip(own.loops, other.loops, strict=True):
+        np.testing.assert_allclose(loop.samples[0].c, wanted.samples[0].c, atol=1e-2)
+        assert loop.spectral_radius == pytest.approx(wanted.spectral_radius, abs=1e-6)
+
+
+def test_the_record_of_a_policy_can_be_repeated(pd, tmp_path, monkeypatch):
+    monkeypatch.chdir(pd)
+    scenario = load_scenario("postcapture", ["controller=policy:pd.onnx", "duration=0.2"])
+    run = simulate(scenario, check_stability=False)
+    monkeypatch.chdir(tmp_path)
+    again = simulate(run.scenario, check_stability=False)
+    np.testing.assert_array_equal(again.dataset.position.values, run.dataset.position.values)
+
+
+@pytest.mark.parametrize(
+    "name", ["reach.onnx", "sub/policy-v2.onnx", "a b/ü (1).onnx", "v1.2@x.onnx"]
+)
+def test_a_policy_stands_beside_the_scenario(name, pd, tmp_path, monkeypatch):
+    """Whatever its name; in the scenario, its record, a campaign, and after a move of all."""
+    there, away = tmp_path / "there", tmp_path / "away"
+    away.mkdir()
+    (there / name).parent.mkdir(parents=True)
+    shutil.copyfile(pd / "pd.onnx", there / name)
+    (there / "s.yaml").write_text(
+        json.dumps({"extends": "postcapture", "duration": 0.1, "controller": f"policy:{name}"})
+    )
+    mass = {"payload.truth.mass": {"distribution": "uniform", "low": 20, "high": 300}}
+    spec = {"scenario": "s.yaml", "controllers": [f"policy:{name}"], "cases": 2}
+    (there / "c.yaml").write_text(json.dumps({**spec, "parameters": mass}))
+    monkeypatch.chdir(away)
+    run = simulate(load_scenario(str(there / "s.yaml")), check_stability=False)
+    run.save(there / "out" / "run")
+    assert load_spec(there / "c.yaml").controllers == (f"policy:{(there / name).resolve()}",)
+    text = load_spec(there / "c.yaml").to_json(there)
+    there.rename(tmp_path / "moved")
+    moved = tmp_path / "moved"
+    assert spec_from_json(text, moved).controllers == (f"policy:{(moved / name).resolve()}",)
+    again = simulate(load_scenario(str(moved / "out" / "run")), check_stability=False)
+    np.testing.assert_array_equal(again.dataset.position.values, run.dataset.position.values)
+
+
+def test_the_law_of_a_file_is_registered_or_named_beside_it(pd, tmp_path, coordinates):
+    """The law by metadata is not imported; the user's word is."""
+    scenario = load_scenario("postcapture", ["duration=0.2"])
+    metadata = metadata_of(scenario, coordinates, action="residual", law="written_pd:Pd")
+    size = len(coordinates.names)
+    linear_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
+    where = [f"python_path=[{tmp_path}, {pd}]", "duration=0.2"]
+    sys.modules.pop("written_pd", None)
+    with pytest.raises(BlockError, match=r"law is one of tdc, .*policy:none.onnx@module:attribute"):
+        simulate(load_scenario("postcapture", [*where, "controller=policy:none.onnx"]))
+    assert "written_pd" not in sys.modules
+    gains = ["controllers={Pd: {k_p: 50}}"]
+    named = load_scenario(
+        "postcapture", [*where, *gains, "controller=policy:none.onnx@written_pd:Pd"]
+    )
+    own = load_scenario("postcapture", [*where, *gains, "controller=written_pd:Pd"])
+    found, wanted = (simulate(each, check_stability=False) for each in (named, own))
+    np.testing.assert_array_equal(found.dataset.position.values, wanted.dataset.position.values)
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("name", ["policy:", "policy:a\nb.onnx", "policy:\x07.onnx", "policy"])
+def test_a_policy_without_a_file_is_refused(name):
+    if name == "policy":
+        load_scenario("postcapture", [{"controller": name}])  # a name
+        return
+    with pytest.raises(ScenarioError, match="must be policy:FILE"):
+        load_scenario("postcapture", [{"controller": name}])
+
+
+def test_runs_of_a_policy_go_side_by_side(pd):
+    scenarios = [flown(pd, "duration=0.2").replace(random_seed=seed) for seed in (1, 2)]
+    together, alone = (dict(run_many(scenarios, batch=batch)) for batch in (2, 1))
+    for index, log in alone.items():
+        np.testing.assert_array_equal(together[index].series["state"], log.series["state"])
+
+
+@pytest.mark.parametrize("steps", [1, 4])
+def test_a_residual_of_zero_is_the_law_that_it_changes(steps, tmp_path, coordinates):
+    scenario = load_scenario("postcapture", ["duration=0.3", "controller=tdc"])
+    metadata = metadata_of(
+        scenario, coordinates, action="residual", law="tdc", samples_per_step=str(steps)
+    )
+    size = len(coordinates.names)
+    linear_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
+    own = scenario.replace(
+        controller="policy:none.onnx", python_path=[str(tmp_path)], controllers=scenario.controllers
+    )
+    found, wanted = (simulate(each, check_stability=False) for each in (own, scenario))
+    np.testing.assert_array_equal(found.dataset.position.values, wanted.dataset.position.values)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "size", "line"),
+    [
+        ({"action_names": '["joint_9"]', "scale": "[1]"}, None, "its output has the shape"),
+        ({"scale": "[1, 2]"}, None, "scale a number for each action"),
+        ({"action": "torque"}, None, "action is one of force"),
+        ({"scale": "1 2"}, None, "metadata"),
+        ({}, 50, "its input has the shape (1, 50); must be (1, 45)"),
+    ],
+)
+def test_a_bad_file_has_one_clear_line(metadata, size, line, tmp_path, coordinates):
+    given = metadata_of(load_scenario("postcapture"), coordinates, **metadata)
+    linear_policy(tmp_path / "bad.onnx", np.zeros((11, 45)), given, size)
+    with pytest.raises(BlockError) as raised:
+        find_factory("controller", "policy:bad.onnx", python_path=[str(tmp_path)])
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_is_none_is_named(tmp_path, coordinates):
+    (tmp_path / "text.onnx").write_text("no network")
+    linear_policy(tmp_path / "bare.onnx", np.zeros((11, 45)), {})
+    for name, line in {
+        "text.onnx": "text.onnx is no ONNX model",
+        "none.onnx": "there is no such file",
+        "bare.onnx": "lacks metadata 'observation_names'",
+    }.items():
+        with pytest.raises(BlockError, match=line):
+            find_factory("controller", f"policy:{name}", python_path=[str(tmp_path)])
+
+
+def test_a_policy_of_another_task_is_refused(pd):
+    changes = ["controller=policy:pd.onnx", f"python_path=[{pd}]"]
+    scenario = load_scenario("free_floating", changes)
+    with pytest.raises(BlockError, match="number 1 of its actions is 'base_rotation_x'"):
+        make_controller(scenario, make_nominal_plant(scenario))
