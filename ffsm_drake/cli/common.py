@@ -442,12 +442,3 @@ def search_progress() -> Callable[[int, str], None]:
             click.echo(f"\r{line}" if is_terminal else line, nl=not is_terminal, err=True)
 
     return show
-
-
-def batch_progress(done: int, total: int, following: str) -> None:
-    """Progress of many runs: an updated line on a terminal, else a line every twenty runs."""
-    line = f"{done:3d} of {total} runs: {following}"
-    if sys.stderr.isatty():
-        click.echo(f"\r{line:<100}" + ("\n" if done == total else ""), nl=False, err=True)
-    elif done % 20 == 0 or done == total:
-        click.echo(line, err=True)

@@ -64,16 +64,16 @@ def test_the_rest_works_without(deleted, tmp_path):
     for name in deleted:
         shutil.rmtree(copy / "plugins" / name)
     missing = [(name, words) for name in deleted for words in NEEDED[name]]
-    commands = [SHORT, ["--help"], *(words for _, words in missing)]
+    commands = [SHORT, ["--help"], ["doctor"], *(words for _, words in missing)]
     done = finished(
         [sys.executable, "-c", CODE, json.dumps([deleted, commands])],
         check=True,
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(copy.parent)},
     )
-    file, (run, listed, *refused) = json.loads(done.stdout.splitlines()[-1])
+    file, (run, listed, examined, *refused) = json.loads(done.stdout.splitlines()[-1])
     assert Path(file).parent == copy
-    assert run[0] == listed[0] == 0, run
+    assert run[0] == listed[0] == examined[0] == 0, (run, examined)
     for (name, words), (code, said) in zip(missing, refused, strict=True):
         assert code == 2, (words, said)
         lines = [line for line in said.splitlines() if not line.startswith("warning: ")]

@@ -1,10 +1,11 @@
 """The command about the paper: reproduce."""
 
+import sys
 from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.common import batch_progress, out_option
+from ffsm_drake.cli.common import out_option
 
 
 @click.command()
@@ -27,5 +28,14 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
     """
     from ffsm_drake.plugins.paper import reproduce as reproduce_paper
 
-    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=batch_progress)
+    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=_show_progress)
     click.echo(f"Written to {out}; open {main_file}")
+
+
+def _show_progress(done: int, total: int, following: str) -> None:
+    """Progress of many runs: an updated line on a terminal, else a line every twenty runs."""
+    line = f"{done:3d} of {total} runs: {following}"
+    if sys.stderr.isatty():
+        click.echo(f"\r{line:<100}" + ("\n" if done == total else ""), nl=False, err=True)
+    elif done % 20 == 0 or done == total:
+        click.echo(line, err=True)
