@@ -33,8 +33,8 @@ _FOLDER = Path("out/campaigns")
 def campaign() -> None:
     """Run a scenario thousands of times with dispersed values; one database, one report.
 
-    A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) says what is
-    dispersed and how; see docs/campaigns.md. Every controller runs the same cases. The results do
+    A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) defines the
+    dispersed values; see docs/campaigns.md. Every controller runs the same cases. The results do
     not depend on the workers.
 
     \b
@@ -57,7 +57,9 @@ _scheduler_option = click.option(
     help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786.",
 )
 _slurm_option = click.option(
-    "--slurm", is_flag=True, help="Under srun: its tasks are the cluster, one of them the driver."
+    "--slurm",
+    is_flag=True,
+    help="Use the tasks of srun as the cluster, with one of them as the driver.",
 )
 _source = click.argument("source", metavar="SPEC|DATABASE")
 _database_option = click.option(
@@ -66,7 +68,7 @@ _database_option = click.option(
     help="Default: out/campaigns/NAME.db.",
 )
 _cases_option = click.option(
-    "--cases", type=click.IntRange(min=1), help="Number of cases instead of the specified."
+    "--cases", type=click.IntRange(min=1), help="Number of cases, in place of the specification's."
 )
 
 
@@ -107,8 +109,8 @@ def run(
 ) -> None:
     """Run a campaign into a new database.
 
-    Ctrl-C stops after the current runs (exit code 130); 'resume' continues, as it does after a
-    crash. The N shards of a job array run into a database each; 'merge' joins them.
+    Ctrl-C stops after the current runs (exit code 130); 'resume' continues, also after a crash.
+    Each of the N shards of a job array has its own database; 'merge' joins them.
 
     \b
     Examples:
@@ -132,7 +134,7 @@ def run(
 def merge(databases: tuple[Path, ...], out: Path) -> None:
     """Join the databases of a campaign's shards: the tables are those of one run, bit for bit.
 
-    Refuses databases of different campaigns, and runs that two of them hold.
+    Refuses databases of different campaigns, and duplicate runs.
 
     \b
     Example:
@@ -200,8 +202,8 @@ def rerun(
 ) -> None:
     """Repeat one case with its full record and recording, and compare with the stored row.
 
-    Exits with 3 when a value differs from the stored one, for instance because of other software
-    or another processor.
+    Exits with 3 if a value differs from the stored one, for instance with other software or another
+    processor.
 
     \b
     Example:
@@ -289,7 +291,7 @@ def _default_database(spec: str, suffix: str = "") -> Path:
 
 
 def _locate(source: str, database: Path | None) -> Path:
-    """The database of a specification or path; it must hold that specification."""
+    """Find the database of a specification or path; it must contain that specification."""
     from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_data
     from ffsm_drake.campaign.store import open_store
 
@@ -355,14 +357,12 @@ def _print_status(path: Path) -> None:
 
 
 def processors() -> int:
-    """The processors that this process may use."""
+    """Number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class ProgressLine:
-    """A campaign's progress on standard error: a bar that fills up on a terminal, plain lines
-    elsewhere.
-    """
+    """A campaign's progress on standard error: a bar on a terminal, plain lines elsewhere."""
 
     def __init__(self, name: str = "") -> None:
         self._name = f"{name}: " if name else ""

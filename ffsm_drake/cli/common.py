@@ -109,7 +109,7 @@ def _command_of_plugin(name: str) -> click.Command:
 
 
 class _ForgivingStream:
-    """A text stream that drops lines it cannot write: a full disk must not end a run."""
+    """A text stream that drops lines on write errors: a full disk must not end a run."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self.written = stream, time.monotonic()
@@ -141,9 +141,8 @@ _LIVE = {"--live", "--controls", "--meshcat", "--foxglove"}
 
 
 def show_life(over: threading.Event, *, first: float | None = None, then: float = 10.0) -> None:
-    """Say on standard error that the command goes on, whenever it was silent there for ``first`` s
-    (default: 2 on a terminal, elsewhere 10), from the second time on for ``then`` s; until it is
-    ``over``.
+    """Print a sign of progress to standard error after ``first`` s of silence (default: 2 on a
+    terminal, elsewhere 10), later after ``then`` s, until it is ``over``.
     """
     stream, begun = sys.stderr, time.monotonic()
     silence = first or (2.0 if stream.isatty() else then)
@@ -155,7 +154,7 @@ def show_life(over: threading.Event, *, first: float | None = None, then: float 
 
 
 def end_threads(code: Any) -> None:
-    """End the process if a controller left threads running, which Python would wait for."""
+    """End the process if a controller left threads running; Python would wait for them."""
     left = [
         thread.name
         for thread in threading.enumerate()
@@ -247,7 +246,7 @@ rehearsal_option = click.option(
     "--rehearsal/--no-rehearsal",
     default=True,
     show_default=True,
-    help="Run the mission once, with its limits and noise: takes the time of a run.",
+    help="Also run the mission once, with limits and noise (takes the time of a run).",
 )
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead of text."
@@ -283,8 +282,8 @@ def override_options(
     multiple: bool = False,
     help: str = _CONTROLLER_HELP,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Add --controller, --set and --seed, which mean the same in every command: the command gets
-    ``overrides``, the later ones winning, --controller and --seed last.
+    """Add --controller, --set and --seed. The command receives ``overrides`` in order of
+    precedence: later ones win, --controller and --seed come last.
 
     With ``multiple`` --controller may be repeated, and comes as ``controllers``.
     """
@@ -333,7 +332,7 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
-    """Give errors after loading the place of their scenario key: the file, or an override."""
+    """Add the source of a scenario key, file or override, to errors raised after loading."""
     from ffsm_drake.scenario import Scenario, place_of, schema_fields
 
     try:

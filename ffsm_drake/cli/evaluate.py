@@ -34,13 +34,14 @@ if TYPE_CHECKING:
 @click.option(
     "--limits",
     is_flag=True,
-    help="Also how far gains, nominal payload, period, delay and flexible masses may change, each "
-    "alone; the time of five to thirty runs.",
+    help="Also find the stability limits of gains, nominal payload, period, delay and flexible "
+    "masses, one at a time (takes the time of five to thirty runs).",
 )
 @click.option(
     "--disk",
     is_flag=True,
-    help="Also disk margins: gain and phase at once, of each force alone and of all together.",
+    help="Also find disk margins (simultaneous gain and phase), for each force alone and for all "
+    "together.",
 )
 @out_option(help="Write stability.png here.")
 @json_option
@@ -54,9 +55,9 @@ def stability(
 ) -> None:
     """Margins of the sampled loop, and the verdict on the whole mission.
 
-    SCENARIO is a shipped name or a YAML file (default: postcapture). Margins are those from the
-    grasp on, without limits of actuators. The verdict covers every leg: linear, moving
-    as planned; and rehearsed, a run with limits and noise. Exits with 3 when the mission is not
+    SCENARIO is a shipped name or a YAML file (default: postcapture). Margins hold from the grasp
+    on, without actuator limits. The verdict covers every leg: the linear loop along the plan, and a
+    rehearsal, a run with limits and noise. Exits with 3 if the mission is not
     expected to go as planned, or the linear loop of a leg is unstable.
 
     \b
@@ -92,7 +93,7 @@ def stability(
 def _further_margins(
     scenario: "Scenario", margins: "Margins", *, limits: bool, disk: bool
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The margins that are found on request, as tables and plain data."""
+    """The optional margins, as tables and plain data."""
     from ffsm_drake.control_design.stability.boundaries import find_boundaries
     from ffsm_drake.control_design.stability.disk import disk_margins
     from ffsm_drake.show.tables import boundaries_table, disk_table
@@ -115,7 +116,7 @@ def _further_margins(
 def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     """Check the paper's proofs and claims on a recorded run.
 
-    RUN_DIR is a folder that holds record.nc and manifest.json. Prints the findings and draws them.
+    RUN_DIR is a folder with record.nc and manifest.json. Prints the findings and draws them.
 
     \b
     Example:
@@ -150,13 +151,13 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     type=FiniteFloat(),
     nargs=2,
     metavar="LOW HIGH",
-    help="Range of true masses that must be stable, kg.",
+    help="Range of true payload masses with a stable loop, kg.",
 )
 @click.option(
     "--trade",
     type=click.Choice(["accuracy", "effort", "margins"]),
     multiple=True,
-    help="What may get worse than with the given gains; may be repeated (default: nothing).",
+    help="Criterion allowed to get worse than with the given gains; repeatable (default: none).",
 )
 @click.option(
     "--time",
@@ -164,7 +165,8 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     type=FiniteFloat(),
     default=60.0,
     show_default=True,
-    help="Seconds for the whole command; then the best so far counts, as on Ctrl-C.",
+    help="Time limit of the whole command, s; then the best gains so far are used, as after "
+    "Ctrl-C.",
 )
 @out_option(default=Path("out/design"), show_default=True)
 @json_option
@@ -180,7 +182,7 @@ def design(
     """Choose gains and estimator for a scenario's sensors, delays, limits and payload range.
 
     The result is nowhere worse than the given gains by more than 2 %: no group's rms error, not the
-    effort, no margin, unless --trade says which may be. Writes design.yaml, a scenario to run, and
+    effort, no margin, except those named by --trade. Writes design.yaml, a scenario to run, and
     design.png, accuracy against effort. Exits with 3 when the chosen gains are unstable for some
     payload in the range.
 

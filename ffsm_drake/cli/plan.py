@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     type=FiniteFloat(min=0.0, min_open=True),
     default=300.0,
     show_default=True,
-    help="Seconds for the search; then the best so far counts, if it keeps every limit.",
+    help="Time limit of the search, s; then the best plan within every limit is used.",
 )
 @json_option
 def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: bool) -> None:

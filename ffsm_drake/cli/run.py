@@ -44,8 +44,7 @@ _require = click.option(
     "--require",
     type=click.Choice(["settled"]),
     help="Exit with 3 unless every run has settled as planned: over its last second every tracked "
-    "error is within 'tolerance', no parts came too near, and no limit was exceeded that nothing "
-    "enforces.",
+    "error is within 'tolerance', no parts came too near, and no unenforced limit was exceeded.",
 )
 
 
@@ -60,7 +59,7 @@ _require = click.option(
 @click.option(
     "--controls",
     is_flag=True,
-    help="As --meshcat, with an operator's panel; a code printed here unlocks it.",
+    help="Like --meshcat, with an operator's panel, unlocked by a printed code.",
 )
 def run(
     scenario: "Scenario",
@@ -74,8 +73,8 @@ def run(
 ) -> None:
     """Run a scenario and write its record and report.
 
-    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or the folder of a run, which is
-    then repeated in out/NAME_again and compared with the first record. The folder then holds
+    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or the folder of a run, to
+    repeat it in out/NAME_again and compare with the first record. The output folder then holds
     record.nc, metrics.json, manifest.json and report.html, one page with results, plots, recording,
     findings and margins. With --controls each run has its own folder. Exits with 3 when the run
     diverges, its errors grow at the end, or the target is not captured.
@@ -194,8 +193,8 @@ def compare(
 
 
 def _distances(records: Sequence["RunRecord"]) -> list[float]:
-    """Distance of each run's controller to the LQG limit; NaN if it is not known, with a line that
-    says why.
+    """Distance of each run's controller to the LQG limit; NaN, with a printed reason, if it is
+    unknown.
     """
     from ffsm_drake.common.errors import FfsmError, one_line
     from ffsm_drake.control_design.limit import find_limit
@@ -223,7 +222,7 @@ def _stem_of(scenario: "Scenario") -> str:
 
 
 def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
-    """Warn when a planned run will replace one with other settings."""
+    """Warn if a planned run will replace one with other settings."""
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.preflight.simulate import repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
@@ -266,7 +265,7 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
 
 
 def _saved(record: "RunRecord", directory: Path, before: Any) -> Path:
-    """Save a record; where it is if another one came into the folder during the run."""
+    """Save a record and return its folder: another one if the folder was filled during the run."""
     place = record.save(directory, replacing=before)
     if place != directory:
         line = f"{directory} holds another run by now, which stays; this one is in {place}"

@@ -115,12 +115,12 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
 @click.option(
     "--capture",
     metavar="RATE",
-    help="Grasp a target that tumbles at 3deg/s, or 0.05rad/s, after an approach.",
+    help="Approach and grasp a target tumbling at this rate, such as 3deg/s or 0.05rad/s.",
 )
 @click.option(
     "--driven",
     metavar="GROUPS",
-    help="What actuators move: all (default), base_rotation,joints, or joints.",
+    help="Actuated groups: all (default), base_rotation,joints, or joints.",
 )
 @json_option
 def new(
@@ -137,8 +137,8 @@ def new(
     """Start a scenario for your own servicer from its URDF.
 
     DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every
-    shipped controller, a copy of the URDF that Drake loads, and the drawable meshes. It can be
-    edited, moved or sent.
+    shipped controller, a copy of the URDF for Drake, and its meshes. The folder can be edited,
+    moved or sent.
 
     \b
     Examples:
@@ -175,7 +175,7 @@ def new(
 @click.command()
 @click.argument("name", required=False, shell_complete=complete_scenario)
 @click.option(
-    "--full", is_flag=True, help="Print every key: defaults, and what the scenario extends, too."
+    "--full", is_flag=True, help="Print every key, including defaults and inherited ones."
 )
 @json_option
 def scenarios(name: str | None, full: bool, as_json: bool) -> None:
@@ -269,7 +269,7 @@ def validate(
 
 
 def _validated(name: str, overrides: tuple[str, ...], *, rehearsal: bool) -> dict[str, Any]:
-    """All that ``validate`` says of a scenario, as plain data."""
+    """The results of ``validate`` for a scenario, as plain data."""
     from ffsm_drake.common.errors import ModelError
     from ffsm_drake.control_design.momentum import momentum_budget
     from ffsm_drake.preflight.remarks import plan_clearance, plan_remarks
