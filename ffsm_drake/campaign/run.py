@@ -44,7 +44,7 @@ _BATCHES_EACH = 4  # least number for each task in flight
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
     **error_row(
-        "WorkerLost: the worker process died each time it ran this, or went beyond time_limit"
+        "WorkerLost: the worker process died each time it ran this, or exceeded time_limit"
     ),
     "software": "unknown",
 }
@@ -133,8 +133,8 @@ def run_campaign(
       spec: a shipped name, a file, or a specification from ``load_spec``.
       database: the new file.
       workers: processes; default: one per processor.
-      batch: most cases that a worker runs side by side, default ``usual_batch``; no result
-        depends on it.
+      batch: largest number of cases side by side in a worker; default: ``usual_batch``. Results
+        do not depend on it.
       progress: called after every batch of results.
 
     Returns: the database, for ``open_store`` and ``ffsm campaign report``.

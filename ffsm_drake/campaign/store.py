@@ -201,7 +201,7 @@ class Store:
                 self._insert(case, controller, row)
             except sqlite3.IntegrityError:
                 raise CampaignError(
-                    f"{other.path}: a database before it holds case {case} with {controller} too"
+                    f"{other.path}: an earlier database also holds case {case} with {controller}"
                 ) from None
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
@@ -313,8 +313,7 @@ def check_columns(spec: Spec) -> None:
         if owner := taken.get(name.lower()):
             place = "factors." if name in spec.factors else ""
             raise CampaignError(
-                f"{place}{name}: is the name of a column {owner}, but for upper case; choose "
-                "another"
+                f"{place}{name}: is the name of a column {owner} (case is ignored); choose another"
             )
         taken[name.lower()] = f"already, '{name}'"
 

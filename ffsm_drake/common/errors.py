@@ -55,8 +55,8 @@ class ModelError(FfsmError):
 class BlockError(FfsmError):
     """A user-supplied controller or other block that cannot be loaded, built, wired or run.
 
-    Where it fails in a run, ``log`` (of ``Rollout.run``) and ``record`` (of ``simulate``) hold the
-    samples before; otherwise they are None.
+    After a failure in a run, ``log`` (of ``Rollout.run``) and ``record`` (of ``simulate``) hold the
+    samples before it; otherwise they are None.
     """
 
     log: Any = None

@@ -88,10 +88,10 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
     """A field of a dataclass that is a setting; instances share no mutable default.
 
     Args:
-      default: its value where none is given.
-      unit: such as "N m or N"; empty for a text, or a number without unit.
-      meaning: one line.
-      limits: the further fields of ``Setting``; ``size`` may be one number, for exactly so many.
+      default: default value.
+      unit: unit, such as "N m or N"; empty for a text, or a number without unit.
+      meaning: meaning, one line.
+      limits: further fields of ``Setting``; ``size`` may be one number, for an exact size.
     """
     if isinstance(size := limits.get("size"), int):
         limits["size"] = (size, size)

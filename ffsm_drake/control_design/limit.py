@@ -1,13 +1,13 @@
 """The limit of linear controllers: the LQG front of error against effort, and a controller's
 distance to it.
 
-The model is that of the closed loop at the middle of the planned motion: the true plant, sampled;
-the scenario's sensor noise, white, correlated and of biases that walk at random; and, in place of
-everything unknown to the controller, an acceleration d that walks at random, as fast as the planned
+The model is the closed loop at the middle of the planned motion: the true plant, sampled;
+the scenario's sensor noise, white, correlated and with random walks of biases; and, in place of
+everything unknown to the controller, an acceleration d with a random walk, as fast as the planned
 motion and the disturbance require. The linear quadratic Gaussian controller then has the least mean
-square error for its effort, counted as the excess over the force -H d that compensates d (H: mass
+square error for its effort, counted as the excess over the compensating force -H d (H: mass
 matrix). Its filter knows the noise model: every process with memory is one of its states. Delays
-and slow sensors, which only raise the limit, are left out, and so are constant biases of limit and
+and slow sensors only raise the limit and are omitted, as are constant biases of limit and
 controller. Kalman filter, shaping filters and regulator: Franklin, Powell and
 Workman, Digital Control of Dynamic Systems, chapter 9.
 """
@@ -69,10 +69,10 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
 
     Args:
       scenario: the scenario.
-      demand: that of the scenario; None: it is computed.
+      demand: demand of the scenario; None: computed.
 
-    Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a
-    frame; FfsmError for a run of one control period, whose demand has no rate.
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``; BlockError for a controller tracking
+    a frame; FfsmError for a run of one control period (its demand has no rate).
     """
     scenario = from_grasp(scenario)
     if scenario.num_control_periods < 2:
@@ -114,7 +114,7 @@ class _SensorNoise:
 
     white: np.ndarray  # standard deviations
     correlated: np.ndarray
-    time_constant: np.ndarray  # of the correlated noise, s
+    time_constant: np.ndarray  # time constant of the correlated noise, s
     bias_walk: np.ndarray  # (nv) of the velocities' biases, per sqrt(s)
 
 
@@ -147,7 +147,7 @@ def _filter(
     decoupled. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
     """
     step, size = sample_time, np.array([sample_time**2, sample_time])
-    kept = np.exp(-step / noise.time_constant)  # of the correlated noise, from sample to sample
+    kept = np.exp(-step / noise.time_constant)  # decay in one sample
     transition = np.tile(np.eye(6), (len(walk), 1, 1))
     transition[:, :3, :3] = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
     transition[:, [4, 5], [4, 5]] = kept

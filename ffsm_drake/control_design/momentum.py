@@ -1,8 +1,8 @@
-"""The momentum of a captured target: where it goes after the grasp, and for how long.
+"""The momentum of a captured target: its storage after the grasp, and the time until exhaustion.
 
-Momentum that no force or torque takes out stays in the stack. Actuators that store angular momentum
-hold it up to their limit, an arm as long as its joints can turn; the rest turns the stack, and
-linear momentum makes it drift.
+Momentum stays in the stack unless a force or torque removes it. Momentum-storing actuators hold
+angular momentum up to their limit, an arm as long as its joints can turn; the rest turns the stack,
+and linear momentum makes it drift.
 """
 
 import dataclasses
@@ -41,7 +41,7 @@ _INSTANTS = 201  # instants of the planned motion, and of the time after it as d
 _INSTANTS_AFTER = 2001
 _STEP = 0.1  # rad or m, largest step of a joint in the arm's motion
 _SHARE = 0.2  # largest step, as a share of the time until the first joint is at its limit
-_LAST = 0.1  # s, at which that time counts as used up
+_LAST = 0.1  # s, remaining time that counts as zero
 _TURN = 2.0 * math.pi  # rad or m, the range assumed of a joint without limits
 _MOMENTA = {"base_rotation": "angular", "base_position": "linear"}
 _BEYOND = f"more than {LONGEST:g} s"
@@ -57,7 +57,7 @@ class StorageBudget:
     momentum: float  # N m s; to be held, with what it holds at the start
     capacity: float  # N m s; along the momentum, at the end of the planned motion
     least_capacity: float  # N m s; along the worst direction
-    share: float  # of the fullest unit at the end; above 1 the attitude cannot be held
+    share: float  # filled share of the fullest unit at the end; above 1 the attitude cannot be held
     peak_share: float  # over the planned motion
     fullest: str  # the unit of ``peak_share``
     least_time: float  # s; in which the largest torque takes the momentum up
@@ -69,7 +69,7 @@ class ArmBudget:
 
     # N m s; along the momentum, within the joints' rate limits; None: there are none
     capacity: float | None
-    # s for which a motion was found that holds all of it; None: longer than ``LONGEST``
+    # s; duration of the motion found that holds all of it; None: longer than ``LONGEST``
     time: float | None
     ended_by: str  # the limit that ends it; "" for none
 
@@ -84,7 +84,7 @@ class MomentumBudget:
     # s; by driven group of the base: the shortest time in which its force or torque takes the
     # momentum out; 0: no limit
     least_time: dict[str, float]
-    storage: StorageBudget | None  # of the actuator that alone holds the attitude
+    storage: StorageBudget | None  # storage of the actuator that alone holds the attitude
     arm: ArmBudget | None  # where the attitude is undriven
     drift: float | None  # m/s; of the centre of mass; None: the base's position is driven
     # rad/s; of the stack with its joints at rest as planned; None: its attitude is held
@@ -98,12 +98,12 @@ class MomentumBudget:
 def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
     """The momentum budget of a scenario after the grasp; None without a capture.
 
-    The arm's time is that of a motion that holds all of the angular momentum at every instant, at
-    the rates that exhaust the first joint's range latest; another motion may last longer. With a
-    user-supplied reference the posture is that of the grasp.
+    The arm's time is the duration of a motion with all of the angular momentum in the arm at every
+    instant, at rates chosen to delay the first joint limit; another motion may last longer. With a
+    user-supplied reference the posture of the grasp is used.
 
     Raises:
-      ModelError, ScenarioError: as ``make_motion``.
+      ModelError, ScenarioError: see ``make_motion``.
     """
     if scenario.capture is None:
         return None
@@ -359,7 +359,8 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
         return []
     linear, angular = (number(math.hypot(*budget[key])) for key in ("linear", "angular"))
     lines = [
-        f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"
+        f"momentum after the planned grasp: {linear} N s, and {angular} N m s about the centre of "
+        "mass"
     ]
     storage, arm, turning = budget["storage"], budget["arm"], ""
     if budget["rate"] is not None:
@@ -368,15 +369,16 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
         if group in budget["least_time"] and (storage is None or group == "base_position"):
             least = budget["least_time"][group]
             within = f" in at least {number(least, 3)} s" if least > 0.0 else ""
-            lines.append(f"{what} on the base takes out the {_MOMENTA[group]} momentum{within}")
+            lines.append(f"{what} on the base removes the {_MOMENTA[group]} momentum{within}")
     if storage is not None:
         lines.append(
-            f"{storage['name']}: with their own the {number(storage['momentum'])} N m s of angular "
-            f"momentum fill {storage['fullest']} to "
+            f"{storage['name']}: the {number(storage['momentum'])} N m s of angular momentum, "
+            "added to "
+            f"their own, fill {storage['fullest']} to "
             f"{percent(storage['share'])}, to {percent(storage['peak_share'])} on the way, in at "
             f"least {number(storage['least_time'], 3)} s; the capacity is "
-            f"{number(storage['capacity'], 3)} N m s along it and "
-            f"{number(storage['least_capacity'], 3)} along the worst direction"
+            f"{number(storage['capacity'], 3)} N m s in this direction and "
+            f"{number(storage['least_capacity'], 3)} in the worst direction"
             + (f"; the rest {turning}" if turning else "")
         )
     if arm is not None:
@@ -386,12 +388,13 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
         if arm["capacity"] is not None:
             rates = f"; its rate limits allow {number(arm['capacity'], 3)} N m s"
         lines.append(
-            f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}"
+            "arm: it can hold the angular momentum, with the base's attitude held, for "
+            f"{until}{rates}"
         )
         lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
     if budget["drift"] is not None:
         lines.append(
-            f"linear momentum stays: the stack of {budget['mass']:g} kg drifts at "
+            f"linear momentum remains: the stack of {budget['mass']:g} kg drifts at "
             f"{number(1e3 * budget['drift'], 3)} mm/s"
         )
     for group, time in budget["used_up"].items():
@@ -410,6 +413,7 @@ def storage_remark(budget: MomentumBudget) -> str:
     left = number(storage.momentum, 3)
     return (
         f"{storage.name}: to hold the attitude after the grasp {storage.fullest} would be filled "
-        f"to {percent(storage.peak_share)}; {left} N m s are left in the stack, along which the "
-        f"capacity is {number(storage.capacity, 3)}"
+        f"to {percent(storage.peak_share)}; {left} N m s are left in the stack, and the capacity "
+        "in "
+        f"this direction is {number(storage.capacity, 3)}"
     )

@@ -201,7 +201,7 @@ class _Making:
         if len({tuple(own) for own in self._owns}) > 1:
             raise NotAlike("the sections of the copies' scenarios differ")
         if len(scenarios) > 1 and "supervisor" in self._owns[0]:
-            raise NotAlike("a law that starts afresh does so for all copies")
+            raise NotAlike("a restart of the law affects all copies")
         if len(scenarios) > 1 and any(scenario.faults for scenario in scenarios):
             raise NotAlike("a spacecraft with faults runs alone")
         self._setups = [

@@ -76,7 +76,7 @@ SIGNALS = (
 class ClosedLoop:
     """The plant and the blocks of a closed loop, wired.
 
-    One of several copies of the spacecraft, each with a scenario of its own, has the same ports,
+    A loop with several copies of the spacecraft, each with its own scenario, has the same ports,
     with the values of copy after copy.
     """
 
@@ -182,7 +182,7 @@ class ClosedLoop:
         self.set_payloads(root_context, [properties])
 
     def set_payloads(self, root_context: Context, properties: Sequence[MassProperties]) -> None:
-        """As ``set_payload``, the properties of each copy's payload."""
+        """Set the true mass properties of each copy's payload; see ``set_payload``."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         if self.copies is None:
             change_payload(self.plant, context, self.scenario, properties[0])
@@ -199,8 +199,8 @@ class ClosedLoop:
         self.set_whole_states(root_context, self.split.whole(state)[None])
 
     def set_whole_states(self, root_context: Context, rows: np.ndarray) -> None:
-        """As ``set_state``, for the plant's own [q; v], with the hidden state, of each copy: a row
-        (B, nq + nv) for each.
+        """Set the plant's own [q; v], with the hidden state, of each copy: rows (B, nq + nv). See
+        ``set_state``.
         """
         state = rows[0] if self.copies is None else self.copies.whole(rows)
         self.plant.SetPositionsAndVelocities(
@@ -216,7 +216,7 @@ class ClosedLoop:
         return state[None] if self.copies is None else self.copies.rows(state)
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
-        """Reset the blocks, without history, to a known state [q; v], or to one of each copy."""
+        """Reset the blocks, without history, to a known state [q; v], or to one state per copy."""
         self._tell("set_initial_state", root_context, state)
 
     def _tell(self, method: str, root_context: Context, what: Any) -> None:
@@ -247,7 +247,7 @@ class ClosedLoop:
           root_context: this loop's root context.
           before: the other loop.
           context_before: the other loop's root context.
-          references: [q_d; v_d] where this loop's motion begins, of each copy: (B, nq + nv).
+          references: [q_d; v_d] at the start of this loop's motion, for each copy: (B, nq + nv).
           afresh: the controller keeps its own state.
         """
         for name, block in self.blocks.items():
@@ -314,15 +314,15 @@ def add_closed_loop(
         They have the same model, sample time and kinds of blocks (``systems.side_by_side``).
       blocks: block -> factory (BlockSetup -> Drake system) in place of the scenario's choice,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
-      plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
-        otherwise one without geometry is added.
+      plant: the plant, if already in the diagram (``add_combined_plant``, for display); default: a
+        new plant without geometry.
       joint_force: (joints), constant force of the joints' actuators in place of the command.
 
     Raises:
       ModelError: the model does not load.
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
-      BlockError: a user-supplied block cannot be loaded, built or wired; NotAlike, one of these:
-        the blocks of several scenarios cannot stand side by side.
+      BlockError: a user-supplied block cannot be loaded, built or wired; its subclass NotAlike: the
+        blocks of several scenarios cannot be placed side by side.
     """
     scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
     first = scenarios[0]

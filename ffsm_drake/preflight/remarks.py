@@ -211,8 +211,7 @@ def _momentum(scenario: Scenario) -> Iterator[str]:
     for group, time in budget.used_up.items():
         if time is not None and time < scenario.duration:
             yield (
-                f"capture.accepted_drift.{group}: is used up {time:.3g} s after the grasp, as "
-                "planned"
+                f"capture.accepted_drift.{group}: exceeded {time:.3g} s after the grasp, as planned"
             )
 
 
@@ -298,9 +297,9 @@ def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
     if fast:
         name = max(fast, key=lambda each: fast[each])
         yield (
-            f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s turns by "
-            f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is integrated as a force "
-            f"that it is not; take simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
+            f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s advances by "
+            f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is aliased by the "
+            f"integrator; take simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
         )
 
 
@@ -317,7 +316,6 @@ def _overridden_mass(scenario: Scenario, plant: MultibodyPlant) -> Iterator[str]
     shipped = source.startswith("package://ffsm_drake/")
     if not shipped and own > 0.0 and abs(own - given) > _SAME_MASS * given:
         yield (
-            f"payload.truth.mass: {given:.4g} kg takes the place of the {own:.4g} kg that the "
-            "URDF gives "
-            f"{scenario.payload.body}"
+            f"payload.truth.mass: {given:.4g} kg replaces the {own:.4g} kg of "
+            f"{scenario.payload.body} in the URDF"
         )

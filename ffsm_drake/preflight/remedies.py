@@ -75,7 +75,7 @@ def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Adv
         ("a smaller K_s", _smaller(scenario, lambda name: name.startswith("k_s"))),
         ("smaller gains", _smaller(scenario, acts)),
         ("a shorter control period", _sooner(scenario)),
-        ("less delay, or one that the estimator knows", _less_delay(scenario)),
+        ("less delay, or a delay known to the estimator", _less_delay(scenario)),
     ):
         lighter = reason.startswith(_LIGHTER)  # which may be too light in the end
         limit = None if lighter else may_help
@@ -119,7 +119,7 @@ def _of_faults(scenario: Scenario) -> Iterator[Advice]:
     if scenario.faults is None or not scenario.faults.events or scenario.faults.detection:
         return
     known = iter([Changes({"faults.detection": {}})])
-    yield from _first(scenario, known, settles, "the flight software learns of the faults")
+    yield from _first(scenario, known, settles, "the flight software detects the faults")
 
 
 def _first(

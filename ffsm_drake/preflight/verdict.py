@@ -159,7 +159,7 @@ class Verdict:
         for each in self.planned:
             yield f"plan: {each}"
         if self.run is not None:
-            yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
+            yield f"rehearsed (one run, limits and noise, given seed): {self.run.sentence}"
             if self.is_linearly_unstable and self.run.ending.is_settled:
                 yield "they disagree: the linear loop is unstable, yet the run settles"
             if self._noises_are_contradicted:
@@ -195,7 +195,7 @@ class Verdict:
             )
             if part is not None
         ]
-        scope = f" (looked at: {'; '.join(covers) or 'nothing'})"
+        scope = f" (checked: {'; '.join(covers) or 'nothing'})"
         if self.is_alarm:
             return f"not expected to go as planned{scope}"
         if not covers:
@@ -239,7 +239,7 @@ class Verdict:
             yield self.linear.sentence
         if self._overloaded:
             share = f"{number(100.0 * (self.load or 0.0), 3)} %"
-            yield f"after the grasp it asks for {share} of the force's limit"
+            yield f"after the grasp it requires {share} of the force limit"
         if self.noises is not None and self._diverges_by_noise:
             yield f"under its limits: {self.noises}"
         if self.run is not None and self.run.is_alarm:

@@ -48,11 +48,11 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Ending:
-    """How a run ended, by its errors and their tolerances."""
+    """The ending of a run, from its errors and their tolerances."""
 
     status: str  # one of ENDINGS
-    sentence: str  # which errors, and how large
-    coordinate: str = ""  # the one furthest beyond its tolerance, or that diverged
+    sentence: str  # the errors and their sizes
+    coordinate: str = ""  # the coordinate furthest beyond its tolerance, or diverged
     # largest error over the last second, in tolerances; NaN where the run did not complete
     excess: float = float("nan")
     gave_up: bool = False  # it ended off its plan, its rates damped or on a retreat
@@ -63,7 +63,7 @@ class Ending:
 
     @property
     def is_failure(self) -> bool:
-        """Whether it failed, diverged, was about to, or did not capture its target."""
+        """Whether the run failed, diverged, was about to diverge, or missed its target."""
         return self.status in (GROWING, *NOT_CAPTURED, DIVERGED, FAILED)
 
 

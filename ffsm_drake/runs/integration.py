@@ -46,5 +46,5 @@ def integration_remarks(record: RunRecord) -> Iterator[str]:
         if share > MOMENTUM_TOLERANCE:
             yield (
                 f"{name} momentum is off by {residual:.3g} {unit}, {number(100.0 * share, 2)} % of "
-                f"what moves: the integrator does not follow this motion; {remedy}"
+                f"the moving momentum: the integrator is too coarse for this motion; {remedy}"
             )

@@ -49,9 +49,9 @@ def run_remarks(record: RunRecord) -> list[str]:
     for fault in () if faults is None else faults.events.values():
         if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
             found = [name for name in noticed if name.partition(" ")[0] == fault.unit]
-            told = "".join(f", noticed at {noticed.pop(name):.2f} s" for name in found[:1])
+            told = "".join(f", detected at {noticed.pop(name):.2f} s" for name in found[:1])
             remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on{told}")
-    remarks += [f"{name}: noticed at {at:.2f} s, and works" for name, at in noticed.items()]
+    remarks += [f"{name}: detected at {at:.2f} s, but works" for name, at in noticed.items()]
     remarks += broken_limits(record.scenario, record.dataset)
     try:
         run_clearance(record)

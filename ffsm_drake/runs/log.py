@@ -121,7 +121,7 @@ class RunLog:
 
     ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
     optional outputs and, with flexible parts, ``hidden_state``, each (n, its width):
-    a signal of sample k is the one that sample k used or produced.
+    the value at sample k was used or produced by sample k.
     """
 
     scenario: Scenario
@@ -137,7 +137,7 @@ class RunLog:
     tracks_frame: bool = False
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A signal at the samples (n, its width), or (n) where it is a single number."""
+        """A signal at the samples (n, its width), or (n) for a single number."""
         values = self.series.get(name)
         signal = next((each for each in signals_of(self.parts) if each.name == name), None)
         if signal is not None and signal.of is not None:
@@ -162,7 +162,7 @@ class RunLog:
 
     @functools.cached_property
     def part_figures(self) -> dict[str, list[Figure]]:
-        """Figures of the parts' metrics, by part. Raises BlockError where one fails."""
+        """Figures of the parts' metrics, by part. Raises BlockError if one fails."""
         return {name: list(figures_of(part, self)) for name, part in self.parts.items()}
 
     @property
@@ -178,7 +178,7 @@ class RunLog:
         )
 
     def with_role(self, role: str) -> np.ndarray | None:
-        """The sum of the signals with a role (n, 3); None where there are none."""
+        """The sum of the signals with a role (n, 3); None without such signals."""
         names = with_role(self.parts, role)
         return sum(self[name] for name in names) if names else None  # type: ignore[return-value]
 
@@ -199,8 +199,8 @@ class RunLog:
 
     @functools.cached_property
     def frame_error(self) -> np.ndarray | None:
-        """True pose error (n, 6; rotation vector, position; world) of the frame; None where none
-        has a reference.
+        """True pose error (n, 6; rotation vector, position; world) of the frame; None if no
+        frame has a reference.
         """
         desired = self.series.get("desired_frame")
         if desired is None and not self.tracks_frame:
@@ -231,7 +231,9 @@ class RunLog:
 
     @functools.cached_property
     def ending(self) -> Ending:
-        """How the run ended: settled, not settled, growing, not captured, diverged, interrupted."""
+        """The ending of the run: settled, not settled, growing, not captured, diverged,
+        interrupted.
+        """
         return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked, self)
 
     @functools.cached_property

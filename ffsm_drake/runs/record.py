@@ -124,7 +124,7 @@ class RunRecord:
 
     @functools.cached_property
     def ending(self) -> Ending:
-        """How the run ended: settled, not settled, growing, missed, diverged, interrupted."""
+        """The ending of the run: settled, not settled, growing, missed, diverged, interrupted."""
         data = vars(self)["_given"]
         if self.outcome.completed and "error" not in data:
             sentence = f"Completed {self.outcome.time:g} s; the record holds no errors."
@@ -212,10 +212,10 @@ class RunRecord:
 
     @classmethod
     def load(cls, directory: str | Path) -> "RunRecord":
-        """Read back what ``save`` wrote.
+        """Read a record from the folder given to ``save``.
 
-        Warns (StaleReportWarning) of a report of another run in the folder, or of another
-        comparison above it.
+        Warns (StaleReportWarning) if the folder has a report of another run, or its parent a report
+        of another comparison.
 
         Raises:
           RecordError: a file is missing or cannot be used.

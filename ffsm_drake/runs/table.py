@@ -18,8 +18,8 @@ _UNIT, EFFORT = "rad (rotations) or m (translations)", "N m (rotations) or N (tr
 VARIABLES = {
     "position": ("position_name", "generalized positions q", f"1 (quaternion), {_UNIT}"),
     "velocity": ("coordinate", "generalized velocities v", f"{_UNIT} per s"),
-    "measured_position": ("position_name", "q as the controller reads it", f"1, {_UNIT}"),
-    "measured_velocity": ("coordinate", "v as the controller reads it", f"{_UNIT} per s"),
+    "measured_position": ("position_name", "measured q, read by the controller", f"1, {_UNIT}"),
+    "measured_velocity": ("coordinate", "measured v, read by the controller", f"{_UNIT} per s"),
     "desired_position": ("position_name", "reference q_d", f"1 (quaternion), {_UNIT}"),
     "desired_velocity": ("coordinate", "reference v_d", f"{_UNIT} per s"),
     "desired_acceleration": ("coordinate", "reference acceleration", f"{_UNIT} per s^2"),
@@ -30,7 +30,7 @@ VARIABLES = {
         "control tau, held from this sample to the next",
         EFFORT,
     ),
-    "applied_force": ("coordinate", "what the actuators make of tau, held likewise", EFFORT),
+    "applied_force": ("coordinate", "force applied by the actuators, held likewise", EFFORT),
     "disturbance_force": (
         "coordinate",
         "external forces tau_d at this instant, summed",

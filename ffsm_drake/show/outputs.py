@@ -18,7 +18,7 @@ def write_outputs(
     recording: bool = True,
     distances: Sequence[float] | None = None,
 ) -> list[Path]:
-    """Write report.html of one run or several overlaid; with it figures (PNG, SVG) and
+    """Write report.html for one run, or several overlaid, with figures (PNG, SVG) and
     recording.html.
 
     The recording shows the first run. Returns the files.
@@ -26,7 +26,8 @@ def write_outputs(
     Args:
       records: the runs.
       directory: folder for the files.
-      figures, recording: write these, too.
+      figures: also write the figures.
+      recording: also write recording.html.
       distances: distance of each run's controller to the LQG limit (``control_design.limit``).
 
     Raises:

@@ -82,7 +82,7 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
         record.dataset["generalized_force"].equals(record.dataset["applied_force"])
         for record in records
     ):
-        yield "forces and ISV as commanded; the actuators apply something else, see the report"
+        yield "forces and ISV as commanded; the applied forces differ, see the report"
     yield from (grasp_line(record.grasp) for record in records if record.grasp is not None)
     # momentum of the plan, common to all
     yield from momentum_lines((records[0].grasp or {}).get("momentum_budget"))
@@ -131,7 +131,7 @@ def frame_lines(record: RunRecord) -> list[str]:
             f"near a dynamic singularity for {near.sum() * record.scenario.sample_time:.3g} s: "
             "the smallest singular "
             f"value falls to {smallest:.2g}; below {damping:g} joint rates are damped, and the "
-            "frame is left behind"
+            f"frame lags its reference"
         )
     return lines
 
@@ -214,7 +214,7 @@ def margins_table(margins: "Margins") -> str:
         f"eigenvalues eta of H^-1 Hhat along the planned motion: {low:.3f} to {high:.3f}",
         *_hidden_lines(margins, data),
         "",
-        f"slowest modes of the loop as it is wired, at t = {worst.time:g} s:",
+        f"slowest modes of the wired loop, at t = {worst.time:g} s:",
     ]
     rows = [["|z|", "frequency", "damping", "coordinates"], ["", "rad/s", "", ""]]
     for mode in data["modes"]:
@@ -241,7 +241,7 @@ def margins_table(margins: "Margins") -> str:
         ]
     radii = [
         ("", "spectral_radius"),
-        (" where adaptation is expected to take K_s", "spectral_radius_expected"),
+        (" at the K_s expected after adaptation", "spectral_radius_expected"),
     ]
     radii.append((" with every K_s at its bound", "spectral_radius_at_bounds"))
     told = "; ".join(f"{data[key]:.5f}{where}" for where, key in radii if not math.isnan(data[key]))
@@ -258,7 +258,7 @@ def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
 
     period = 1e3 * scenario.sample_time
     if math.isnan(boundaries.delay):
-        return "no boundaries: the loop is unstable as it is"
+        return "no boundaries: the loop is unstable at the given values"
     delay = (
         f"{boundaries.delay:.0f} sample{'s' if boundaries.delay > 1 else ''} "
         f"({boundaries.delay * period:.3g} ms)"
@@ -302,8 +302,8 @@ def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
             f"{mode['damping_ratio']:.2g}", carries,
         ])  # fmt: skip
     locked = (
-        f"with the flexible parts locked it is {low:.3f} to {high:.3f}; a sample is too "
-        "short for their springs"
+        f"with the flexible parts locked it is {low:.3f} to {high:.3f}; their springs are slow "
+        f"compared with a sample"
     )
     return [
         locked,
@@ -429,14 +429,14 @@ def design_table(found: "Design") -> str:
     rows = [
         ["", *names],
         ["rms error, rad or m", *(f"{after[name]:.3g}" for name in names)],
-        ["as it was", *(f"{before[name]:.3g}" for name in names)],
+        ["given gains", *(f"{before[name]:.3g}" for name in names)],
     ]
     for name, gain in scenario.controllers.get(controller_key(scenario.controller), {}).items():
         rows.append([name, *(_gain_cell(gain, name_of_group) for name_of_group in names)])
     if scenario.estimator.kind != "one_sample" and scenario.controller in PAPER_LAWS:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
     estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
-    margins = [["margin", "chosen", "as it was"]]
+    margins = [["margin", "chosen", "given"]]
     for name, (was, now) in found.margins.items():
         margins.append([name, f"{now:.4g}", f"{was:.4g}"])
     masses = [["true payload", "spectral radius", ""]]
@@ -450,10 +450,10 @@ def design_table(found: "Design") -> str:
             "",
             f"effort ISV {chosen.prediction.isv:.1f} (budget {requirement.budget:.1f}, perfect "
             "tracking "
-            f"{found.ideal_isv:.1f}; as it was {given.prediction.isv:.4g})",
+            f"{found.ideal_isv:.1f}; given gains {given.prediction.isv:.4g})",
             *aligned(masses),
             "",
-            *(aligned(margins) if found.margins else ["margins: not looked at"]),
+            *(aligned(margins) if found.margins else ["margins: not evaluated"]),
             "",
             *found.remarks,
         ]
@@ -511,7 +511,7 @@ def design_data(found: "Design") -> dict[str, Any]:
 def plan_table(found: "PlannedMotionReport") -> str:
     """Duration and effort of a plan, and its margin to each limit, as plain text."""
     plan = found.plan
-    after = f", and {plan.settle:g} s more for the rates that are left" if plan.settle > 0.0 else ""
+    after = f", and {plan.settle:g} s more for the remaining rates" if plan.settle > 0.0 else ""
     lines = [
         f"At rest after {plan.duration:.3f} s{after}; {found.evaluations} evaluations in "
         f"{found.solve_time:.1f} s",

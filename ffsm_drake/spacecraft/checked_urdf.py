@@ -90,7 +90,7 @@ def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, 
     except OSError as error:
         raise ModelError(f"cannot be read: {one_line(error)}") from error
     # read as what Drake takes it for, whatever it declares
-    require("<!DOCTYPE" not in text, "has a <!DOCTYPE ...>, which a URDF cannot; leave it out")
+    require("<!DOCTYPE" not in text, "has a <!DOCTYPE ...>, not allowed in a URDF; remove it")
     try:
         parser = ElementTree.XMLParser(encoding="utf-8")
         root: Element = ElementTree.fromstring(content, parser)

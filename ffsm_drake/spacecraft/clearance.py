@@ -181,7 +181,7 @@ class Clearance:
             if best is None or nearest.distance < best.nearest.distance:
                 best = Approach(index=int(index), nearest=nearest)
         if best is None:
-            raise ValueError("no configuration can be calculated with")
+            raise ValueError("none of the configurations can be evaluated")
         return best
 
     def _may_touch(self) -> set[frozenset[BodyIndex]]:

@@ -118,7 +118,7 @@ class Copies:
                 as_expected &= other.position_start() == copy * nq + joint.position_start()
                 as_expected &= other.velocity_start() == copy * nv + joint.velocity_start()
         if not as_expected:
-            raise ModelError("model: copies of it do not have their coordinates one after another")
+            raise ModelError("model: its copies do not have contiguous coordinates")
 
 
 def _actuator(plant: MultibodyPlant, name: str, instance: ModelInstanceIndex) -> JointActuator:

@@ -119,19 +119,24 @@ class FreeFloating:
         return applied(self.momentum_map, v)
 
     def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
-        """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a, and its ``drift``.
+        """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a plus its ``drift``.
 
-        Args: the Jacobian J (..., m, nv), as from ``PlantModel.calc_jacobian``. Raises as
-        ``velocity``.
+        Args:
+          jacobian: J (..., m, nv), see ``PlantModel.calc_jacobian``.
+
+        Raises: the errors of ``velocity``.
         """
         self._check_conserved()
         return jacobian[..., self.driven] + product(jacobian[..., self.undriven], self.following)
 
     def drift(self, jacobian: np.ndarray, momentum: np.ndarray) -> np.ndarray:
-        """J_u H_uu^-1 p_u (..., m): a frame's twist while the driven coordinates stand still.
-        Raises as ``velocity``.
+        """J_u H_uu^-1 p_u (..., m): a frame's twist with the driven coordinates at rest.
 
-        Args: the Jacobian J (..., m, nv); the momentum (..., 6).
+        Args:
+          jacobian: J (..., m, nv).
+          momentum: (..., 6).
+
+        Raises: the errors of ``velocity``.
         """
         return applied(jacobian, self.velocity(np.zeros(self.driven.size), momentum))
 
@@ -165,10 +170,12 @@ class FreeFloating:
         """Projector N (..., na, na): at zero momentum v_a = N z keeps the held coordinates at rest.
 
         N is symmetric, and N z is the nearest such velocity to z; N = 0 if there is none. Its rank
-        is na less the number of independent rows of ``following`` that are held.
+        is na less the number of independent held rows of ``following``.
 
-        Args: groups or names of undriven base coordinates. Raises ValueError for others, and as
-        ``velocity``.
+        Args:
+          held: groups or names of undriven base coordinates.
+
+        Raises: ValueError for other names, and the errors of ``velocity``.
         """
         self._check_conserved()
         rows = np.flatnonzero(np.isin(self.undriven, _BASE.indices(held, key="held")))
@@ -194,15 +201,15 @@ def free_floating(
 
     Args:
       model: the plant with its payload.
-      driven: names of coordinates or groups; ("base_rotation", "joints") where something holds the
-        base's attitude and nothing its place.
+      driven: names of coordinates or groups; ("base_rotation", "joints") for a base with controlled
+        attitude and free position.
 
     Raises:
       ScenarioError: a name is unknown.
       ValueError: the plant has flexible parts, or q is not finite.
     """
     if model.split.names:
-        raise ValueError("the plant has flexible parts, which springs move too; use one without")
+        raise ValueError("the plant has flexible parts, moved by springs; use a plant without")
     return FreeFloating(
         mass_matrix=model.calc_mass_matrix(q),
         base_position=q[..., _POSITION],

@@ -114,14 +114,15 @@ def set_payload(
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         if weakest in split_of(plant).names:
             raise ModelError(
-                f"model.flexible: '{weakest}' moves no inertia to speak of: the mass matrix is "
+                f"model.flexible: '{weakest}' moves a negligible inertia: the mass matrix is "
                 f"singular (eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}); give the "
                 "part more mass or size, or leave it out"
             )
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
-            f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no inertia "
-            "to speak of; give every link of the URDF and the payload a mass and inertia of "
+            f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves a "
+            f"negligible inertia; give every link of the URDF and the payload a mass and inertia "
+            f"of "
             "similar size, or fix the joint"
         )
 

@@ -53,7 +53,7 @@ def stacked(calc: Calc) -> Calc:
 class PlantModel:
     """A plant with a payload, for computations outside any simulation.
 
-    ``context`` is a scratch pad owned by this object; every method sets what it reads.
+    ``context`` is a scratch context owned by this object; every method sets its own inputs.
     """
 
     plant: MultibodyPlant
@@ -97,10 +97,12 @@ class PlantModel:
 
         v_WF is the velocity of F's origin.
 
-        Args: q; the frame, or its scoped name, such as ``servicer::end_effector`` or, for a body's
-        frame, ``debris::debris``.
+        Args:
+          q: (..., nq).
+          frame: the frame, or its scoped name, such as ``servicer::end_effector`` or, for a body's
+            frame, ``debris::debris``.
 
-        Raises ModelError when there is no such frame.
+        Raises ModelError if there is no such frame.
         """
         self._set_state(q)
         world = self.plant.world_frame()

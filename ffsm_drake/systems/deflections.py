@@ -34,7 +34,7 @@ class Deflections(Part):
 
     title = "Hidden coordinates"
     section = "Hidden coordinates"
-    about = "What moves in the true spacecraft that the controller takes for rigid."
+    about = "Motion of the flexible parts, which the controller's model treats as rigid."
     kinds: tuple[str, ...]
 
     @classmethod
@@ -77,7 +77,7 @@ class Deflections(Part):
             Signal(
                 name="damping_loss",
                 unit="J",
-                meaning="energy that dampers took since the start",
+                meaning="energy dissipated by dampers since the start",
                 heading="",
                 role=STORED_ENERGY,
                 of=_damping_loss,

@@ -106,7 +106,7 @@ class FaultDetection(Part):
         """When what was noticed."""
         return (
             Metric(
-                key="faults.noticed", unit="s", label="Noticed", column="", of=_noticed,
+                key="faults.noticed", unit="s", label="Detected", column="", of=_noticed,
             ),
         )  # fmt: skip
 
@@ -115,7 +115,7 @@ class FaultDetection(Part):
         (found,) = (each.value for each in figures if each.key == "faults.noticed")
         assert isinstance(found, dict)
         listed = ", ".join(f"{name} at {time:.2f} s" for name, time in found.items())
-        return f"Faults noticed: {listed or 'none'}"
+        return f"Faults detected: {listed or 'none'}"
 
 
 def _noticed(run: View) -> dict[str, float]:

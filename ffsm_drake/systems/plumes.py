@@ -71,7 +71,7 @@ class Plumes(Part):
             Metric(
                 key="plume.returned",
                 unit="1",
-                label="Thrust that its plume returns",
+                label="Thrust returned by the plume",
                 column="",
                 shown="%",
                 of=returned,

@@ -137,13 +137,13 @@ class SupervisorPart(Part):
             Metric(
                 key="supervisor.dampings",
                 unit="1",
-                label="Rates damped, times",
+                label="Rate damping, count",
                 of=lambda run: sum(mode == Mode.RATE_DAMPING for _, mode in _events(run)),
             ),
             Metric(
                 key="supervisor.damped_time",
                 unit="s",
-                label="Rates damped for",
+                label="Rate damping, duration",
                 of=lambda run: (
                     run.scenario.sample_time * float((run["mode"] == Mode.RATE_DAMPING).sum())
                 ),
@@ -151,7 +151,7 @@ class SupervisorPart(Part):
             Metric(
                 key="supervisor.events",
                 unit="s",
-                label="Begin of",
+                label="Start of",
                 column="",
                 of=lambda run: {
                     f"{number} {mode.words}": time

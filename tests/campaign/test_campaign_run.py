@@ -661,7 +661,7 @@ def test_databases_that_cannot_be_merged(spec, database, tmp_path):
     same = tmp_path / "same.db"
     same.write_bytes(database.read_bytes())
     faults = {
-        "a database before it holds case 0 with asmc too": (),
+        "an earlier database also holds case 0 with asmc": (),
         "case 3 has other values": ("UPDATE cases SET random_seed = 1 WHERE case_index = 3",),
         "--shard: must be I/N with I from 1 to N, not '5/4'": (
             "UPDATE campaign SET value = '5/4' WHERE key = 'shard'",

@@ -1041,7 +1041,7 @@ target_posture: {joints: {shoulder: 0.2, wrist: 1}}
 payload: {truth: {mass: 166}}
 """
 TOLD = (
-    "payload.truth.mass: 166 kg takes the place of the 100 kg that the URDF gives debris::debris",
+    "payload.truth.mass: 166 kg replaces the 100 kg of debris::debris in the URDF",
     "initial_posture.joints: outside the URDF's position limits: shoulder 1.5 (limits -1 to 1 rad)",
     "the planned motion: beyond the URDF's velocity limits: shoulder",
     "tracking the planned motion perfectly takes: beyond the URDF's effort limits: shoulder",

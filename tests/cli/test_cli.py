@@ -203,7 +203,7 @@ def test_scenarios_and_validate(tmp_path):
     good = ffsm("validate", "--no-rehearsal", "postcapture", "tumbling_capture", mine)
     assert good.exit_code == 0, good.output
     assert f"{mine}: valid; tde_aismc, free base and 5 joints" in good.stdout
-    assert "tumbling_capture: after the grasp as planned: 0.3517 N s" in good.stdout
+    assert "tumbling_capture: momentum after the planned grasp: 0.3517 N s" in good.stdout
     mine.write_text("payload: {truth: {mass: -1}}")
     bad = ffsm("validate", "postcapture", mine, "--json", "--no-rehearsal")
     assert bad.exit_code == 2

@@ -82,7 +82,7 @@ TRADES = st.sets(st.sampled_from(["accuracy", "margins"]))
 @given(errors=FACTORS, isv=st.floats(50.0, 150.0), trade=TRADES, loses=st.booleans())
 def test_only_what_is_traded_may_be_worse(coordinates, errors, isv, trade, loses):
     requirement = requirement_of(coordinates, trade)
-    lost = "less margin" if loses and "margins" not in trade else ""
+    lost = "smaller margin" if loses and "margins" not in trade else ""
     point = point_of(coordinates, errors=errors, isv=isv, lost_margin=lost)
     is_worse = ("accuracy" not in trade and max(errors) > 1.02) or bool(lost)
     assert bool(requirement.worse(point)) == is_worse
@@ -155,7 +155,7 @@ def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
 
     found = design(scenario, progress=interrupt)
     assert (found.ended_by, tried[-1]) == (INTERRUPT, after)
-    assert any("cut by an interrupt" in remark for remark in found.remarks)
+    assert any("ended by an interrupt" in remark for remark in found.remarks)
     for name, (error, was) in found.requirement.baseline.errors(found.chosen).items():
         assert error <= 1.02 * was, name
 
@@ -177,7 +177,7 @@ def test_the_limit_bounds_all_of_a_design(limit):
     begin = time.monotonic()
     found = design(scenario, time_limit=limit)
     assert time.monotonic() - begin < 1.1 * limit + 2.5 * evaluation
-    assert any("cut by the time limit" in remark for remark in found.remarks)
+    assert any("ended by the time limit" in remark for remark in found.remarks)
 
 
 @pytest.mark.slow
@@ -187,9 +187,7 @@ def test_the_table_shows_margins_before_and_after(tmp_path):
     arguments += ["--set", "duration=8"]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    assert re.search(
-        r"margin +chosen +as it was\nfactor on the gains +[\d.]+ +[\d.]+", result.output
-    )
+    assert re.search(r"margin +chosen +given\nfactor on the gains +[\d.]+ +[\d.]+", result.output)
     assert "expected to" in result.output
 
 
@@ -204,8 +202,8 @@ def test_an_interrupted_design_gives_the_best_so_far(tmp_path, number):
         process.send_signal(number)
         told, _ = process.communicate(timeout=120)
     assert process.returncode == 128 + number, told
-    if "as it was" in told:
-        assert "cut by an interrupt" in told
+    if "given gains" in told:
+        assert "ended by an interrupt" in told
         assert load_scenario(tmp_path / "design.yaml").controller == "tdc"
         assert {path.name for path in tmp_path.iterdir()} == {"design.yaml", "design.png"}
     else:

@@ -191,7 +191,7 @@ REFUSED = {
         simple_arm(
             link("lamp", mass=1, inertia=(0, 0, 0)), joint("pan", "bus", "lamp", limit=TURN)
         ),
-        "joint 'pan' moves no inertia to speak of",
+        "joint 'pan' moves a negligible inertia",
     ),
     "geometry": (
         simple_arm(

@@ -235,14 +235,14 @@ def test_the_limit_in_the_way_is_named():
 def test_a_search_ends_when_its_time_is_over(segments, seconds):
     scenario = load_scenario("planar_detumble", [f"planning.segments={segments}"])
     begun = time.process_time()
-    with pytest.raises(PlanningError, match=f"within {seconds:g} s of search; in the way: "):
+    with pytest.raises(PlanningError, match=f"within {seconds:g} s of search; active limit: "):
         plan_motion(scenario, time_limit=seconds)
     assert time.process_time() - begun < seconds + 3.0
 
 
 def test_a_refused_plan_says_what_to_try():
     with pytest.raises(
-        PlanningError, match=r"in the way: .* \(reserve included\); try planning.segments 8 or"
+        PlanningError, match=r"active limit: .* \(reserve included\); try planning.segments 8 or"
     ):
         plan_motion(
             load_scenario("planar_detumble", ["reference.duration=2", "planning.segments=4"])

@@ -22,8 +22,8 @@ def test_each_line_says_what_it_covers(settling):
     linear, run = settling.lines
     assert linear.startswith("linear: motion: stable, spectral radius 0.98")
     assert linear.endswith("moving as planned, without limits and noise")
-    assert run.startswith("rehearsed (one run, limits and noise of seed as given): Settled")
-    assert settling.conclusion.startswith("expected to go as planned (looked at: every leg")
+    assert run.startswith("rehearsed (one run, limits and noise, given seed): Settled")
+    assert settling.conclusion.startswith("expected to go as planned (checked: every leg")
     assert settling.warnings == []
     assert not settling.is_alarm
 

@@ -151,7 +151,7 @@ def test_the_ledger_counts_the_wheels(run):
     assert section["budget"][0].startswith("After the grasp as planned: ")
     rows = {row[0]: row[1:3] for row in section["ledger"]}
     assert (
-        rows["Beside it, stored in actuators [N m s]"]
+        rows["Stored in actuators, in addition [N m s]"]
         == [", ".join(number(each) for each in stored)] * 2
     )
 

@@ -83,7 +83,7 @@ class Design:
     found: Mapping[str, DesignPoint]  # the best of each kind: of estimate, or "varied" gains
     kept: bool  # whether the given gains are the chosen ones
     active_constraint: str  # the constraint that limits the chosen gains, one line
-    front: tuple[FrontPoint, ...]  # with the chosen estimate; empty where none was traced
+    front: tuple[FrontPoint, ...]  # with the chosen estimate; empty if none was traced
     limit: Limit  # limit for the chosen gains
     ideal_isv: float
     requirement: Requirement
@@ -93,7 +93,7 @@ class Design:
 
     @functools.cached_property
     def with_defaults(self) -> Prediction | None:
-        """The prediction with the law's default gains and the default estimator; None where the
+        """The prediction with the law's default gains and the default estimator; None if the
         defaults do not fit the spacecraft.
         """
         default = dataclasses.replace(self.given.scenario, controllers={}, estimator=Estimator())
@@ -131,11 +131,14 @@ class Design:
         was, now = (self.requirement.crowding(each).max() for each in (before, after))
         if max(was, now) > 1.0:
             remarks.append(
-                f"{ROOM:g} standard deviations of the noise's force take {now:.3g} times what the "
-                f"actuators leave beside the motion, as it was {was:.3g} times (1: at most all)."
+                f"{ROOM:g} standard deviations of the noise's force are {now:.3g} times the "
+                f"actuators' reserve beside the motion (given gains: {was:.3g} times; 1 is the "
+                "limit)."
             )
         if self.ended_by:
-            remarks.append(f"The search was cut by {self.ended_by}: this is the best so far.")
+            remarks.append(
+                f"The search was ended by {self.ended_by}; this is the best result so far."
+            )
         for kind, point in self.found.items():
             error = np.exp(point.prediction.mean_log_error)
             verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"

@@ -68,7 +68,7 @@ class Baseline:
             return ""
         for name, (after, before) in self.errors(point).items():
             if after > TOLERANCE * before:
-                return f"less accurate in {name}: rms error {after:.3g}, as it was {before:.3g}"
+                return f"less accurate in {name}: rms error {after:.3g}, given gains {before:.3g}"
         return ""
 
     def errors(self, point: DesignPoint) -> dict[str, tuple[float, float]]:
@@ -81,7 +81,7 @@ class Baseline:
         found = {} if "margins" in self.trade else self.margins(boundaries)
         for name, (before, after) in found.items():
             if not after * TOLERANCE >= before:
-                return f"less margin: {name} up to {after:.3g}, as it was {before:.3g}"
+                return f"smaller margin: {name} up to {after:.3g}, given gains {before:.3g}"
         return ""
 
     def margins(self, boundaries: Boundaries | None) -> dict[str, tuple[float, float]]:
@@ -120,7 +120,7 @@ class Baseline:
             )
         for name, change in changes.items():
             if not self._is_stable(change()):
-                return f"less margin: {_MARGINS.get(name, name)} than it was"
+                return f"smaller margin than with the given gains: {_MARGINS.get(name, name)}"
         return ""
 
     def _is_stable(self, scenario: Scenario) -> bool:
@@ -175,7 +175,7 @@ class Requirement:
 
     def _over_budget(self, point: DesignPoint) -> str:
         if point.prediction.isv > self.budget:
-            return f"ISV {point.prediction.isv:.1f} is over the budget of {self.budget:.1f}"
+            return f"ISV {point.prediction.isv:.1f} exceeds the budget of {self.budget:.1f}"
         return ""
 
     def worse(self, point: DesignPoint) -> str:

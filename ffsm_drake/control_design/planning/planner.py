@@ -119,7 +119,7 @@ class _Planner:
             )
         if scenario.reference.duration is None:
             raise ScenarioError(
-                "reference.duration", "is auto; a plan needs the longest time that it may take, s"
+                "reference.duration", "is auto; a plan needs its longest duration, s"
             )
         self._longest = scenario.reference.duration
         self._momentum = self._momentum_of(self._start, self._rate)
@@ -391,7 +391,7 @@ class _Planner:
                 return found
         raise PlanningError(
             f"no plan: the rates left by planning.end_rate do not die away in {settle:g} s; "
-            f"in the way: {found.exceeded[0]}"
+            f"active limit: {found.exceeded[0]}"
         )
 
     def _why_not(self, failures: list[tuple[str, PlannedMotionReport]]) -> str:
@@ -409,13 +409,13 @@ class _Planner:
         )
         if self._is_over:
             return (
-                f"no plan that keeps every limit within {self._time_limit:g} s of search; in the "
-                f"way: {worst}; give it more time, or fewer planning.segments"
+                f"no plan that keeps every limit within {self._time_limit:g} s of search; active "
+                f"limit: {worst}; give it more time, or fewer planning.segments"
             )
         segments = self._scenario.planning.segments
         more = min(2 * segments, _MOST_SEGMENTS)
         segments = more if more > segments else segments // 2
         return (
-            f"no plan in {self._longest:g} s keeps every limit ({tried}); in the way: {worst}; "
+            f"no plan in {self._longest:g} s keeps every limit ({tried}); active limit: {worst}; "
             f"try planning.segments {segments} or a longer reference.duration"
         )

@@ -274,13 +274,13 @@ class Linearizer:
         if names := loop.kept_memory:
             held = ", ".join(f'"{name}": None' for name in names)
             raise NotLinear(
-                f"{systems}: at rest its memory {', '.join(names)} neither grows nor decays, as an "
-                f"adapted gain or estimate; let held() return {{{held}}}, and the loop is "
-                "looked at with it held"
+                f"{systems}: at rest its memory {', '.join(names)} neither grows nor decays, like "
+                f"an adapted gain or estimate; return {{{held}}} from held() to analyse the loop "
+                "with it held"
             )
         raise NotLinear(
-            f"{systems}: errors neither grow nor decay at rest, as of a block that acts at few "
-            "samples; let it declare its period"
+            f"{systems}: errors neither grow nor decay at rest, as with a block that acts at few "
+            "samples; declare its period"
         )
 
     def _unknown(self) -> tuple[SampleMap, ...]:
@@ -454,9 +454,9 @@ class Linearizer:
             names = ", ".join(system.get_name() for system in self.user_supplied)
             if self._depends_on_step(index):
                 raise NotLinear(
-                    f"{names}: has no derivative by small errors, as a sign, a root or rounding "
-                    "has none; smooth it, or keep its factor in the law's memory and let held() "
-                    "return it at 0"
+                    f"{names}: has no derivative at small errors (such as a sign, a root or "
+                    "rounding); smooth it, or keep its factor in the law's memory and return it "
+                    "at 0 from held()"
                 )
             raise NotLinear(
                 f"{names}: differs from sample to sample, without a period of up to "

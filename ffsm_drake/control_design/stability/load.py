@@ -179,8 +179,8 @@ def _softer(
             amplitude = _run_away(was, gain, acceleration)
             if k_s < 0.95 * gain:
                 reasons.append(
-                    f"K_s {_rounded(k_s):g} in place of {gain:.3g} 1/s: its integral, saturated, "
-                    f"ran away beyond {amplitude:.2g} {coordinates.units[own][0]}, now beyond "
+                    f"K_s {_rounded(k_s):g} in place of {gain:.3g} 1/s: its saturated integral ran "
+                    f"away beyond {amplitude:.2g} {coordinates.units[own][0]}, now beyond "
                     f"{_run_away(omega, k_s, acceleration):.2g}"
                 )
         if reasons:

@@ -48,14 +48,14 @@ class AxisMargins:
     """
 
     law: TimeDelayControl
-    euler: bool  # whether the plant steps as explicit Euler at the control period does
+    euler: bool  # whether the plant steps with explicit Euler at the control period
     k_s: np.ndarray  # (nv,) 1/s, at the start; zero for a law without K_s
     k_s_max: np.ndarray  # (nv,) 1/s, ``ReachingGain.largest``
     k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s, and of undriven coordinates
     sample_time_limit: np.ndarray  # (nv,) s
     eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
     forecast_times: np.ndarray  # (p,) s
-    forecast_k_s: np.ndarray  # (p, nv) 1/s, where adaptation is expected to take K_s
+    forecast_k_s: np.ndarray  # (p, nv) 1/s, expected K_s under adaptation
 
     @property
     def has_k_s(self) -> bool:
@@ -71,7 +71,7 @@ class AxisMargins:
 
     @property
     def may_leave(self) -> np.ndarray:
-        """(nv,) whether nothing stops adaptation before the limit."""
+        """(nv,) whether adaptation may pass the limit."""
         return self.k_s_max > np.nan_to_num(self.k_s_limit, nan=np.inf)
 
 
@@ -103,7 +103,7 @@ class Margins:
     def worst(self) -> LinearLoop:
         """The loop of the posture with the largest spectral radius, at the starting gains.
 
-        Where a frame is tracked that of the start or the end of the motion: see ``growth``.
+        With a tracked frame, the start or the end of the motion: see ``growth``.
         """
         loops = (self.loops[0], self.loops[-1]) if self.loops[0].tracks_frame else self.loops
         return max(loops, key=lambda loop: loop.spectral_radius)
@@ -112,8 +112,8 @@ class Margins:
     def growth(self) -> float:
         """Growth of small errors while a tracked frame moves; 1 without a tracked frame.
 
-        Near a singular posture the loop may be unstable as the frame passes, although it is stable
-        wherever it rests.
+        Near a singular posture the loop may be unstable during the motion of the frame, although it
+        is stable at rest in every posture.
         """
         return 1.0 if self.motion is None else self.motion.growth
 
@@ -135,7 +135,7 @@ class Margins:
 
     @property
     def verdict(self) -> str:
-        """One line: "stable", or the reason why not."""
+        """One line: "stable", or the cause of instability."""
         if not self.starts_stable:
             worst = self.worst
             return (
@@ -218,7 +218,7 @@ def stability(
     Args:
       scenario: the scenario.
       postures: number of instants of the planned motion at which inertia ratios are computed.
-      linearizer: the scenario's, from the grasp on; default: a new one.
+      linearizer: linearizer of the scenario, from the grasp on; default: a new one.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.

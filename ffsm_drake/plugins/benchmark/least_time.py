@@ -1,13 +1,12 @@
-"""Least times in which a spacecraft's actuators take its momentum out.
+"""Least times for a spacecraft's actuators to remove its momentum.
 
-``held``: with the base's attitude and the arm's posture as they are at the start, by a linear
-program over what each actuator gives, the torque of forces about the centre of mass included. That
-is no bound: a stack that turns, or whose arm moves its centre of mass, may take less.
+``held``: with the initial attitude of the base and posture of the arm, by a linear program over the
+actuators' outputs, including the torque of forces about the centre of mass. This is no bound:
+rotation of the stack, or motion of its centre of mass by the arm, may shorten the time.
 
-``bound``: none takes less, whatever the attitude and the posture meanwhile. Along any direction the
-actuators give at most their largest torque in any attitude, and forces turn the stack at most by
-the largest lever that the arm's lengths allow; so the momentum along every direction bounds the
-time from below.
+``bound``: a lower bound for any attitude and posture. Along any direction the actuators give at
+most their largest torque in any attitude, and forces act with at most the largest lever allowed by
+the arm's lengths; so the momentum along every direction bounds the time from below.
 """
 
 import dataclasses
@@ -43,8 +42,8 @@ class LeastTimes:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Units:
-    """Actuators of the base: wrenches (6, n; torque about the base's origin, force) at their
-    largest, and what share of that each gives at least: 0 or -1.
+    """Actuators of the base: largest wrenches (6, n; torque about the base's origin, force), and
+    the least share of each: 0 or -1.
     """
 
     wrenches: np.ndarray
@@ -59,7 +58,7 @@ def least_times(
     centre of mass, N m s) and ``linear`` momentum (3; N s), world axes, as far as the base's
     actuators are driven.
 
-    Raises ScenarioError: as for the actuators.
+    Raises ScenarioError: errors of the actuators.
     """
     sets, stored = _units(scenario, model)
     rows = np.repeat([g in scenario.driven for g in ("base_rotation", "base_position")], 3)

@@ -72,7 +72,7 @@ def _bounds(board: Board) -> str:
             f"{least}{propellant}"
         )
     return (
-        f"Motion of {board.motion:.3g} s, at most {board.ratio:.3g} times the least that there is. "
+        f"Motion of {board.motion:.3g} s, at most {board.ratio:.3g} times the least possible. "
         f"Least time: {', '.join(parts)}.{propellant}"
     )
 

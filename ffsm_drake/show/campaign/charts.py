@@ -177,8 +177,7 @@ def _sensitivity(findings: Findings) -> Panel:
             "correlation %{customdata[0]:.2f}",
         })  # fmt: skip
     title = (
-        "Share of the variance of failure that a value explains by itself; pale: no more than "
-        "chance"
+        "Share of the variance of failure explained by one value alone; pale: no more than chance"
     )
     rows = 1 + len(names) * max(1, len(traces) // 2)
     x = "explained variance of failure [%]"

@@ -103,7 +103,7 @@ def write_report(
 
 def summary_text(findings: Findings) -> str:
     """Success rates and the prediction's agreement, as plain text."""
-    rates = [["controller", "settled", "95 % interval", "predicted as it ended"]]
+    rates = [["controller", "settled", "95 % interval", "predicted correctly"]]
     for item in findings.agreement:
         rate = findings.success[item.controller]
         predicted = f"{percent(item.share)} of {item.total}"

@@ -50,7 +50,7 @@ def _chart(found: Design, group: str) -> Chart:
         curves.append(Curve(x, y, Style(BLUE), "front", marker="circle", size=8.0))
     for label, prediction, marker, color in (
         ("chosen", found.chosen.prediction, "star", VERMILION),
-        ("as it was", found.given.prediction, "square", GREEN),
+        ("given", found.given.prediction, "square", GREEN),
         ("default gains and estimator", found.with_defaults, "x-thick", GREY),
     ):
         if prediction is not None and np.isfinite(prediction.isv):

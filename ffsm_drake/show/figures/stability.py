@@ -38,7 +38,7 @@ def plot_margins(margins: Margins) -> Figure:
         panels[0].set_aspect("equal")
     else:
         _draw_map(figure, panels[0], margins, axes)
-        title = "Where adaptation is expected to take Kₛ"
+        title = "Expected adaptation of Kₛ"
         if axes.has_k_s:
             draw(panels[1], forecast_chart(margins, axes, title), what="Kₛ")
         else:
@@ -52,7 +52,7 @@ def plot_margins(margins: Margins) -> Figure:
         )
     ]
     draw(
-        panels[-1], radius_chart(curves, "The loop of all coordinates as it is wired"),
+        panels[-1], radius_chart(curves, "The wired loop of all coordinates"),
         what="spectral radius",
     )  # fmt: skip
     panels[-1].set_xlabel(_TIME)

@@ -96,7 +96,7 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     rows += _part_rows(results)
     simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
     rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
-    for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
+    for label, key in (("Wall time, simulation", "advance_to"), ("Total wall time", "total")):
         cells = [Cell(number(result.record.wall_time.get(key), 3)) for result in results]
         rows.append(Row(label, cells, unit="s"))
     return rows
@@ -226,9 +226,9 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
     ]
     if distances is not None:
         notes.append(
-            "Error over the least possible: against the LQG controller of the same effort, which "
-            "no linear controller "
-            "beats, for the same noise, white or correlated, and a demand that walks at random; a "
+            "Error over the least possible: relative to the LQG controller of the same effort, the "
+            "best linear one, for the same noise, white or correlated, and a demand that walks at "
+            "random; a "
             "dash where the loop "
             "is unstable or has a block that cannot be linearised, where the controller tracks a "
             "frame, or where a user-supplied block senses."

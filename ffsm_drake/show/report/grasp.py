@@ -33,7 +33,7 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
         )
     if stored := grasp.get("stored_momentum"):
         rows.append(
-            ["Beside it, stored in actuators [N m s]", _vector(stored), _vector(stored), "0"]
+            ["Stored in actuators, in addition [N m s]", _vector(stored), _vector(stored), "0"]
         )
     lost = before["kinetic_energy"] - after["kinetic_energy"]
     rows.append(

@@ -67,7 +67,7 @@ _SECTIONS = {
     ),
     "end_effector": (
         "End effector",
-        "Where the end effector went, and how far from where it was to be. Drag to turn, scroll "
+        "Path of the end effector, and its distance from the reference. Drag to turn, scroll "
         "to zoom.",
         "The records hold no path of the end effector.",
     ),
@@ -78,7 +78,7 @@ _SECTIONS = {
     ),
     "force": (
         "Forces and torques",
-        "What the controller asks of base and joints, and the disturbance that acts besides.",
+        "Commanded forces of base and joints, and the disturbance.",
         "The records hold no forces.",
     ),
     "sliding": (
@@ -272,9 +272,8 @@ def _thinning(thin: Thinning) -> str:
         return "The plots show every control sample."
     return (
         f"Curves of more than {thin.points} samples are thinned for display (the longest has "
-        f"{thin.longest}): of "
-        "each short interval the smallest and the largest value are drawn, so that no peak is "
-        "lost. The record itself "
+        f"{thin.longest}): the smallest and the largest value of each short interval are drawn, to "
+        f"keep all peaks. The record itself "
         "is whole, and every figure on this page is computed from all samples."
     )
 

@@ -32,7 +32,7 @@ def stability_views(
         for i, margin in assessed.items()
         for (name, (x, y)), dash in zip(radii_of(margin).items(), ("solid", "dash"), strict=False)
     ]  # fmt: skip
-    title = "Spectral radius of the loop as it is wired (dashed: at the largest expected Kₛ)"
+    title = "Spectral radius of the wired loop (dashed: at the largest expected Kₛ)"
     charts = [*_eta_charts(results, assessed), radius_chart(radii, title)]
     for i, margin in assessed.items():
         if margin.axes is not None:

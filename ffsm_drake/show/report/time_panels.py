@@ -69,7 +69,7 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
         "error": {"Frame": panels(frame_charts(results), thin), **errors},
         "force": {
             "Control": each("generalized_force", "{effort}"),
-            "As the actuators apply it": applied,
+            "Applied by the actuators": applied,
             "Disturbance": each("disturbance_force", "{effort}"),
         },
         "sliding": {

@@ -268,7 +268,7 @@ class FiredThrusters(Part):
             of_each(
                 name="thruster_open",
                 unit="1",
-                meaning="share of the sample for which each thruster is open",
+                meaning="open share of the sample for each thruster",
                 heading="Firings",
                 panel="Open valves",
                 chart=TIMELINE,
@@ -276,8 +276,7 @@ class FiredThrusters(Part):
             Signal(
                 name="thruster_given",
                 unit="1",
-                meaning="part of the wanted wrench that the last allocation to thrusters could "
-                "give",
+                meaning="part of the wanted wrench given by the last allocation to thrusters",
                 heading="",
             ),
         )
@@ -315,7 +314,7 @@ class FiredThrusters(Part):
             Metric(
                 key="thrusters.saturated",
                 unit="1",
-                label="Samples with less than was wanted",
+                label="Samples with less than the wanted wrench",
                 heading="thrusters saturated [share]",
                 shown="%",
                 of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
@@ -335,7 +334,7 @@ class FiredThrusters(Part):
             ),
             grams(
                 key="thrusters.propellant_of_force",
-                label="At least, for the commanded force",
+                label="Lower bound, for the commanded force",
                 column="",
                 of=self._least_propellant,
             ),

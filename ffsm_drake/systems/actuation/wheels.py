@@ -473,14 +473,14 @@ class ReactionWheels(Part):
             peak("peak_torque", "wheel_torque", "N m"),
             share(
                 key="wheels.speed_used",
-                label="Speed, of a wheel's limit",
+                label="Speed, share of a wheel's limit",
                 column="wheel_speed_used",
-                heading="wheel's speed [of its limit]",
+                heading="wheel speed [share of limit]",
                 of=lambda run: self._limit("speed", "rad/s").used(run["wheel_speed"]).max(),
             ),
             share(
                 key="wheels.torque_used",
-                label="Torque, of a motor's limit",
+                label="Torque, share of a motor's limit",
                 column="wheel_torque_used",
                 heading="",
                 of=lambda run: self._torque_used(run).max(),
@@ -493,7 +493,7 @@ class ReactionWheels(Part):
             ),
             share(
                 key="wheels.unloading",
-                label="Samples in which they are unloaded",
+                label="Samples with unloading",
                 heading="unloading [share]",
                 of=lambda run: run["wheel_unloads"].mean(),
             ),

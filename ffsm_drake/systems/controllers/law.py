@@ -77,7 +77,7 @@ def gain(
     bound: bool = False,
     feedback: bool = True,
 ) -> Any:
-    """A field of a law that a scenario can set, by default >= 0, if ``positive`` > 0; see Gain."""
+    """A field of a law for a gain in scenarios, >= 0 by default, > 0 if ``positive``; see Gain."""
     declared = Gain(
         default=default,
         unit=unit,
@@ -152,8 +152,8 @@ class ControlLaw(abc.ABC):
 
     @property
     def by_axis(self) -> "ControlLaw | None":
-        """The time-delay law that treats every coordinate alike and by itself, linear while
-        ``held`` is held; None: it is not one.
+        """This law as a time-delay law with equal, decoupled coordinates, linear while ``held`` is
+        held; None: it is not one.
         """
         return None
 
@@ -168,18 +168,18 @@ class ControlLaw(abc.ABC):
 
     @property
     def random_walks(self) -> tuple[str, ...]:
-        """Keys of the scenario's ``estimator`` that are designed with the gains."""
+        """Keys of the scenario's ``estimator`` to be designed with the gains."""
         return ()
 
     @classmethod
     def starting_gains(
         cls, omega: np.ndarray, mass_matrices: np.ndarray
     ) -> Mapping[str, np.ndarray | float]:
-        """Gains to start from for a new spacecraft; empty: the declared defaults.
+        """Initial gains for a new spacecraft; empty: the declared defaults.
 
         Args:
           omega: natural frequencies (nv), rad/s.
-          mass_matrices: those of the true spacecraft along its motion (m, nv, nv).
+          mass_matrices: mass matrices of the true spacecraft along its motion (m, nv, nv).
         """
         return {}
 
@@ -192,11 +192,11 @@ class ControlLaw(abc.ABC):
           state: the memory at this sample, by name; must not be changed in place.
 
         Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the
-        memory for that.
+        memory at the next sample.
         """
 
     def resume(self, state: State, before: "ControlLaw", reference: np.ndarray) -> State:
-        """Memory with which this law takes over from another at the grasp of a target.
+        """Initial memory of this law when it takes over from another at the grasp of a target.
 
         By default it is unchanged. The next sample is a first one: velocities and reference have
         jumped.

@@ -63,9 +63,9 @@ class InjectedDynamics(abc.ABC):
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         """The gains that place the poles of an axis at the natural frequency omega, rad/s, for
-        ``ffsm design``; empty where the law cannot be designed so.
+        ``ffsm design``; empty if the law does not support this design.
 
-        Both are numbers or arrays. ``k_s``, 1/s, counts where K_s is chosen by itself
+        Both are numbers or arrays. ``k_s``, 1/s, is used if K_s is chosen separately
         (``chooses_k_s``).
         """
         return {}
