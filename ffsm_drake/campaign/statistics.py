@@ -205,7 +205,7 @@ class Sensitivity:
 
 
 def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
-    """Every sampled value and controller; NaN where all runs have the same outcome."""
+    """Every sampled value and controller; NaN if all runs have the same outcome."""
     return [
         _sensitivity(name, table.values[name][runs.case], runs, seed=seed)
         for runs in table.runs.values()
@@ -288,7 +288,7 @@ def worst_runs(runs: Runs) -> np.ndarray:
 
 
 def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
-    """5 %, 50 % and 95 % quantile of a metric over the settled runs; NaN where there is none."""
+    """5 %, 50 % and 95 % quantile of a metric over the settled runs; NaN if there is none."""
     values = runs.metrics[metric][runs.settled]
     if values.size == 0:
         return math.nan, math.nan, math.nan
@@ -350,7 +350,7 @@ class Findings:
     agreement: list[Agreement]
     unpredicted: list[str]  # runs whose loop cannot be linearised, and why; a line per controller
     map: StabilityMap | None  # None with fewer than two sampled numbers
-    grid: list[GridPoint]  # empty where the sampling is not a grid
+    grid: list[GridPoint]  # empty if the sampling is not a grid
 
     @property
     def drivers(self) -> list[str]:

@@ -1,7 +1,7 @@
-"""Work in a thread of its own that asks another thread for an answer now and then.
+"""Work in a separate thread with occasional questions to another thread.
 
-A thread that the end of the interpreter finds within Drake ends the process with an abort. So the
-work has an owner: it ends with the owner, or at the interpreter's exit, whichever is first.
+A thread still within Drake at the end of the interpreter aborts the process. So the work has an
+owner: it ends with the owner, or at the interpreter's exit, whichever is first.
 """
 
 import atexit
@@ -63,7 +63,7 @@ class Aside:
         self._asked.put((True, question))
         answer = self._answers.get()
         if answer is None:
-            self._answers.put(None)  # also for whoever asks again
+            self._answers.put(None)  # also for repeated questions
             raise StoppedError
         return answer
 
@@ -72,16 +72,14 @@ class Aside:
         self._answers.put(answer)
 
     def take(self) -> Any:
-        """Wait for the next question, or for the result, after which nothing goes on. Raises what
-        the work raised, and FfsmError if it was stopped.
+        """Wait for the next question, or for the final result. Raises the errors of the work, and
+        FfsmError if it was stopped.
         """
         if self._thread is None:
             raise FfsmError("the run has ended")
         try:
             is_question, found = self._asked.get()
-        except (
-            BaseException
-        ):  # Ctrl-C: what is asked meanwhile would be taken for the next question
+        except BaseException:  # Ctrl-C: a question in the meantime would count as the next one
             self.stop()
             raise
         if not is_question:

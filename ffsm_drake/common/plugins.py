@@ -14,7 +14,7 @@ from ffsm_drake.common.guard import passes, where
 COMMANDS = "ffsm_drake.commands"
 # Ending of a file, without its dot -> function of a RunRecord and a Path, which writes the file.
 EXPORTERS = "ffsm_drake.exporters"
-# What shows a run as it goes. "meshcat", "foxglove": function of a scenario, gives the RunRecord;
+# Live views of a run. "meshcat", "foxglove": function of a scenario, returns the RunRecord;
 # "controls": of a scenario, with ``keep`` for the record of each run; "replay": of a RunRecord.
 LIVE = "ffsm_drake.live"
 # Beginning of ``KIND:FILE@LAW`` -> function of the file's Path and ``law``, gives a law's factory.

@@ -50,7 +50,7 @@ class Limit:
         """Its error over the least possible at its effort (at least 1); errors weighed by the
         controller's own.
 
-        Infinite where it is unstable, NaN where a user-supplied block senses, whose noise has no
+        Infinite where it is unstable, NaN if a user-supplied block senses, whose noise has no
         model.
         """
         if not len(self.front_excess):

@@ -83,7 +83,7 @@ class Verdict:
     """Expectations for a mission; a part that was not requested, or does not apply, is None."""
 
     linear: LinearVerdict | None
-    not_linear: str  # why there is no linear verdict; empty where there is one
+    not_linear: str  # why there is no linear verdict; empty if there is one
     load: float | None  # with a capture: largest force as a fraction of its limit
     # the linearised loop under actuators or limits that saturate, several noises
     noises: Rehearsal | None

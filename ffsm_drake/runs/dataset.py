@@ -113,7 +113,7 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
 
 
 def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
-    """The table with the signals of a part. Raises BlockError where a name is taken."""
+    """The table with the signals of a part. Raises BlockError if a name is taken."""
     for signal in part.signals:
         place = f"blocks.{part.name}: signal '{signal.name}'"
         if signal.name in table:

@@ -53,7 +53,7 @@ class Ending:
     status: str  # one of ENDINGS
     sentence: str  # the errors and their sizes
     coordinate: str = ""  # the coordinate furthest beyond its tolerance, or diverged
-    # largest error over the last second, in tolerances; NaN where the run did not complete
+    # largest error over the last second, in tolerances; NaN if the run did not complete
     excess: float = float("nan")
     gave_up: bool = False  # it ended off its plan, its rates damped or on a retreat
 

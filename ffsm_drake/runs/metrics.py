@@ -80,7 +80,7 @@ def _tracking(dataset: "Labelled") -> dict[str, Any]:
 
 
 def frame_figures(dataset: "Labelled") -> dict[str, Any]:
-    """``frame_metrics`` of a run's dataset and its smallest singular value; empty where no frame
+    """``frame_metrics`` of a run's dataset and its smallest singular value; empty if no frame
     has a reference.
     """
     if "frame_error" not in dataset or not dataset.sizes["time"]:
@@ -94,7 +94,7 @@ def frame_figures(dataset: "Labelled") -> dict[str, Any]:
 
 
 def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
-    """``base_drift`` of a run's dataset; empty where everything is driven."""
+    """``base_drift`` of a run's dataset; empty if everything is driven."""
     undriven = dict.fromkeys(dataset["group"].values[~driven_of(dataset)].astype(str).tolist())
     known = undriven and "position" in dataset and dataset.sizes["time"]
     return base_drift(dataset["position"].values, tuple(undriven)) if known else {}

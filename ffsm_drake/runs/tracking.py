@@ -53,7 +53,7 @@ def frame_error(
     q_d: np.ndarray,
     desired: np.ndarray | None,
 ) -> np.ndarray:
-    """The pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN where q is not
+    """The pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN if q is not
     ``usable``.
 
     Args:
@@ -69,7 +69,7 @@ def frame_error(
 
 
 def frame_poses(model: PlantModel, q: np.ndarray, frame: Frame) -> np.ndarray:
-    """Poses (n, 7; quaternion, position) of a frame in configurations q (n, nq); NaN where q is not
+    """Poses (n, 7; quaternion, position) of a frame in configurations q (n, nq); NaN if q is not
     ``usable``.
     """
     result, finite = np.full((len(q), 7), np.nan), usable(q)

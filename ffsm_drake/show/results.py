@@ -17,7 +17,7 @@ HELD = ("generalized_force", "applied_force")  # from one sample to the next
 
 @dataclasses.dataclass(frozen=True)
 class Magnitude:
-    """The largest values of the coordinates of one group and unit; NaN where the record has
+    """The largest values of the coordinates of one group and unit; NaN if the record has
     none.
     """
 
@@ -31,7 +31,7 @@ class Magnitude:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Result:
-    """One run: name, status, verdict and figures; NaN where the record lacks what a figure
+    """One run: name, status, verdict and figures; NaN if the record lacks what a figure
     needs.
     """
 
@@ -93,7 +93,7 @@ def actuators_act(results: Sequence[Result]) -> bool:
 
 
 def values_of(record: RunRecord, name: str) -> np.ndarray | None:
-    """A variable of the record; None where it has none or no sample."""
+    """A variable of the record; None if it has none or no sample."""
     if name not in record.dataset or record.dataset.sizes.get("time", 0) == 0:
         return None
     values: np.ndarray = record.dataset[name].values

@@ -105,7 +105,7 @@ def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:
 
 
 def size_of(record: RunRecord, figure: Figure) -> float:
-    """A figure of another run in this one, in the unit that it is shown in; NaN where there is
+    """A figure of another run in this one, in the unit that it is shown in; NaN if there is
     none.
     """
     same = (each for each in record.figures if (each.part, each.key) == (figure.part, figure.key))

@@ -189,7 +189,7 @@ def rms(deflection: np.ndarray) -> np.ndarray:
 
 
 def residual(run: View) -> np.ndarray | None:
-    """The deflections (m, nh) from when the reference comes to rest; None where it does not before
+    """The deflections (m, nh) from when the reference comes to rest; None if it does not before
     the last sample.
     """
     first = _first(run)
@@ -210,7 +210,7 @@ def _position(run: View) -> np.ndarray:
 
 
 def _force(run: View) -> np.ndarray | None:
-    """N m or N (n, nh); None where no force acts on them."""
+    """N m or N (n, nh); None if no force acts on them."""
     if "external_hidden_force" not in run:
         return None
     return run["external_hidden_force"]

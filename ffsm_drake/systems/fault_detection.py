@@ -82,7 +82,7 @@ class FaultDetection(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "FaultDetection | None":
-        """None where the flight software does not look for faults."""
+        """None if the flight software does not look for faults."""
         return cls() if detects(scenario) else None
 
     def build(self, setup: BlockSetup) -> LeafSystem:

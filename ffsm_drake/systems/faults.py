@@ -79,5 +79,5 @@ class BreakingPart(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "BreakingPart | None":
-        """None where all work."""
+        """None if all work."""
         return cls() if hits(scenario, cls.hit_as) else None

@@ -113,7 +113,7 @@ class _Stage(LeafSystem):
             off = np.full(min(entries.size, 3), bias / np.sqrt(min(entries.size, 3)))
             if entries.size == 4:
                 state[entries] = composed(state[entries], quaternion_of(off))
-            elif entries.size == 3:  # of the base
+            elif entries.size == 3:  # a sensor of the base
                 state[entries] += matrix_of(self._true.Eval(context)[:4]) @ off
             else:
                 state[entries] += off

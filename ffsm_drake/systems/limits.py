@@ -54,7 +54,7 @@ def base_limits(scenario: Scenario) -> BaseLimits:
 
 
 def _span(most: np.ndarray, unit: str) -> str:
-    """The envelope over all directions (n), in words; empty where there is none."""
+    """The envelope over all directions (n), in words; empty if there is none."""
     known = most[np.isfinite(most)]
     return f"{known.min():.3g} to {known.max():.3g} {unit}" if known.size else ""
 

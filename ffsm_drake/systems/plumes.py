@@ -27,7 +27,7 @@ class Plumes(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Plumes | None":
-        """None where plumes push nothing."""
+        """None if plumes push nothing."""
         settings = scenario.actuation.thrusters
         return None if settings is None or settings.plume is None else cls()
 

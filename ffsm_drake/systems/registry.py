@@ -39,8 +39,8 @@ SHIPPED: dict[str, dict[str, str]] = {
         "task_computed_torque": f"{_LAWS}.task_computed_torque:TaskComputedTorque",
         "task_time_delay": f"{_LAWS}.task_time_delay:TaskTimeDelay",
     },
-    # What fills a block by the scenario's own section of that name, and what acts within a block,
-    # or beside it.
+    # Factories of blocks from the scenario's own sections of the same names, and of parts within a
+    # block or beside it.
     "section": {
         "reference": f"{_SYSTEMS}.reference:PlannedReference",
         "sensing": f"{_SYSTEMS}.sensing:Sensors",
@@ -87,10 +87,10 @@ def is_shipped(block: str, name: str) -> bool:
 def section_parts(
     scenario: Scenario, given: Iterable[str] = (), *, of: str = ""
 ) -> dict[str, Part]:
-    """The parts of a scenario's own sections, by block and section; none of a block that is filled
-    otherwise, as those ``given`` are.
+    """The parts of a scenario's own sections, by block and section; none for a block with another
+    factory, such as those ``given``.
 
-    ``of``: those that act within one block only, such as the actuators of ``actuation``.
+    ``of``: only the parts within one block, such as the actuators of ``actuation``.
     """
     filled = {*scenario.blocks.choices(), *given}
     found = {

@@ -227,7 +227,7 @@ class Sensors(Part):
         return make_sensing(settings, setup.coordinates, sample_time=setup.sample_time)
 
     def build_wide(self, setups: Sequence[BlockSetup]) -> Sensing | None:
-        """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None where
+        """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None if
         only some sensors are slow, or drift, or have errors in the base's axes.
         """
         settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
@@ -313,7 +313,7 @@ class _Errors:
         ])  # fmt: skip
 
     def check_alike(self, name: str, group: str) -> None:
-        """Raise ScenarioError where a setting differs between a base's three coordinates."""
+        """Raise ScenarioError if a setting differs between a base's three coordinates."""
         if len(set(self.of(name, 1.0)[self.coordinates.groups[group]].tolist())) > 1:
             raise ScenarioError(
                 f"sensing.{name}", f"must be the same for the three {group} coordinates"

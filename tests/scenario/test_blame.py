@@ -228,7 +228,9 @@ def test_a_part_that_the_model_cannot_have(tmp_path, monkeypatch, key, way):
         words = ["validate", "mine.yaml"]
     said = CliRunner().invoke(main, words).stderr
     source = "mine.yaml" if way == "file" else "override"
-    place = f"model.flexible.p.{key}: no " if key else "model.flexible: 'p' moves no inertia"
+    place = (
+        f"model.flexible.p.{key}: no " if key else "model.flexible: 'p' moves a negligible inertia"
+    )
     assert said.startswith(f"error: {source}: {place}"), said
     assert len(said.splitlines()) == 1
 

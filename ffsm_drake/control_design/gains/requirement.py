@@ -63,7 +63,7 @@ class Baseline:
     trade: Collection[str] = ()  # a subset of TRADES
 
     def worse_error(self, point: DesignPoint) -> str:
-        """The first group with a larger error than it had, one line; empty where there is none."""
+        """The first group with a larger error than it had, one line; empty if there is none."""
         if "accuracy" in self.trade:
             return ""
         for name, (after, before) in self.errors(point).items():
@@ -77,7 +77,7 @@ class Baseline:
         return {name: (after, before[name]) for name, after in point.prediction.by_group().items()}
 
     def worse_margin(self, boundaries: Boundaries) -> str:
-        """The first margin that is smaller than it was, one line; empty where there is none."""
+        """The first margin that is smaller than it was, one line; empty if there is none."""
         found = {} if "margins" in self.trade else self.margins(boundaries)
         for name, (before, after) in found.items():
             if not after * TOLERANCE >= before:
@@ -151,7 +151,7 @@ class Requirement:
     baseline: Baseline | None = None
 
     def violated(self, point: DesignPoint) -> str:
-        """The requirement that a point does not meet, one line; empty where it meets all."""
+        """The requirement that a point does not meet, one line; empty if it meets all."""
         return self.failed(point) or self._over_budget(point) or self.worse(point)
 
     def failed(self, point: DesignPoint) -> str:

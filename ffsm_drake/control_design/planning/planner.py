@@ -135,7 +135,7 @@ class _Planner:
         return float(np.linalg.norm(momentum))
 
     def check_momentum(self) -> None:
-        """Raise ScenarioError where joints alone would have to take out angular momentum."""
+        """Raise ScenarioError if joints alone would have to take out angular momentum."""
         if "base_rotation" in self._scenario.undriven and self._momentum > _AT_REST:
             raise ScenarioError(
                 "actuation.driven",
@@ -145,7 +145,7 @@ class _Planner:
             )
 
     def check_ends(self) -> None:
-        """Raise PlanningError where the start or the goal is beyond a limit, which no plan can
+        """Raise PlanningError if the start or the goal is beyond a limit, which no plan can
         mend.
         """
         names, units = self._model.coordinates.names, self._model.coordinates.units

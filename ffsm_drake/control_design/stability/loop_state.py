@@ -133,7 +133,7 @@ class Memory:
         self._always = (True,) * len(self._updated) if every_sample else ()
 
     def part_of(self, system: System, group: int) -> slice | None:
-        """The part of a system's discrete group; None where it was left out."""
+        """The part of a system's discrete group; None if it was left out."""
         return self._where.get((system, group))
 
     def kind(self, index: int) -> Hashable:

@@ -49,7 +49,7 @@ def _scope(scenario: Scenario, leg: Leg) -> str:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LegVerdict:
-    """The linear loop along one leg of a mission; NaN where it cannot be linearised."""
+    """The linear loop along one leg of a mission; NaN if it cannot be linearised."""
 
     leg: Leg  # "motion" without a capture
     radius: float  # largest spectral radius
@@ -173,7 +173,7 @@ def _at_larger_gains(
 
 
 def _bounds(linearizer: Linearizer) -> np.ndarray:
-    """The bounds of K_s (nv); empty where adaptation cannot change it."""
+    """The bounds of K_s (nv); empty if adaptation cannot change it."""
     gain = reaching_gain_of(linearizer.law)
     if gain is None or not (gain.is_adapted and gain.changes):
         return np.empty(0)

@@ -163,7 +163,7 @@ def largest_stable_k_s(
 ) -> np.ndarray:
     """Largest K_s (m), 1/s, up to 1000, that keeps one coordinate stable at each eta (m).
 
-    NaN where none does, and for a law without K_s.
+    NaN if none does, and for a law without K_s.
     """
     if law.reaching_gain is None:
         return np.full(np.shape(eta), np.nan)

@@ -38,7 +38,7 @@ class PlannedDynamics:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Raises ModelError or ScenarioError where a model or a value cannot be used."""
+        """Raises ModelError or ScenarioError if a model or a value cannot be used."""
         self.scenario = scenario
         self.nominal = driven_model(make_nominal_plant(scenario))
         self.true = driven_model(make_flexible_plant(scenario))  # with hidden coordinates

@@ -302,7 +302,7 @@ class _Runs:
 
     @property
     def _switching_at_start(self) -> np.ndarray:
-        """G (nv), which the linear loop leaves out; empty where the law has none."""
+        """G (nv), which the linear loop leaves out; empty if the law has none."""
         start = {} if self._law is None else self._law.initial_state()
         known = {"sliding_variable", "switching_gain"} <= set(start)
         return np.array(start["switching_gain"]) if known else np.zeros(0)

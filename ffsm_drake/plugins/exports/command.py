@@ -15,18 +15,18 @@ from ffsm_drake.cli.common import run_argument
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Its ending says what it is: .mat, .csv, .parquet, .mcap, .aem, .oem or .fmu.",
+    help="Its extension selects the format: .mat, .csv, .parquet, .mcap, .aem, .oem or .fmu.",
 )
 @click.option(
     "--part",
     type=click.Choice(["plant", "controller"]),
-    help="Of an .fmu: what it holds (default: plant).",
+    help="For an .fmu: its contents (default: plant).",
 )
-@click.option("--ros2", is_flag=True, help="In an .mcap: messages of ROS 2.")
+@click.option("--ros2", is_flag=True, help="For an .mcap: write ROS 2 messages.")
 def export(run: Path, file: Path, part: str | None, ros2: bool) -> None:
     """Write a recorded run's series, or a scenario as an FMU, for other programs.
 
-    An .fmu (FMI 3.0, co-simulation) is of a scenario, by name or file, or of a run's.
+    An .fmu (FMI 3.0, co-simulation) is made from a scenario, by name or file, or from a run's.
 
     \b
     Examples:
@@ -39,9 +39,9 @@ def export(run: Path, file: Path, part: str | None, ros2: bool) -> None:
     from ffsm_drake.runs.record import RunRecord
 
     if ros2 and file.suffix != ".mcap":
-        raise FfsmError(f"--ros2: is of an .mcap, not of '{file}'")
+        raise FfsmError(f"--ros2: only for an .mcap, not for '{file}'")
     if part and file.suffix != ".fmu":
-        raise FfsmError(f"--part: is of an .fmu, not of '{file}'")
+        raise FfsmError(f"--part: only for an .fmu, not for '{file}'")
     if file.suffix == ".fmu":
         from ffsm_drake.plugins.exports.fmu import export as write_fmu
         from ffsm_drake.scenario import load_scenario

@@ -21,7 +21,7 @@ from ffsm_drake.show.style import Style
 def stability_views(
     results: Sequence[Result], margins: Sequence[Margins | None], thin: Thinning
 ) -> list[View]:
-    """The panels of the runs that could be assessed; empty where there is none."""
+    """The panels of the runs that could be assessed; empty if there is none."""
     assessed = {i: margin for i, margin in enumerate(margins) if margin is not None}
     if not assessed:
         return []

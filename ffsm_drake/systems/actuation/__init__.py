@@ -94,8 +94,8 @@ class ActuatorRow(Part):
         return self.build_wide([setup])
 
     def build_wide(self, setups: Sequence[BlockSetup]) -> Actuators | None:
-        """Those of several copies of the spacecraft, see ``systems.side_by_side``; None where they
-        are ideal, or differ in more than limits of the force and quantisation.
+        """The actuators of several copies of the spacecraft, see ``systems.side_by_side``; None if
+        they are ideal, or differ in more than limits of the force and quantisation.
         """
         settings = [allocated(setup.scenario) for setup in setups]
         first = settings[0]

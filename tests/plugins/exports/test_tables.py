@@ -54,7 +54,7 @@ def test_other_endings_are_refused(folder, tmp_path):
     assert result.exit_code == 2
     for option in (["--ros2"], ["--part", "controller"]):
         line = ["export", str(folder), "--to", str(tmp_path / "run.csv"), *option]
-        assert f"{option[0]}: is of an" in CliRunner().invoke(main, line).output
+        assert f"{option[0]}: only for an" in CliRunner().invoke(main, line).output
     assert "must end in .aem, .csv, .mat, .mcap, .oem, .parquet, .fmu" in result.output
 
 
