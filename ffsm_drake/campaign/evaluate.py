@@ -211,7 +211,7 @@ class Evaluator:
         }
 
     def _predicted(self, scenario: Scenario, message: str) -> Row:
-        """The predictions; where there are none, the message says why."""
+        """The predictions; if there are none, the message gives the reason."""
         try:
             return dict(zip(self._predictions, predict(scenario), strict=False))
         except BlockError as error:

@@ -191,8 +191,8 @@ def load_spec(name_or_path: str | Path) -> Spec:
     """Read a specification by shipped name or path, and check it.
 
     Raises:
-      CampaignError, ScenarioError: the file, a key or a value cannot be used; one line says where
-        and why.
+      CampaignError, ScenarioError: the file, a key or a value cannot be used; one line with place
+        and reason.
     """
     shipped = shipped_campaigns()
     path = shipped.get(str(name_or_path), Path(name_or_path))

@@ -191,7 +191,7 @@ def _median(sample: np.ndarray) -> Interval:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """How a value affects whether runs fail."""
+    """Effect of a value on the failure of runs."""
 
     name: str
     controller: str

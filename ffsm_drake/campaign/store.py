@@ -299,7 +299,7 @@ class Shard:
         return bool(row[0] % self.count == self.number - 1)
 
     def size(self, cases: int) -> int:
-        """Number of cases, of so many in all."""
+        """Number of cases of this shard, out of the total."""
         return len(range(self.number - 1, cases, self.count))
 
 

@@ -89,7 +89,7 @@ class Aside:
         return found
 
     def stop(self) -> None:
-        """End the work at its next question, if it goes on."""
+        """End the work at its next question."""
         if self._thread is not None:
             self._answers.put(None)
             self._join()

@@ -39,7 +39,7 @@ def percent(share: float | None) -> str:
 
 
 def usable(values: np.ndarray) -> np.ndarray:
-    """Which samples of values (n, ...) are numbers below ``LARGEST`` throughout (n)."""
+    """Mask of the samples (n) of values (n, ...) that are below ``LARGEST`` in size throughout."""
     within = np.abs(values) < LARGEST  # false for NaN too
     every: np.ndarray = within.all(axis=tuple(range(1, within.ndim)))
     return every

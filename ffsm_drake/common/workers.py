@@ -272,7 +272,7 @@ class InThisProcess(Executor):
 
 
 def _follow_parent() -> None:
-    """End this process as soon as its parent process has ended, for whatever reason."""
+    """End this process as soon as its parent process has ended, for any reason."""
     parent = parent_process()
     if parent is None:
         return
@@ -504,7 +504,9 @@ class _Runner(Generic[Task, Result]):
             self._renew()
 
     def _strike(self, task: Task, strikes: int) -> Iterator[tuple[Task, WorkerLost]]:
-        """Repeat a task, or its parts, or give it up, after so many workers died with it alone."""
+        """Repeat a task, or its parts, or give it up, depending on the number of workers lost with
+        it alone.
+        """
         parts = self.split(task)
         if strikes and len(parts) > 1:
             self.suspects += ((part, 0) for part in parts)

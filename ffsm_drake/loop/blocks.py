@@ -344,7 +344,7 @@ def _in_order(names: Collection[str]) -> tuple[str, ...]:
 
 
 def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
-    """The scenario with its faults drawn, of what may break as its parts say; errors as of
+    """The scenario with its faults drawn, from the possible ones of its parts. Raises the errors of
     ``settled``.
     """
     known: dict[str, Sequence[str]] = {}

@@ -117,15 +117,15 @@ class Verdict:
 
     @property
     def _noises_are_contradicted(self) -> bool:
-        """Whether the linearised loop diverges whatever the noise, and the run settles: it is too
-        far from its plan for a linearised loop.
+        """Whether the linearised loop diverges with every noise sequence, but the run settles: it
+        is too far from its plan for a linearised loop.
         """
         settles = self.run is not None and self.run.ending.is_settled
         return self.noises is not None and self.noises.share_diverged == 1.0 and settles
 
     @property
     def is_linearly_unstable(self) -> bool:
-        """Whether the linear loop of a leg is unstable, whatever a run does."""
+        """Whether the linear loop of a leg is unstable, regardless of a run."""
         return self.linear is not None and self.linear.is_alarm
 
     @property

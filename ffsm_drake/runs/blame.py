@@ -1,4 +1,4 @@
-"""Which user-supplied block a run failed in."""
+"""The user-supplied block responsible for a failed run."""
 
 import contextlib
 import dataclasses

@@ -180,7 +180,7 @@ def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.
 
 
 def _growing(size: np.ndarray, time: np.ndarray, *, begin: float, notable: float) -> np.ndarray:
-    """Which columns (k) grow at the end of a leg that began at a time."""
+    """Mask (k) of the columns that grow at the end of a leg, which began at a given time."""
     end = float(time[-1])
     length = min(SETTLED_OVER, (end - begin) / (_WINDOWS + 1))
     if not length > 0.0:

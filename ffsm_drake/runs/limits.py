@@ -1,4 +1,4 @@
-"""The limits that a run exceeds.
+"""The limits exceeded in a run.
 
 Nothing enforces those of the joints; ``actuation.limit`` saturates the force, and ``saturation``
 says how often.
@@ -199,10 +199,10 @@ def saturation(record: RunRecord) -> dict[str, float]:
 
 
 def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) -> dict[str, float]:
-    """When a run first exceeded each of its limits, s: commanded forces, rates and positions of
-    the coordinates, limits of parts, clearance.
+    """Times of a run's first excess of each of its limits, s: commanded forces, rates and positions
+    of the coordinates, limits of parts, clearance.
 
-    ``near``: the run's ``distances_in``, if they are known already.
+    ``near``: the run's ``distances_in``, if already known.
     """
     clearance = shapes_of(log.scenario.model)
     parts = [placed.part for placed in log.parts.values()]

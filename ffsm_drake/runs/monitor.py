@@ -54,7 +54,7 @@ class Monitor:
         return self.judge(context.get_time(), self.loop.split.known_part(whole))
 
     def judge(self, time: float, state: np.ndarray) -> bool:
-        """As ``check``, of a known state [q; v] at a time, s."""
+        """Same as ``check``, for a known state [q; v] at a time, s."""
         if self.bounded(state).all():
             return True
         velocity = state[self._first_velocity :]
@@ -77,7 +77,7 @@ class Monitor:
         return self.judge_force(context.get_time(), force)
 
     def judge_force(self, time: float, force: np.ndarray) -> bool:
-        """As ``check_force``, of a force (nv) at a time, s."""
+        """Same as ``check_force``, for a force (nv) at a time, s."""
         if np.isfinite(force).all():
             return True
         worst = int(np.argmin(np.isfinite(force)))
@@ -108,8 +108,10 @@ class CopiesMonitor:
     def __init__(
         self, loop: ClosedLoop, parked: Collection[int] = (), *, every_step: bool = True
     ) -> None:
-        """Args: a loop of several copies; those that are parked from the start; whether it looks at
-        every step.
+        """Args:
+        loop: a loop of several copies.
+        parked: copies parked from the start.
+        every_step: whether every step is checked.
         """
         if loop.copies is None:
             raise ValueError("the loop has one copy of the spacecraft")

@@ -69,7 +69,7 @@ class StaleReportWarning(UserWarning):
 
 
 def seal_of(manifest: dict[str, Any]) -> str:
-    """SHA-256 of a manifest's entries, in whatever order and layout they are written."""
+    """SHA-256 of a manifest's entries, independent of their order and layout."""
     entries = {key: value for key, value in manifest.items() if key != SEAL}
     return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
 
@@ -276,7 +276,7 @@ def _coordinates_of(
 def _of_names(
     dataset: "xr.Dataset", coordinates: Coordinates, split: StateSplit | None
 ) -> Iterator[str]:
-    """The names along each dimension, and what stands beside them."""
+    """Check the names along each dimension, and the coordinates beside them."""
     expected: dict[str, tuple[str, Any]] = {
         "coordinate": ("coordinate", coordinates.names),
         "position_name": ("position_name", coordinates.position_names),

@@ -208,7 +208,7 @@ def find_scenario(name: str, folder: Path = Path()) -> Path:
 
 
 def is_overridden(key: str, overridden: Iterable[str]) -> bool:
-    """Whether a key is one of the overridden ones, stands within one, or holds one."""
+    """Whether a key is an overridden one, lies within one, or contains one."""
 
     def within(inner: str, outer: str) -> bool:
         return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))

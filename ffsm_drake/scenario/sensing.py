@@ -13,7 +13,7 @@ ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 @dataclass
 class Estimator:
-    """How the controller estimates the lumped uncertainty N of equation (2)."""
+    """Estimator of the lumped uncertainty N of equation (2)."""
 
     KIND: ClassVar[str] = "kind"  # another one drops the inherited settings
 

@@ -92,9 +92,9 @@ def _without_idle_ports(dot: str, name: str) -> str:
 
 
 def write_diagram(dot: str, path: Path) -> str:
-    """Write ``path`` (.dot) and, where Graphviz is installed, the .svg beside it.
+    """Write ``path`` (.dot) and, if Graphviz is installed, an .svg file in the same folder.
 
-    Returns: an empty string, or one line that says why there is no SVG.
+    Returns: an empty string, or one line with the reason for a missing SVG.
 
     Raises:
       RecordError: a file cannot be written.

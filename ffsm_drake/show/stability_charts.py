@@ -88,7 +88,7 @@ def weakest(axes: AxisMargins) -> int:
 
 
 def map_chart(margins: Margins, axes: AxisMargins, style: Style) -> Chart:
-    """Where the coordinate with the least margin is stable: K_s, or without K_s the sample time,
+    """Stable region of the coordinate with the least margin: K_s, or without K_s the sample time,
     against eta.
     """
     axis, eta = weakest(axes), np.linspace(*_MAP_ETA)

@@ -181,7 +181,7 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
 def results_data(
     records: Sequence[RunRecord], distances: Sequence[float] | None = None
 ) -> list[dict[str, Any]]:
-    """The same as plain data."""
+    """The results of the table above as plain data."""
     of_each = (
         [{}] * len(records)
         if distances is None
@@ -551,7 +551,7 @@ def plan_table(found: "PlannedMotionReport") -> str:
 
 
 def plan_data(found: "PlannedMotionReport") -> dict[str, Any]:
-    """The same as plain data."""
+    """The text of the plan as plain data."""
     return {
         "duration": found.plan.duration,
         "settle": found.plan.settle,

@@ -290,7 +290,13 @@ class ApproachClearance(Clearance):
     """
 
     def __init__(self, model: Model, target: str, *, flexible: bool = False) -> None:
-        """Args: the model; scoped name of the target. Errors as ``Clearance``."""
+        """Args:
+          model: the model.
+          target: scoped name of the target.
+          flexible: whether flexible parts are included.
+
+        Raises the errors of ``Clearance``.
+        """
         super().__init__(model, apart=target, flexible=flexible)
         held = make_plant(model)
         frame = find_frame(held, model.end_effector, key="model.end_effector")

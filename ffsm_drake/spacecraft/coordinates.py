@@ -121,7 +121,9 @@ class Coordinates:
         return np.array(result, dtype=float)
 
     def joint_vector(self, values: Mapping[str, float], *, key: str, default: float) -> np.ndarray:
-        """As ``vector``, for joints only: keys are ``all`` or joint names. Raises ScenarioError."""
+        """Same as ``vector``, for joints only: keys are ``all`` or joint names. Raises
+        ScenarioError.
+        """
         self._check(values, ("all", "joints", *self.joints), key, "is not a joint")
         return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
 

@@ -103,13 +103,13 @@ class Target:
 
     @classmethod
     def from_row(cls, row: np.ndarray) -> "Target":
-        """From ``as_row``."""
+        """Build from a row of ``as_row``."""
         names = (field.name for field in dataclasses.fields(cls))
         return cls(**dict(zip(names, np.split(row, _SIZES, axis=-1), strict=True)))
 
     @classmethod
     def from_motion(cls, motion: np.ndarray, properties: MassProperties) -> "Target":
-        """From [quaternion, p_WP; w_WP, v_WP] (13), world axes."""
+        """Build from [quaternion, p_WP; w_WP, v_WP] (13), world axes."""
         R = matrix_of(motion[:4])
         w, arm = motion[7:10], np.array(properties.center_of_mass)
         return cls(

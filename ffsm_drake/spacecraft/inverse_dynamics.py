@@ -78,7 +78,10 @@ class InverseDynamics:
     turns = False  # True if the base's rotation is a coordinate of the motion
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
-        """Args: the plant with its payload; the attitude R_0, the origin of rotation vectors."""
+        """Args:
+        model: the plant with its payload.
+        first: the attitude R_0, the origin of rotation vectors.
+        """
         plant, context = model.plant, model.context
         q = np.zeros(plant.num_positions())
         q[0] = 1.0

@@ -328,7 +328,7 @@ def cause_of(error: BaseException) -> str:
 def _add_models(
     parser: Parser, file: str, place: str, packages: Mapping[str, str]
 ) -> list[ModelInstanceIndex]:
-    """Parse a file or package:// address. Raises ModelError for whatever Drake rejects."""
+    """Parse a file or package:// address. Raises ModelError for anything rejected by Drake."""
     if "://" not in file:
         try:
             found, folder = Path(file).is_file(), Path(file).is_dir()

@@ -49,8 +49,12 @@ class PlumeField:
         *,
         without: str | None = None,
     ) -> None:
-        """Args: the plumes; the thrusters; a plant without flexible coordinates for the field's own
-        use; its model; a body (scoped name) that is not there yet.
+        """Args:
+        settings: the plumes.
+        units: the thrusters.
+        model: a plant without flexible coordinates for the field's own use.
+        of: its model.
+        without: a body (scoped name) that is not yet present.
         """
         self._model, self._base = model, base_body(model.plant)
         # body, its shape, X_BG
@@ -95,7 +99,7 @@ class PlumeField:
         return total, each
 
     def _met(self, p: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """How far rays (n, rays, 3) from points (n, 3) go to each shape (shapes, n, rays)."""
+        """Distances along rays (n, rays, 3) from points (n, 3) to each shape (shapes, n, rays)."""
         context = self._model.context
         poses = [body.EvalPoseInWorld(context) @ X_BG for body, _, X_BG in self._shapes]
         away = np.array([X_WG.translation() for X_WG in poses])[:, None] - p  # (shapes, n, 3)

@@ -1,4 +1,4 @@
-"""Where rays meet shapes of Drake's."""
+"""Intersections of rays with Drake's shapes."""
 
 import math
 from functools import singledispatch
@@ -10,11 +10,14 @@ _LEAST = 1e-4  # m; what begins on a shape or within it does not meet it
 
 
 def first_meeting(shape: Shape, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """How far rays go until they enter a shape from outside, m (n); infinite where they do not.
+    """Distances along rays to their entry into a shape from outside, m (n); infinite without one.
 
-    A mesh is taken as the box of its vertices, and a half space is never met.
+    A mesh is represented by the box of its vertices; a half space is never met.
 
-    Args: origins and unit directions (n, 3) in the shape's frame.
+    Args:
+      shape: the shape.
+      origins: origins of the rays (n, 3) in the shape's frame.
+      directions: unit directions (n, 3) in the shape's frame.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         enters, leaves = _span(shape, origins, directions)
@@ -48,7 +51,7 @@ def _corners(shape: Convex | Mesh) -> np.ndarray:
 
 @singledispatch
 def _span(shape: Shape, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays p + s u enter and leave a convex shape."""
+    """Parameters s at which rays p + s u enter and leave a convex shape."""
     return np.full(len(p), np.inf), np.full(len(p), -np.inf)
 
 

@@ -45,7 +45,7 @@ def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
-    """As ``quintic_blend``, but of seventh order, with zero jerk at both ends.
+    """Seventh-order version of ``quintic_blend``, with zero jerk at both ends.
 
     Peak speed 2.1875/T, peak acceleration 7.5132/T^2.
     s(x) = x^4 (35 - 84 x + 70 x^2 - 20 x^3), s' = 140 x^3 (1 - x)^3 / T.
@@ -60,7 +60,7 @@ def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def septic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
-    """As ``quintic_stop``, but of seventh order, with zero jerk at both ends.
+    """Seventh-order version of ``quintic_stop``, with zero jerk at both ends.
 
     g(x) = T x (1 - x)^4 (1 + 4 x + 10 x^2).
     """
@@ -128,7 +128,10 @@ class Blend:
     """The blend of a motion, and the stop from a velocity, over a duration."""
 
     def __init__(self, reference: Reference, duration: float, *, backwards: bool = False) -> None:
-        """Args: the reference; the duration, s; ``backwards``: the motion is run backwards.
+        """Args:
+          reference: the reference.
+          duration: its duration, s.
+          backwards: run the motion backwards.
 
         Raises ScenarioError: the shaper takes the whole duration or more.
         """

@@ -92,7 +92,7 @@ class Deflections(Part):
         )
 
     def constants(self, setup: BlockSetup) -> Sequence[Constant]:
-        """Their units."""
+        """Units of the deflections."""
         return [
             Constant(
                 name="hidden_unit",
@@ -104,8 +104,8 @@ class Deflections(Part):
         ]
 
     def metrics(self) -> Sequence[Metric]:
-        """The largest deflection by coordinate; from when the reference comes to rest, where it
-        does before the run's last sample, amplitude and rms; of all with a unit, the largest.
+        """The largest deflection by coordinate; amplitude and rms after the reference has come to
+        rest, if before the run's last sample; and the largest over all coordinates of a unit.
         """
         units = tuple(
             dict.fromkeys("m" if kind in ("mass", "beam") else "rad" for kind in self.kinds)
@@ -146,7 +146,7 @@ class Deflections(Part):
         )
 
     def sentence(self, figures: Sequence[Figure]) -> str:
-        """How far they moved, and what is left of it."""
+        """Peak and residual deflections."""
 
         def listed(key: str) -> str:
             return ", ".join(
@@ -189,8 +189,8 @@ def rms(deflection: np.ndarray) -> np.ndarray:
 
 
 def residual(run: View) -> np.ndarray | None:
-    """The deflections (m, nh) from when the reference comes to rest; None if it does not before
-    the last sample.
+    """The deflections (m, nh) after the reference has come to rest; None if it does not before the
+    last sample.
     """
     first = _first(run)
     return _position(run)[first:] if first < len(run.time) - 1 else None

@@ -50,7 +50,10 @@ class OrbitalForce:
     """
 
     def __init__(self, settings: Environment, model: PlantModel) -> None:
-        """Args: the environment; the plant with its masses; every call sets its context."""
+        """Args:
+        settings: the environment.
+        model: the plant with its masses; every call sets its context.
+        """
         self._settings, self._model = settings, model
         self._orbit = Orbit(settings)
         self._rate = self._orbit.rate
@@ -109,7 +112,7 @@ class OrbitalForce:
 
 
 def _center_of_mass(mass_matrix: np.ndarray) -> np.ndarray:
-    """From the base's origin (..., 3), world axes, m."""
+    """Vector from the base's origin to the centre of mass (..., 3), world axes, m."""
     spacecraft = FreeFloating(
         mass_matrix=mass_matrix, base_position=np.empty(0), driven=np.empty(0, dtype=int)
     )
@@ -135,8 +138,10 @@ class EnvironmentForce(LeafSystem):
     """
 
     def __init__(self, scenarios: Sequence[Scenario], model: PlantModel) -> None:
-        """Args: a scenario of each copy, with the same environment; a plant for the system's own
-        use, with the true payloads, of several copies a CopiesModel.
+        """Args:
+        scenarios: a scenario of each copy, with the same environment.
+        model: a plant for the system's own use, with the true payloads; for several copies a
+          CopiesModel.
         """
         super().__init__()
         self._model, self._scenarios, copies = model, tuple(scenarios), len(scenarios)

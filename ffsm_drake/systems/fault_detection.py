@@ -103,7 +103,7 @@ class FaultDetection(Part):
         )
 
     def metrics(self) -> Sequence[Metric]:
-        """When what was noticed."""
+        """Times of detection."""
         return (
             Metric(
                 key="faults.noticed", unit="s", label="Detected", column="", of=_noticed,
@@ -128,7 +128,7 @@ def _noticed(run: View) -> dict[str, float]:
 
 
 def _units(scenario: Scenario, coordinates: Coordinates) -> list[str]:
-    """All that may be noticed, as ``faults`` names it."""
+    """All units that may be reported, with the names in ``faults``."""
     thrusters, wheels = scenario.actuation.thrusters, scenario.wheels
     return [
         *(f"thrusters.{name}" for name in ({} if thrusters is None else thrusters_of(thrusters))),
@@ -473,7 +473,7 @@ class _Detector(LeafSystem):
         memory["seen"][:] = np.concatenate([q, v])
 
     def _lost(self, codes: np.ndarray) -> np.ndarray:
-        """Which measurements (2 nv) are replaced."""
+        """Mask of the measurements (2 nv) that are replaced."""
         lost = np.zeros(2 * self._nv, dtype=bool)
         for name, entries in self._sensors.items():
             if codes[self._unit(name)] in (_CODE["frozen"], _CODE["silent"]):
@@ -481,7 +481,7 @@ class _Detector(LeafSystem):
         return lost
 
     def _jammed(self, codes: np.ndarray) -> np.ndarray:
-        """Which coordinates (nv) are."""
+        """Mask of the jammed coordinates (nv)."""
         base, joints = np.zeros(NUM_BASE_VELOCITIES, dtype=bool), self._model.coordinates.joints
         at = [self._names.index(f"joints.{name}") for name in joints]
         return np.concatenate([base, codes[at] > 0.0])
@@ -539,7 +539,7 @@ class _Detector(LeafSystem):
         memory["sums"][at + nv : at + 2 * nv] += moved
 
     def _lose(self, memory: Memory, sensor: str, kind: str) -> None:
-        """A sensor is lost: what is known of its coordinates begins anew."""
+        """Handle a lost sensor: the estimates of its coordinates are reset."""
         nq, nv, entries = self._nq, self._nv, self._sensors[sensor]
         memory["codes"][self._unit(sensor)] = _CODE[kind]
         now = memory["seen"]
@@ -650,7 +650,7 @@ class _Detector(LeafSystem):
     ) -> None:
         """Detect joints at rest under a force beyond all bounds, for any payload mass.
 
-        The mean over a window of a force within +-D, by any weights, is within +-D: whatever its
+        The mean over a window of a force within +-D, by any weights, is within +-D at any
         frequency.
         """
         nv, step, base = self._nv, _EVERY * self._step, NUM_BASE_VELOCITIES

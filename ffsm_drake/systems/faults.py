@@ -68,7 +68,7 @@ def detects(scenario: Scenario) -> bool:
 
 
 def first_sample(fault: Fault, sample_time: float) -> int:
-    """The control sample from which on a fault is there."""
+    """First control sample with a fault."""
     return math.ceil(fault.time[0] / sample_time - 1e-9)
 
 

@@ -60,8 +60,8 @@ class FaultySensors(BreakingPart):
 
 
 class _Stage(LeafSystem):
-    """Inputs ``state`` and ``true_state``, output ``estimated_state``; where a sensor falls silent,
-    which says so, also input and output ``measurement_is_new`` (nq + nv each). Discrete state: the
+    """Inputs ``state`` and ``true_state``, output ``estimated_state``; for a silent sensor with
+    a notice also input and output ``measurement_is_new`` (nq + nv each). Discrete state: the
     last estimate.
     """
 

@@ -38,12 +38,14 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         end: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control
-        period, s; its end, s.
-
-        Only the momentum of ``velocity`` matters. Motions with equal ``content``
-        (``memo.content_of``), which covers all their inputs, are integrated once; without it, each
-        on its own.
+        """Args:
+        model: the plant with the nominal payload.
+        position: q (nq) at the start.
+        velocity: v (nv) at the start; only its momentum matters.
+        sample_time: the control period, s.
+        end: end of the motion, s.
+        content: key for motions that are integrated once (``memo.content_of``); it must cover all
+          inputs. None: each on its own.
         """
         self._content = content
         self._model, self._driven = model, model.coordinates.driven
@@ -160,7 +162,12 @@ class FreeMotion(MomentumMotion):
         sample_time: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the motion; the plant with the nominal payload; the control period, s."""
+        """Args:
+        wanted: the motion.
+        model: the plant with the nominal payload.
+        sample_time: the control period, s.
+        content: see ``MomentumMotion``.
+        """
         self._wanted = wanted
         coordinates = model.coordinates
         self._columns = np.concatenate(

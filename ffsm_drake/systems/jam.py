@@ -1,4 +1,4 @@
-"""Joints that jam: whatever their drives give, they stand still."""
+"""Jammed joints: at rest under any force of their drives."""
 
 from collections.abc import Mapping, Sequence
 

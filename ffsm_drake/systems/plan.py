@@ -39,7 +39,7 @@ class Plan:
 
     @property
     def end(self) -> float:
-        """Time at which it has come to rest, s."""
+        """Time at which the motion comes to rest, s."""
         return self.duration + self.settle
 
     @functools.cached_property
@@ -71,7 +71,7 @@ class Plan:
         return z, rate, acceleration
 
     def instants(self, per_segment: int) -> np.ndarray:
-        """Times that divide each segment, and ``settle``, into so many equal parts (n,), s."""
+        """Times that divide each segment, and ``settle``, into a number of equal parts (n,), s."""
         marks = np.r_[self.duration * self.knots, [self.end] * (self.settle > 0.0)]
         count = len(marks) - 1
         parts = np.linspace(0.0, count, count * per_segment + 1)

@@ -44,7 +44,11 @@ class SplineMotion(PlannedMotion):
     """The motion of a plan."""
 
     def __init__(self, plan: Plan, *, coordinates: Coordinates, sample_time: float) -> None:
-        """Args: the plan; the spacecraft's coordinates; the control period, s."""
+        """Args:
+        plan: the plan.
+        coordinates: the spacecraft's coordinates.
+        sample_time: the control period, s.
+        """
         self._plan = plan
         super().__init__(coordinates=coordinates, sample_time=sample_time, end=plan.end)
 
@@ -59,7 +63,11 @@ class CaptureMotion(PlannedMotion):
     def __init__(
         self, *, approach: PolynomialMotion, stop: PlannedMotion, sample_time: float
     ) -> None:
-        """Args: the approach, from the grasp back to the start; the motion after the grasp."""
+        """Args:
+        approach: the approach, from the grasp back to the start.
+        stop: the motion after the grasp.
+        sample_time: the control period, s.
+        """
         self._approach, self._stop = approach, stop
         begin = approach.end
         super().__init__(

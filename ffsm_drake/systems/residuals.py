@@ -163,7 +163,7 @@ class Observer:
     def step(
         self, v: np.ndarray, a: np.ndarray, *, expected: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """How far (nv) the positions move in a sample, and the velocity (nv) at its end, from the
+        """Displacement (nv) in a sample, and the velocity (nv) at its end, from the
         velocity at its start, an unmodelled acceleration and an expected change of velocity.
         """
         change = expected + self._step * a

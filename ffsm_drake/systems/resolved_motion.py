@@ -97,7 +97,13 @@ class ResolvedMotion(MomentumMotion):
         sample_time: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the motion without the frame; its path; its goal; the frame; as MomentumMotion."""
+        """Args:
+        wanted: the motion without the frame.
+        path: path of the frame.
+        goal: goal of the frame.
+        frame: the frame.
+        model, sample_time, content: see ``MomentumMotion``.
+        """
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
         coordinates = model.coordinates
         # indices among the driven coordinates

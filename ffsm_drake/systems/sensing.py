@@ -301,9 +301,7 @@ class _Errors:
         )
 
     def axes_matter(self) -> np.ndarray:
-        """Whether it matters in which axes the base's white noise stands, and its other errors
-        (2).
-        """
+        """Whether the base's white noise, and its other errors, depend on the axes (2)."""
         base = slice(0, NUM_BASE_VELOCITIES)
         white = np.stack(self.pair("noise"))[:, base].reshape(-1, 3)
         pairs = (self.pair(name) for name in ("bias", "correlated_noise", "quantization"))
@@ -348,7 +346,7 @@ def _deviations(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 def _build_stage(
     name: str, builder: DiagramBuilder, before: InputPort, after: OutputPort
 ) -> Diagram:
-    """The diagram of a stage, whose state goes in and comes out at two ports."""
+    """The diagram of a stage with one input and one output port for the state."""
     builder.ExportInput(before, "state")
     builder.ExportOutput(after, "estimated_state")
     stage = builder.Build()

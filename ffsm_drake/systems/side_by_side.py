@@ -39,7 +39,9 @@ class SideBySide(Diagram):
     """Systems with the same ports, one for each copy, as one system with ports for all copies."""
 
     def __init__(self, systems: Sequence[System], inputs: Collection[str]) -> None:
-        """Args: the systems; the names of the input ports that the loop feeds.
+        """Args:
+          systems: the systems.
+          inputs: names of the input ports connected in the loop.
 
         Raises NotAlike: the ports of the systems differ.
         """

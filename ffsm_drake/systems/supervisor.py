@@ -132,7 +132,7 @@ class SupervisorPart(Part):
         )
 
     def metrics(self) -> Sequence[Metric]:
-        """How often and how long rates were damped, and when each mode began."""
+        """Count and duration of rate damping, and the start of each mode."""
         return (
             Metric(
                 key="supervisor.dampings",
@@ -202,7 +202,7 @@ class NewPlan:
 
     @classmethod
     def from_row(cls, row: np.ndarray, num_positions: int) -> "NewPlan":
-        """From ``as_row``."""
+        """Build from a row of ``as_row``."""
         q, v = np.split(row[3:], [num_positions])
         return cls(begin=row[0], duration=row[1], retreats=bool(row[2]), q=q, v=v)
 
@@ -257,7 +257,7 @@ class _Supervisor(LeafSystem):
 
     @property
     def _rest(self) -> float:
-        """When the scenario's own motion ends, s."""
+        """End of the scenario's own motion, s."""
         end = self._scenario.planned_end
         return make_motion(self._scenario, self._coordinates).end if end is None else end
 

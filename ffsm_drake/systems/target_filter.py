@@ -100,7 +100,7 @@ class Estimate:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Path:
-    """Where a target goes, as far as is known."""
+    """Predicted path of a target."""
 
     motion: np.ndarray  # (n, 13) quaternion, p_WP, w_WP, v_WP; at control samples
     arm: np.ndarray  # (3) p_PC in P's axes, m
@@ -141,7 +141,7 @@ class TargetFilter:
         self._walk[RATE], self._walk[VELOCITY] = settings.rate_walk**2, settings.velocity_walk**2
 
     def first(self, time: float, pose: Pose) -> Estimate:
-        """From a first pose at a time, s."""
+        """Start from a first pose at a time, s."""
         settings, R = self._settings, matrix_of(pose.quaternion)
         shape, prior = R.shape[:-2], self.moved(self._prior, 0.0, time)
         row = np.broadcast_to(prior.as_row(), (*shape, prior.as_row().shape[-1]))
@@ -197,8 +197,8 @@ class TargetFilter:
     def updated(self, estimate: Estimate, pose: Pose, given: np.ndarray) -> Estimate:
         """An estimate with a pose at its time; ``given`` (...): whether there is one.
 
-        A pose beyond the gate is left out. When more of the last poses were left out than taken,
-        the filter begins anew with the next.
+        A pose beyond the gate is left out. If more of the last poses were left out than taken,
+        the filter restarts with the next.
         """
         target, P = estimate.target, estimate.covariance
         innovation = np.concatenate(

@@ -1,4 +1,4 @@
-"""The limits that a plan keeps, and how near a motion comes to them."""
+"""The limits of a plan, and the margins of a motion to them."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ class MotionLimits:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Margin:
-    """How near a motion comes to a limit."""
+    """Margin of a motion to a limit."""
 
     # "force", "rate", "end rate", "position", "turn", "impulse" or "clearance"
     quantity: str
@@ -47,7 +47,7 @@ class Margin:
 
     @property
     def excess(self) -> float:
-        """By how much the limit is exceeded; negative if it is kept."""
+        """Excess over the limit; negative if the limit is kept."""
         if self.at_least:
             return self.limit - self.value
         return (self.value if self.quantity == "position" else abs(self.value)) - self.limit
@@ -105,7 +105,7 @@ def margins(
     force: np.ndarray,
     impulse: np.ndarray,
 ) -> list[Margin]:
-    """How near a motion comes to each finite limit, by coordinate and quantity.
+    """Margins of a motion to each finite limit, by coordinate and quantity.
 
     Args:
       limits: of force, rate, position and impulse.

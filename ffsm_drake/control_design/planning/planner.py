@@ -1,4 +1,4 @@
-"""From a scenario to a plan: first guess, solution, and how near the plan comes to every limit."""
+"""Planning of a scenario's motion: first guess, solution, and margins to every limit."""
 
 import dataclasses
 import math
@@ -135,7 +135,7 @@ class _Planner:
         return float(np.linalg.norm(momentum))
 
     def check_momentum(self) -> None:
-        """Raise ScenarioError if joints alone would have to take out angular momentum."""
+        """Raise ScenarioError if joints alone would have to remove angular momentum."""
         if "base_rotation" in self._scenario.undriven and self._momentum > _AT_REST:
             raise ScenarioError(
                 "actuation.driven",
@@ -258,9 +258,10 @@ class _Planner:
     def _solved(
         self, problem: PlanningProgram, unknowns: np.ndarray
     ) -> tuple[PlannedMotionReport, str]:
-        """A plan from a first guess, with what the solver says.
+        """A plan from a first guess, with the solver's message.
 
-        Between the solver's instants more of a limit may be used: it goes on from there with less.
+        Between the solver's instants a limit may be exceeded: the search then continues with a
+        smaller share of it.
         """
         before = self._evaluations
         unknowns, _ = problem.solve(unknowns, moving=False)
@@ -361,7 +362,7 @@ class _Planner:
     def _other_margins(
         self, times: np.ndarray, positions: np.ndarray, turns: np.ndarray
     ) -> Iterator[Margin]:
-        """How near the base's turn and the distances between parts come to their limits."""
+        """Margins of the base's turn and of the distances between parts."""
         limit, k = self._scenario.planning.base_attitude_limit, int(np.argmax(turns))
         if limit is not None:
             yield Margin(

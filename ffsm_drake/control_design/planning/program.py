@@ -69,10 +69,19 @@ class PlanningProgram:
         report: Callable[[int, float, float], None],
         is_over: Callable[[], bool],
     ) -> None:
-        """Args: dynamics and limits of z alone; z and its rate at the start, z at the end (None:
-        anywhere); least length of a segment and largest duration, s; distance to keep, m;
-        ``report`` is called with evaluations, duration and the largest share of a force limit;
-        ``is_over`` says when a search is to end with its best.
+        """Args:
+        dynamics: dynamics of z.
+        planning: settings.
+        limits: limits of z alone.
+        start: z at the start.
+        rate: rate of z at the start.
+        goal: z at the end; None: anywhere.
+        shortest: least length of a segment, s.
+        longest: largest duration, s.
+        clearance: distance to keep, m.
+        distance: distances between parts.
+        report: called with evaluations, duration and the largest share of a force limit.
+        is_over: True to end the search with its best.
         """
         self._dynamics, self._planning, self._limits = dynamics, planning, limits
         self._report, self._reported = report, time.monotonic()
@@ -278,7 +287,7 @@ class PlanningProgram:
         return rotation_vector(rotation[1:]), turning[1:]
 
     def _turn_of(self, unknowns: np.ndarray) -> float:
-        """How far the joints turn the base, rad; zero where nothing limits it."""
+        """Rotation of the base by the joints, rad; zero without a limit on it."""
         if self._turn is None:
             return 0.0
         vector, _ = self._turned(*self._evaluate(unknowns))
@@ -342,7 +351,7 @@ class PlanningProgram:
         constraint.evaluator().SetGradientSparsityPattern(self._pattern(1))
 
     def _pattern(self, rows: int) -> list[tuple[int, int]]:
-        """Where the gradient of ``rows`` values at every instant can differ from zero."""
+        """Pattern of possible nonzeros in the gradient of ``rows`` values at every instant."""
         size = self._points.size
         return [
             (k * rows + row, int(column))
@@ -433,7 +442,7 @@ class PlanningProgram:
         return np.r_[points.ravel(), duration, 0.0 * even]
 
     def solve(self, guess: np.ndarray, *, moving: bool) -> tuple[np.ndarray, str]:
-        """The best unknowns found, with what the solver says of them; knots keep their shares of
+        """The best unknowns found, with the solver's message; knots keep their shares of
         the duration unless they are ``moving``.
 
         Where joints turn the base further than they may, a limit on it at once is not found to be

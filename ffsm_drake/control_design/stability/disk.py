@@ -100,7 +100,9 @@ def _grid(loop: LinearLoop) -> np.ndarray:
 
 
 def _sensitivity(loop: LinearLoop, w: float, driven: np.ndarray, delay: int) -> np.ndarray:
-    """From a force beside the actuators' to the sum of both (n, n), driven coordinates, complex."""
+    """Transfer matrix from a force beside the actuators' to the sum of both (n, n), driven
+    coordinates, complex.
+    """
     (sample,) = loop.samples
     push, z = loop.noise[_PUSH], np.exp(1j * w * loop.sample_time)
     columns, rows = sample.b[:, push][:, driven], sample.c[driven]

@@ -373,7 +373,9 @@ class Linearizer:
             controller_context.SetDiscreteState(group, held.get(name, given))
 
     def _move(self, index: int) -> None:
-        """From just after the update at the control sample ``index`` to just before the next."""
+        """Advance from just after the update at the control sample ``index`` to just before the
+        next.
+        """
         # past the update: it is not made again
         self._context.SetTime((index + 1e-9) * self.scenario.sample_time)
         self._simulator.Initialize()
@@ -410,7 +412,7 @@ class Linearizer:
         return self._updates[key]
 
     def _go_on(self, index: int, held: Mapping[str, np.ndarray]) -> None:
-        """From just before the update at a control sample to just before the next one."""
+        """Advance from just before the update at a control sample to just before the next one."""
         self._memory.update(index)
         self._move(index)
         self._quiet(held)
@@ -649,8 +651,12 @@ class _LawOfMany:
         index: int,
         width: int,
     ) -> None:
-        """Args: the controller and its context; all memory; the control sample; the size of the
-        plant's part of x.
+        """Args:
+        controller: the controller.
+        context: its context.
+        memory: all memory.
+        index: the control sample.
+        width: the size of the plant's part of x.
         """
         self._controller, self._context = controller, context
         self._memory, self._index = memory, index
@@ -678,9 +684,12 @@ class _LawOfMany:
         return np.concatenate([others, *inputs.values(), *own.values()])
 
     def slot(self, group: slice, x: np.ndarray, *, change: np.ndarray) -> slice | None:
-        """Where ``read`` has a group of x that only the law reads; None of any other group.
+        """The place in ``read`` of a group of x that only the law reads; None for any other group.
 
-        Args: the group; a trial of x, and the change of ``read`` by it.
+        Args:
+          group: the group.
+          x: a trial of x.
+          change: its change of ``read``.
         """
         slot = self._slots.get((group.start, group.stop))
         if slot is None:

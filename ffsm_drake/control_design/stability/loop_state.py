@@ -145,7 +145,7 @@ class Memory:
         return tuple(system.phase(index) for system in self._phased)
 
     def which(self, index: int) -> tuple[bool, ...]:
-        """Which systems update at a control sample."""
+        """Systems with an update at a control sample."""
         if self._always:
             return self._always
         times = [(index - offset) / period for _, _, period, offset in self._updated]

@@ -63,7 +63,7 @@ class MotionStability:
 
     @property
     def growing(self) -> str:
-        """The growth in words, with its bound where that says more."""
+        """The growth in words, with its bound if that is informative."""
         most = f" (at most {self.growth_bound:.2g})" if self.growth_bound < LARGE_GROWTH else ""
         return f"grow {self.growth:.2g} times{most}"
 

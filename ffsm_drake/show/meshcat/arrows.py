@@ -36,7 +36,7 @@ class ArrowKind:
 
     @property
     def path(self) -> str:
-        """Its path in Meshcat's tree."""
+        """Path in Meshcat's tree."""
         return f"{_FOLDER}/{self.label}"
 
 

@@ -29,7 +29,12 @@ class Deflections:
     def __init__(
         self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: StateSplit
     ) -> None:
-        """Args: a run's dataset; its model, and the plant shown with its hidden coordinates."""
+        """Args:
+        dataset: dataset of a run.
+        model: its model.
+        plant: the plant in the view.
+        hidden: its hidden coordinates.
+        """
         self.factors: dict[str, int] = {}  # by kind; those above 1
         self._shown = np.zeros((dataset.sizes["time"], len(hidden.names)))
         if not hidden.names:

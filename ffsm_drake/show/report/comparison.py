@@ -245,8 +245,8 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
 
 
 def _limits_left(results: Sequence[Result]) -> list[str]:
-    """Where the plans and the runs left the limits of their models, or why that is not known; a
-    sentence each.
+    """The limits of the models exceeded by the plans and the runs, or the reason for a missing
+    comparison; a sentence each.
     """
     sentences = []
     for result in results:

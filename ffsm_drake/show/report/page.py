@@ -107,8 +107,8 @@ def write_report(
     """Write one self-contained HTML page about one or several runs; it opens from disk, without a
     network.
 
-    A section that does not apply to a run says so. The same records give the same bytes. Returns
-    the path.
+    A section that does not apply to a run contains a note. The same records give the same bytes.
+    Returns the path.
 
     Args:
       records: the runs to show and compare, in the order of the table's columns.

@@ -1,4 +1,4 @@
-"""How to repeat a run: command, scenario and software."""
+"""Provenance of a run, to repeat it: command, scenario and software."""
 
 import base64
 import json

@@ -37,7 +37,7 @@ _VARIABLES = (
 
 
 def points_per_curve(results: Sequence[Result]) -> int:
-    """How many points each curve of these runs may have."""
+    """Largest number of points of each curve of these runs."""
     curves = sum(
         result.record.dataset.sizes.get("coordinate", 0)
         for result in results

@@ -161,7 +161,7 @@ def _make_actuation(
     faults: Sequence[Hit] = (),
     detects: bool = False,
 ) -> Actuators | None:
-    """As ``make_actuation``, of each of the settings, which differ by ``_by_copy``."""
+    """``make_actuation`` for several settings; differences are within ``_by_copy``."""
     settings, copies = of_copies[0], len(of_copies)
     row, beside = _make_limits(of_copies, coordinates, sample_time=sample_time), dict[str, System]()
     if settings.drives is not None:

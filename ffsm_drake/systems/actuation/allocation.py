@@ -33,9 +33,12 @@ class Allocation:
     """Least propellant of thrusters that together can give any wrench."""
 
     def __init__(self, wrenches: np.ndarray, *, largest: np.ndarray, cost: np.ndarray) -> None:
-        """Args: W (6, n), m and 1; F (n), N; c (n), in any unit.
+        """Args:
+          wrenches: W (6, n), m and 1.
+          largest: F (n), N.
+          cost: c (n), in any unit.
 
-        Raises ValueError: some wrench cannot be given; its text says which.
+        Raises ValueError: some wrench cannot be given; its text names it.
         """
         lost = lost_direction(wrenches)
         if lost is not None:
@@ -115,9 +118,9 @@ class Allocation:
     def _solve_within_bounds(
         self, wrench: np.ndarray, leak: np.ndarray | float
     ) -> tuple[np.ndarray, float]:
-        """As ``solve``: the largest part s with W f = s w - leak, then the least cost with this
-        part. (In one program, whose costs would differ by many orders of magnitude, rounding would
-        choose among equally cheap forces.)
+        """``solve`` in two steps: the largest part s with W f = s w - leak, then the least cost
+        with this part. (In one program, with costs that differ by many orders of magnitude,
+        rounding would choose among equally cheap forces.)
         """
         program, unknown, bounds, balance, cost = self._program
         most = max(1.0, float(np.abs(wrench).max() / self._largest.sum()))

@@ -65,10 +65,13 @@ class DriveSet:
     def __init__(
         self, settings: Drives, limit: PerCoordinate | None, coordinates: Coordinates
     ) -> None:
-        """Args: the drives; ``actuation.limit``; the coordinates.
+        """Args:
+          settings: the drives.
+          limit: ``actuation.limit``.
+          coordinates: names of the coordinates.
 
-        Raises ScenarioError: a value for what is no joint, static friction below Coulomb, a rate
-        limit without a force.
+        Raises ScenarioError: a value for a name that is no joint, static friction below Coulomb, a
+        rate limit without a force.
         """
 
         def of_joints(name: str, default: float) -> np.ndarray:
@@ -237,7 +240,7 @@ class JointFriction(Diagram):
 
     @staticmethod
     def _force(drives: DriveSet, i: int, rate: Expression) -> Expression:
-        """As ``DriveSet.friction``; what a joint lacks costs nothing."""
+        """``DriveSet.friction`` without the cost of unused terms."""
         dry = Expression(drives.coulomb[i])
         if drives.static[i] > drives.coulomb[i]:
             slow = rate * (1.0 / drives.stribeck_rate[i])
@@ -327,7 +330,7 @@ class JointDrives(Part):
         return (*(friction if drives.has_friction else ()), *([rate] if limited else ()))
 
     def constants(self, setup: BlockSetup) -> Sequence[Constant]:
-        """Their limits; infinite, and the knee 0, where there are none."""
+        """Limits of the drives; infinite, and the knee 0, if not given."""
         drives = self._drives(setup.coordinates)
         return [
             Constant(
@@ -392,7 +395,7 @@ class JointDrives(Part):
         )
 
     def sentence(self, figures: Sequence[Figure]) -> str:
-        """How much of the drives was used, and what friction took."""
+        """Peak use of the drives, and friction losses."""
         found = by_key(figures)
         parts = [
             f"up to {percent(max(used.values()))} of the {what} of a joint"

@@ -33,7 +33,12 @@ class MeanThrusters(LeafSystem):
         with_wheels: bool,
         sample_time: float,
     ) -> None:
-        """Args: the thrusters; of the applied force; whether wheels give the torque; s."""
+        """Args:
+        settings: the thrusters.
+        coordinates: coordinates of the applied force.
+        with_wheels: whether wheels give the torque.
+        sample_time: s.
+        """
         super().__init__()
         self.phase_period, self._sample_time, nv = (
             settings.frame,

@@ -282,7 +282,7 @@ class FiredThrusters(Part):
         )
 
     def constants(self, setup: BlockSetup) -> Sequence[Constant]:
-        """Their specific impulses."""
+        """Specific impulses of the thrusters."""
         impulses = [unit.specific_impulse for unit in self.units.values()]
         return [
             Constant(

@@ -267,8 +267,8 @@ class WheelSet:
     def rearranges(
         self, was: np.ndarray | bool, momentum: np.ndarray, angular_velocity: np.ndarray
     ) -> np.ndarray:
-        """Whether (..., 1) motors are to take out what wheels hold against each other, likewise: it
-        is over when none is left.
+        """Whether (..., 1) motors are to remove momentum held by wheels against each other; with
+        hysteresis, until none is left.
         """
         opposed = times(self._opposed, momentum) / self._most_momentum
         left = np.abs(opposed).max(axis=-1, keepdims=True)
@@ -352,7 +352,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> list[Expression]:
 
 
 def _turning_and_reaction(size: int, first: Sequence[int]) -> Selector:
-    """From the states (size each) of copies of the spacecraft, and reactions (3 each): the angular
+    """From the states (size each) and reactions (3 each) of copies of the spacecraft: the angular
     velocities, which begin at these entries, then the reactions.
     """
     places = [(0, start + i) for start in first for i in range(3)]
@@ -383,7 +383,7 @@ class ReactionWheels(Part):
         return {f"wheels.{name}": ["stops"] for name in units}
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
-        """Their momentum, torque and speed, and what of them acts on the base."""
+        """Momentum, torque and speed of the wheels, and their torque on the base."""
         of_each = functools.partial(
             Signal, components=tuple(self.settings.units), dimension="wheel"
         )
@@ -433,7 +433,7 @@ class ReactionWheels(Part):
         )
 
     def constants(self, setup: BlockSetup) -> Sequence[Constant]:
-        """Their limits."""
+        """Limits of the wheels."""
         return [
             Constant(
                 name=name,
@@ -512,7 +512,7 @@ class ReactionWheels(Part):
 
     @property
     def is_helped(self) -> bool:
-        """By thrusters."""
+        """Whether thrusters assist the wheels."""
         return self.settings.assist_above is not None
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
@@ -549,7 +549,7 @@ class ReactionWheels(Part):
         return WheelSet(self.settings, sample_time=scenario.sample_time, alone=alone)
 
     def sentence(self, figures: Sequence[Figure]) -> str:
-        """How much of the wheels was used."""
+        """Peak use of the wheels."""
         found = by_key(figures)
         speed, torque, limited, unloading = (
             percent(found[f"wheels.{name}"])

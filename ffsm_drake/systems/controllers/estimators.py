@@ -277,7 +277,7 @@ class LateKalmanEstimator(Estimator):
 
     @functools.cached_property
     def _source(self) -> np.ndarray:
-        """Where each entry of ``past`` stood in [e, e', past] a sample ago (n)."""
+        """Place of each entry of ``past`` in [e, e', past] a sample ago (n)."""
         source = self.delay.size - 1 + np.arange(self._owner.size)
         first = np.cumsum(self.delay) - self.delay
         source[first[self.delay > 0]] = np.flatnonzero(self.delay)
@@ -285,7 +285,7 @@ class LateKalmanEstimator(Estimator):
 
     @functools.cached_property
     def _measured(self) -> np.ndarray:
-        """Which entry of [e, e', past] is measured (2 nv)."""
+        """Index of the measured entry of [e, e', past] (2 nv)."""
         own = np.arange(self.delay.size)
         return np.where(self.delay > 0, self.delay.size - 1 + np.cumsum(self.delay), own)
 
@@ -476,7 +476,7 @@ def _stacked(gain: np.ndarray | tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Which of some postures (m, nq) is the nearest to q (..., nq), as ``gain_at`` says."""
+    """Index of the posture (m, nq) nearest to q (..., nq), see ``gain_at``."""
     each = q[..., None, :]
     joints = (each - postures)[..., NUM_BASE_POSITIONS:]
     cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # cosine of half the angle

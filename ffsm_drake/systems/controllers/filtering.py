@@ -54,11 +54,11 @@ class FilteredLaw(ControlLaw):
 
     @property
     def reaching_gain(self) -> ReachingGain | None:
-        """As the law says."""
+        """The reaching gain of the law."""
         return self.law.reaching_gain
 
     def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """As the law says."""
+        """The switching gain of the law."""
         return self.law.switching_gain_after(s, g)
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:

@@ -220,8 +220,8 @@ class ControlLaw(abc.ABC):
 
 
 def is_wide(part: Any) -> bool:
-    """Whether a law, or a part of one, is wide: its class says so itself. One that inherits it may
-    have another ``step``.
+    """Whether a law, or a part of one, is wide by its own class; a subclass may have another
+    ``step``.
     """
     return "wide" in vars(type(part)) and bool(part.wide)
 
