@@ -21,10 +21,10 @@ import numpy as np
 import yaml
 
 from ffsm_drake import load_scenario
-from ffsm_drake.campaign.cases import Case, make_cases
-from ffsm_drake.campaign.evaluate import Batch, Evaluator
-from ffsm_drake.campaign.spec import Spec, load_spec, shipped_campaigns
-from ffsm_drake.campaign.store import create_store
+from ffsm_drake.plugins.campaign.cases import Case, make_cases
+from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
+from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns
+from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.batches import usual_batch
 
 NAMES = (

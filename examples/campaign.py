@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 
 import ffsm_drake
-from ffsm_drake.campaign import open_store
+from ffsm_drake.plugins.campaign import open_store
 
 SPEC = """
 description: Captured mass and its nominal value

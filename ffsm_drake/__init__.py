@@ -1,7 +1,8 @@
 """Simulate and evaluate controllers of a free-flying space manipulator that has just captured a
 piece of debris.
 
-The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``, ``run_campaign``.
+The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``; those of installed
+plug-ins, such as ``run_campaign``, are names of this module too.
 """
 
 import importlib
@@ -12,7 +13,6 @@ if TYPE_CHECKING:
     from typing import Any
 
     from ffsm_drake.analysis import analyze
-    from ffsm_drake.campaign.run import run_campaign
     from ffsm_drake.common.errors import (
         BlockError,
         FfsmError,
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
     "analysis": ("analyze",),
-    "campaign.run": ("run_campaign",),
     "common.errors": ("BlockError", "FfsmError", "ModelError", "RecordError", "ScenarioError"),
     "control_design.gains": ("design",),
     "control_design.stability": ("stability",),
@@ -94,7 +93,6 @@ __all__ = [
     "make_nominal_plant",
     "make_true_plant",
     "override_scenario",
-    "run_campaign",
     "setting",
     "simulate",
     "simulate_many",
@@ -104,9 +102,13 @@ __all__ = [
 
 
 def __getattr__(name: str) -> "Any":
-    if name not in _HOME_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    if name in _HOME_OF:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    if not name.startswith("_"):
+        plugins = importlib.import_module(f"{__name__}.common.plugins")
+        if name in plugins.offered(plugins.VERBS):
+            return plugins.load(plugins.VERBS, name, f"{__name__}.{name}")
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:

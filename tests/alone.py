@@ -8,7 +8,7 @@ import children
 import pytest
 
 children.preload(
-    "ffsm_drake.cli", "ffsm_drake.campaign.run", "ffsm_drake.show.outputs",
+    "ffsm_drake.cli", "ffsm_drake.show.outputs",
     "ffsm_drake.analysis", "ffsm_drake.show.figures.analysis", "ffsm_drake.show.figures.run",
     "ffsm_drake.show.meshcat", "hypothesis", "pytest",
 )  # fmt: skip

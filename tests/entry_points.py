@@ -1,9 +1,18 @@
 """Packages with entry points, as an installer leaves them."""
 
+from importlib.util import find_spec
 from pathlib import Path
+
+import pytest
 
 from ffsm_drake.common.plugins import offered
 from ffsm_drake.systems.registry import block_names
+
+
+def needs(plugin):
+    """A mark of tests that are skipped where a plug-in of this package has been deleted."""
+    is_there = find_spec(f"ffsm_drake.plugins.{plugin}") is not None
+    return pytest.mark.skipif(not is_there, reason=f"needs the plug-in {plugin}")
 
 
 def install(folder: Path, modules: dict[str, str], groups: dict[str, dict[str, str]]) -> None:

@@ -173,7 +173,7 @@ def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 1)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 1)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     shutil.copytree(ROOT / "examples", tmp_path / "examples")

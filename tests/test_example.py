@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from children import finished
+from entry_points import needs
 
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
@@ -130,6 +131,7 @@ def test_bad_input_gets_one_line(main, capfd):
 
 
 @pytest.mark.long
+@needs("campaign")
 def test_the_campaign(tmp_path):
     """In a process of its own, since its workers import the file."""
     command = [sys.executable, EXAMPLES / "campaign.py"]

@@ -21,16 +21,15 @@ ROOMS = (
     "runs",
     "preflight",
     "analysis",
-    "campaign",
     "show",
     "cli",
 )
 # neighbours: neither imports the other
-APART = ({"control_design", "runs"}, {"analysis", "campaign"})
+APART = ({"control_design", "runs"},)
 DRAWING = {"matplotlib", "plotly", "jinja2", "markupsafe"}  # what only pictures and pages need
 DRAWS = {"show", "plugins"}
 PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
-NEEDS = {"gymnasium": {"policy"}}  # plug-in -> others that it may import
+NEEDS = {"gymnasium": {"policy"}, "benchmark": {"campaign"}}  # plug-in -> others that it may import
 # What stands at the top for users: the verbs, the command, the conformance kit.
 FACES = ("__init__", "__main__", "testing")
 

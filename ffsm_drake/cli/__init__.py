@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.audit import audit
-from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
 from ffsm_drake.cli.plan import plan
@@ -47,7 +46,7 @@ def main() -> None:
 
 
 for command in (
-    new, plan, run, compare, analyze, audit, stability, design, campaign, replay, plot,
+    new, plan, run, compare, analyze, audit, stability, design, replay, plot,
     diagram, scenarios, validate, schema, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from alone import run_alone
-from campaign_tools import run_here, write_spec
 from children import forked
 from click.testing import CliRunner
 from hypothesis import HealthCheck, Phase, given, settings
@@ -20,6 +19,9 @@ from hypothesis import strategies as st
 from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.spacecraft.plant import models_dir
+
+campaign_tools = pytest.importorskip("campaign_tools")
+run_here, write_spec = campaign_tools.run_here, campaign_tools.write_spec
 
 SERVICER = str(models_dir() / "urdf" / "servicer.urdf")
 SHORT = ("--set", "duration=0.05")

@@ -11,13 +11,15 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 from record_tools import sealed
 
-from ffsm_drake.campaign.store import open_store
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError
+
+campaign_tools = pytest.importorskip("campaign_tools")
+run_here, write_spec = campaign_tools.run_here, campaign_tools.write_spec
+open_store = pytest.importorskip("ffsm_drake.plugins.campaign").open_store
 
 NAMED = "module_that_a_file_names"
 # command -> whether it imports what the scenario of a record names

@@ -7,6 +7,7 @@ the panels of its report and the rows of its table. ``interface.json`` holds the
 campaigns, ``schema.json`` what ``ffsm schema`` prints.
 """
 
+import importlib
 import json
 import math
 import sys
@@ -19,8 +20,6 @@ import numpy as np
 from click.testing import CliRunner
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
-from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_data
-from ffsm_drake.campaign.store import result_columns
 from ffsm_drake.cli import main as ffsm
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.panels import Thinning
@@ -193,11 +192,14 @@ def runs(scenario: str) -> dict[str, Any]:
 
 def interface() -> dict[str, Any]:
     """The columns of the shipped campaigns, and of campaigns over the shipped scenarios."""
-    specs = {f"campaign {name}": load_spec(name) for name in shipped_campaigns()}
+    spec, store = (
+        importlib.import_module(f"ffsm_drake.plugins.campaign.{name}") for name in ("spec", "store")
+    )
+    specs = {f"campaign {name}": spec.load_spec(name) for name in spec.shipped_campaigns()}
     for name in names():
         base = scenario_to_dict(load_scenario(name))
-        specs[f"scenario {name}"] = spec_from_data({**_SMALLEST_CAMPAIGN, "base": base})
-    return {name: list(result_columns(spec)) for name, spec in specs.items()}
+        specs[f"scenario {name}"] = spec.spec_from_data({**_SMALLEST_CAMPAIGN, "base": base})
+    return {name: list(store.result_columns(each)) for name, each in specs.items()}
 
 
 def differences(

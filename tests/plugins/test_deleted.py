@@ -19,6 +19,7 @@ SHORT = ["run", "postcapture", "--set", "duration=0.5", "--no-report", "--out", 
 # plug-in -> commands that need it
 NEEDED = {
     "benchmark": [["benchmark", "paper"]],
+    "campaign": [["campaign", "status", "c.db"]],
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
     "gymnasium": [],
     "interactive": [

@@ -8,16 +8,18 @@ import shutil
 from html.parser import HTMLParser
 
 import pytest
-from campaign_tools import run_here, write_spec
 from children import finished
 from click.testing import CliRunner
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.show.meshcat import recording_html
 from ffsm_drake.show.report.page import render_report
+
+campaign_tools = pytest.importorskip("campaign_tools")
+run_here, write_spec = campaign_tools.run_here, campaign_tools.write_spec
+campaign = pytest.importorskip("ffsm_drake.plugins.campaign.command").campaign
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 TAKEN = "document['title']='taken'"
@@ -126,8 +128,8 @@ def test_a_run_s_page_has_no_element_more(short, name):
 
 @pytest.fixture
 def coarse_map(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 3)
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.REFINEMENT", 2)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 3)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.REFINEMENT", 2)
 
 
 @pytest.mark.slow

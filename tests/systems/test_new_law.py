@@ -4,7 +4,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from entry_points import installed
+from entry_points import installed, needs
 
 from ffsm_drake.cli import main
 
@@ -69,6 +69,7 @@ def test_run_and_compare(ffsm, tmp_path):
 
 
 @pytest.mark.slow
+@needs("campaign")
 def test_campaign(ffsm, tmp_path):
     (tmp_path / "spec.yaml").write_text(
         """{scenario: postcapture, overrides: {duration: 0.1}, settled: {hold: 0.1},

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from entry_points import needs
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import PassThrough
 
@@ -100,6 +101,7 @@ def test_it_goes_through_compare_stability_and_validate():
     assert linear.spectral_radius == pytest.approx(without.spectral_radius, abs=1e-6)
 
 
+@needs("campaign")
 def test_a_campaign_has_its_columns(folder):
     (folder / "spec.yaml").write_text(
         """{scenario: flight_sensors, controllers: [tdc], cases: 1,

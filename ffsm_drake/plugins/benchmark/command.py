@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.campaign import ProgressLine, processors, workers_option
 from ffsm_drake.cli.common import (
     EXIT_GOOD,
     EXIT_UNSTABLE,
@@ -15,6 +14,7 @@ from ffsm_drake.cli.common import (
     out_option,
     print_result,
 )
+from ffsm_drake.plugins.campaign.command import ProgressLine, processors, workers_option
 
 
 @click.command()

@@ -17,11 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.campaign.cases import make_cases
-from ffsm_drake.campaign.evaluate import COMPLETED
-from ffsm_drake.campaign.run import Progress, check_cases, resume_campaign
-from ffsm_drake.campaign.spec import Spec, spec_from_data
-from ffsm_drake.campaign.store import create_store, open_store
 from ffsm_drake.common.errors import (
     CampaignError,
     FfsmError,
@@ -35,6 +30,11 @@ from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES, law_figures
 from ffsm_drake.plugins.benchmark.least_time import least_times
+from ffsm_drake.plugins.campaign.cases import make_cases
+from ffsm_drake.plugins.campaign.evaluate import COMPLETED
+from ffsm_drake.plugins.campaign.run import Progress, check_cases, resume_campaign
+from ffsm_drake.plugins.campaign.spec import Spec, spec_from_data
+from ffsm_drake.plugins.campaign.store import create_store, open_store
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,

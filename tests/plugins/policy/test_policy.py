@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffsm_drake import BlockError, ScenarioError, load_scenario, simulate, stability
-from ffsm_drake.campaign.spec import load_spec, spec_from_json
+from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_json
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import make_controller

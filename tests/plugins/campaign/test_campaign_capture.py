@@ -7,11 +7,11 @@ import pytest
 from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 
-from ffsm_drake.campaign.prediction import predict
-from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.campaign.statistics import agreement, read_table
-from ffsm_drake.campaign.store import open_store
-from ffsm_drake.cli.campaign import campaign
+from ffsm_drake.plugins.campaign.command import campaign
+from ffsm_drake.plugins.campaign.prediction import predict
+from ffsm_drake.plugins.campaign.spec import load_spec
+from ffsm_drake.plugins.campaign.statistics import agreement, read_table
+from ffsm_drake.plugins.campaign.store import open_store
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.scenario import load_scenario
 
@@ -96,7 +96,7 @@ def test_parts_too_near_are_no_success(rows):
 
 @pytest.mark.slow
 def test_the_report_counts_them(database, tmp_path, monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 1)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 1)
     with open_store(database) as store:
         runs = read_table(store).runs["tdc"]
     assert runs.first_limit.tolist()[::3] == ["", "clearance"]
@@ -145,7 +145,12 @@ def test_the_load_is_the_peak_of_a_run_without_limits_and_noise(duration, end):
 
 @pytest.mark.smoke
 def test_a_campaign_without_a_capture_has_the_columns_it_had():
-    from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS, metrics_of, predictions_of
+    from ffsm_drake.plugins.campaign.evaluate import (
+        METRICS,
+        PREDICTIONS,
+        metrics_of,
+        predictions_of,
+    )
 
     spec = load_spec("payload_uncertainty")
     assert (metrics_of(spec), predictions_of(spec)) == (METRICS, PREDICTIONS)

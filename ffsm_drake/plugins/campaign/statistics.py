@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ffsm_drake.campaign.evaluate import (
+from ffsm_drake.plugins.campaign.evaluate import (
     COMPLETED,
     DIVERGENCE,
     FIRST_LIMIT,
@@ -21,9 +21,9 @@ from ffsm_drake.campaign.evaluate import (
     metrics_of,
     predictions_of,
 )
-from ffsm_drake.campaign.prediction import StabilityMap, predict_map
-from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.campaign.store import Store
+from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
+from ffsm_drake.plugins.campaign.spec import Spec
+from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.runs.ending import NOT_CAPTURED
 
 CONFIDENCE = 0.95

@@ -3,11 +3,11 @@
 import itertools
 import statistics
 
-from ffsm_drake.campaign.cases import Case, make_cases
-from ffsm_drake.campaign.evaluate import NO_PREDICTION, OUTCOMES, Evaluator
-from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases, duration_text
-from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.campaign.store import Store
+from ffsm_drake.plugins.campaign.cases import Case, make_cases
+from ffsm_drake.plugins.campaign.evaluate import NO_PREDICTION, OUTCOMES, Evaluator
+from ffsm_drake.plugins.campaign.run import MEMORY_LIMIT, check_cases, duration_text
+from ffsm_drake.plugins.campaign.spec import Spec
+from ffsm_drake.plugins.campaign.store import Store
 
 _SHOWN = 5
 _WINDOW = 1000  # runs over which memory is averaged

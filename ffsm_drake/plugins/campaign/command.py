@@ -23,8 +23,8 @@ from ffsm_drake.cli.common import (
 from ffsm_drake.common.errors import CampaignError
 
 if TYPE_CHECKING:
-    from ffsm_drake.campaign.run import Progress
-    from ffsm_drake.campaign.spec import Spec
+    from ffsm_drake.plugins.campaign.run import Progress
+    from ffsm_drake.plugins.campaign.spec import Spec
 
 _FOLDER = Path("out/campaigns")
 
@@ -85,7 +85,7 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
     Example:
       ffsm campaign plan payload_uncertainty
     """
-    from ffsm_drake.campaign.plan import plan_text
+    from ffsm_drake.plugins.campaign.plan import plan_text
 
     click.echo(plan_text(_load(spec, cases), workers=workers or processors()))
 
@@ -119,8 +119,8 @@ def run(
       ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
       srun --ntasks=34 ffsm campaign run mine.yaml --slurm
     """
-    from ffsm_drake.campaign.run import start_campaign
-    from ffsm_drake.campaign.store import Shard
+    from ffsm_drake.plugins.campaign.run import start_campaign
+    from ffsm_drake.plugins.campaign.store import Shard
 
     part = Shard.parse(shard)
     path = database or _default_database(spec, "" if part == Shard() else f"-{shard}")
@@ -140,7 +140,7 @@ def merge(databases: tuple[Path, ...], out: Path) -> None:
     Example:
       ffsm campaign merge shard-*.db --out whole.db
     """
-    from ffsm_drake.campaign.run import merge_campaigns
+    from ffsm_drake.plugins.campaign.run import merge_campaigns
 
     merge_campaigns(databases, out)
     _print_status(out)
@@ -161,7 +161,7 @@ def resume(
     Example:
       ffsm campaign resume out/campaigns/payload_uncertainty.db
     """
-    from ffsm_drake.campaign.run import resume_campaign
+    from ffsm_drake.plugins.campaign.run import resume_campaign
 
     _drive(resume_campaign, _locate(source, database), workers, scheduler, slurm=slurm)
 
@@ -209,8 +209,8 @@ def rerun(
     Example:
       ffsm campaign rerun payload_uncertainty --case 17 --controller aismc
     """
-    from ffsm_drake.campaign.run import repeat_run
-    from ffsm_drake.campaign.store import open_store
+    from ffsm_drake.plugins.campaign.run import repeat_run
+    from ffsm_drake.plugins.campaign.store import open_store
     from ffsm_drake.scenario import controller_key
 
     with open_store(_locate(source, database)) as store:
@@ -265,9 +265,9 @@ def report(
       ffsm campaign report payload_uncertainty
       ffsm campaign report mine.db --map payload.truth.mass nominal_error
     """
-    from ffsm_drake.campaign.store import open_store
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.show.campaign.page import write_report
+    from ffsm_drake.plugins.campaign.page import write_report
+    from ffsm_drake.plugins.campaign.store import open_store
 
     with open_store(_locate(source, database)) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
@@ -280,7 +280,7 @@ def report(
 
 
 def _load(spec: str, cases: int | None) -> "Spec":
-    from ffsm_drake.campaign.spec import load_spec, spec_from_data
+    from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 
     loaded = load_spec(spec)
     return loaded if cases is None else spec_from_data({**loaded.data, "cases": cases})
@@ -292,8 +292,8 @@ def _default_database(spec: str, suffix: str = "") -> Path:
 
 def _locate(source: str, database: Path | None) -> Path:
     """Find the database of a specification or path; it must contain that specification."""
-    from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_data
-    from ffsm_drake.campaign.store import open_store
+    from ffsm_drake.plugins.campaign.spec import load_spec, shipped_campaigns, spec_from_data
+    from ffsm_drake.plugins.campaign.store import open_store
 
     is_spec = source in shipped_campaigns() or Path(source).suffix in (".yaml", ".yml")
     if not is_spec:
@@ -349,8 +349,8 @@ def _drive(
 
 
 def _print_status(path: Path) -> None:
-    from ffsm_drake.campaign.plan import status_text
-    from ffsm_drake.campaign.store import open_store
+    from ffsm_drake.plugins.campaign.plan import status_text
+    from ffsm_drake.plugins.campaign.store import open_store
 
     with open_store(path) as store:
         click.echo(status_text(store))

@@ -21,8 +21,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ffsm_drake.campaign.cases import Case
-from ffsm_drake.campaign.evaluate import (
+from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
+from ffsm_drake.common.files import made_folder, written_whole
+from ffsm_drake.plugins.campaign.cases import Case
+from ffsm_drake.plugins.campaign.evaluate import (
     FIRST_LIMIT,
     OUTCOMES,
     Batch,
@@ -30,9 +32,7 @@ from ffsm_drake.campaign.evaluate import (
     metrics_of,
     predictions_of,
 )
-from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
-from ffsm_drake.common.files import made_folder, written_whole
+from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 
 FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.campaign.dispersion import (
+from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
+from ffsm_drake.common.files import check_regular
+from ffsm_drake.plugins.campaign.dispersion import (
     SAMPLINGS,
     Distribution,
     Rule,
@@ -24,8 +26,6 @@ from ffsm_drake.campaign.dispersion import (
     parse_distribution,
     parse_rule,
 )
-from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
-from ffsm_drake.common.files import check_regular
 from ffsm_drake.scenario import (
     Scenario,
     anchor_paths,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.campaign.statistics import Findings, GridPoint, Runs
+from ffsm_drake.plugins.campaign.statistics import Findings, GridPoint, Runs
 from ffsm_drake.show.chart import Chart, Curve, Level
 from ffsm_drake.show.curves import cumulative
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, panel

@@ -13,9 +13,11 @@ from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 from scipy import stats
 
-from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
-from ffsm_drake.campaign.prediction import predict_map
-from ffsm_drake.campaign.statistics import (
+from ffsm_drake.plugins.campaign.command import campaign
+from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.plugins.campaign.page import write_report
+from ffsm_drake.plugins.campaign.prediction import predict_map
+from ffsm_drake.plugins.campaign.statistics import (
     Runs,
     Table,
     agreement,
@@ -26,9 +28,7 @@ from ffsm_drake.campaign.statistics import (
     success_rate,
     worst_runs,
 )
-from ffsm_drake.campaign.store import open_store
-from ffsm_drake.cli.campaign import campaign
-from ffsm_drake.show.campaign.page import write_report
+from ffsm_drake.plugins.campaign.store import open_store
 
 
 def make_runs(settled, *, controller="tdc", **metrics):
@@ -153,8 +153,8 @@ def test_agreement_and_worst_runs():
 
 @pytest.fixture(autouse=True)
 def _coarse_map(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 3)
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.REFINEMENT", 2)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 3)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.REFINEMENT", 2)
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ class Reader(html.parser.HTMLParser):
 
 
 def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 2)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 2)
     result = CliRunner().invoke(
         campaign,
         [
@@ -251,8 +251,8 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
 
 
 def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 1)
-    monkeypatch.setattr("ffsm_drake.campaign.statistics.BINS", 3)  # enough cases for three
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 1)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.statistics.BINS", 3)  # enough cases for three
     with open_store(database) as store:
         findings = find(store)
         write_report(store, tmp_path / "page")

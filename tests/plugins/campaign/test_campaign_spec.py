@@ -14,17 +14,22 @@ from click.testing import CliRunner
 from scipy.stats import kstest
 
 from ffsm_drake import Scenario, load_scenario
-from ffsm_drake.campaign.cases import make_cases, scenario_of
-from ffsm_drake.campaign.dispersion import (
+from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
+from ffsm_drake.plugins.campaign.command import campaign
+from ffsm_drake.plugins.campaign.dispersion import (
     case_seed,
     parse_distribution,
     parse_rule,
     set_value,
     unit_points,
 )
-from ffsm_drake.campaign.spec import load_spec, parse_settled, shipped_campaigns, spec_from_json
-from ffsm_drake.cli.campaign import campaign
-from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.plugins.campaign.spec import (
+    load_spec,
+    parse_settled,
+    shipped_campaigns,
+    spec_from_json,
+)
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 
@@ -420,7 +425,8 @@ def test_settled_means_until_the_end():
 def test_help_needs_no_drake():
     # The package itself may load Drake; what the commands add must not.
     script = (
-        "import sys, ffsm_drake; before = set(sys.modules); import ffsm_drake.cli.campaign; "
+        "import sys, ffsm_drake; before = set(sys.modules); "
+        "import ffsm_drake.plugins.campaign.command; "
         "heavy = {name.partition('.')[0] for name in set(sys.modules) - before}; "
         "print(heavy & {'pydrake', 'numpy', 'scipy', 'xarray', 'plotly', 'distributed', 'jinja2'})"
     )

@@ -33,15 +33,15 @@ from children import DEVNULL, PIPE, STDOUT, call, child
 from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
-from ffsm_drake.campaign.cases import make_cases
-from ffsm_drake.campaign.evaluate import CIRCUMSTANCES, Evaluator
-from ffsm_drake.campaign.run import resume_campaign, start_campaign
-from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.campaign.store import Shard, create_store, open_store
-from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
 from ffsm_drake.common.time_limit import time_limit
 from ffsm_drake.common.workers import Stop
+from ffsm_drake.plugins.campaign.cases import make_cases
+from ffsm_drake.plugins.campaign.command import campaign
+from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES, Evaluator
+from ffsm_drake.plugins.campaign.run import resume_campaign, start_campaign
+from ffsm_drake.plugins.campaign.spec import load_spec
+from ffsm_drake.plugins.campaign.store import Shard, create_store, open_store
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 
@@ -590,7 +590,7 @@ def test_a_database_in_use(database, tmp_path, monkeypatch):
     with (tmp_path / ".used.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         one_line_error(invoke("resume", path), "is in use; another campaign is writing to it")
-    monkeypatch.setattr("ffsm_drake.campaign.store.PATIENCE", 0.1)
+    monkeypatch.setattr("ffsm_drake.plugins.campaign.store.PATIENCE", 0.1)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         connection.execute("BEGIN EXCLUSIVE")
         one_line_error(invoke("resume", path), "database is locked")

@@ -9,10 +9,10 @@ import pytest
 from campaign_tools import run_here, write_spec
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.campaign.cases import make_cases, scenario_of
-from ffsm_drake.campaign.evaluate import metrics_of
-from ffsm_drake.campaign.prediction import predict
-from ffsm_drake.campaign.spec import load_spec, shipped_campaigns
+from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
+from ffsm_drake.plugins.campaign.evaluate import metrics_of
+from ffsm_drake.plugins.campaign.prediction import predict
+from ffsm_drake.plugins.campaign.spec import load_spec, shipped_campaigns
 
 PANELS = [f"model.flexible.{name}" for name in ("port", "starboard")]
 SHORT = {"duration": 0.4, "reference.duration": 0.2, "divergence_speed": 100.0}

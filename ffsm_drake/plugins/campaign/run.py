@@ -8,8 +8,17 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
-from ffsm_drake.campaign.evaluate import (
+from ffsm_drake.common.errors import (
+    CampaignError,
+    FfsmError,
+    InterruptedCampaign,
+    WorkersError,
+)
+from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
+from ffsm_drake.plugins.campaign.cases import Case, make_cases, scenario_of
+from ffsm_drake.plugins.campaign.evaluate import (
     CIRCUMSTANCES,
     UNSETTLED,
     Row,
@@ -20,17 +29,8 @@ from ffsm_drake.campaign.evaluate import (
     evaluate,
     evaluate_run,
 )
-from ffsm_drake.campaign.spec import Spec, load_spec
-from ffsm_drake.campaign.store import Shard, Store, check_columns, create_store, open_store
-from ffsm_drake.common.errors import (
-    CampaignError,
-    FfsmError,
-    InterruptedCampaign,
-    WorkersError,
-)
-from ffsm_drake.common.guard import guarded
-from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
+from ffsm_drake.plugins.campaign.spec import Spec, load_spec
+from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.batches import usual_batch
 from ffsm_drake.runs.capture import make_rollout

@@ -6,9 +6,15 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ffsm_drake.campaign.dispersion import Value, case_seed, get_value, set_value, unit_points
-from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.plugins.campaign.dispersion import (
+    Value,
+    case_seed,
+    get_value,
+    set_value,
+    unit_points,
+)
+from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.scenario import Scenario, scenario_from_dict, shown
 
 

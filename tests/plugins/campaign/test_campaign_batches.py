@@ -8,13 +8,13 @@ from campaign_tools import forked, run_here, table, write_spec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffsm_drake.campaign.cases import Case
-from ffsm_drake.campaign.evaluate import batches
-from ffsm_drake.campaign.run import resume_campaign, start_campaign
-from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.campaign.store import open_store
 from ffsm_drake.common.errors import InterruptedCampaign
 from ffsm_drake.common.workers import Stop
+from ffsm_drake.plugins.campaign.cases import Case
+from ffsm_drake.plugins.campaign.evaluate import batches
+from ffsm_drake.plugins.campaign.run import resume_campaign, start_campaign
+from ffsm_drake.plugins.campaign.spec import load_spec
+from ffsm_drake.plugins.campaign.store import open_store
 
 CONTROLLERS = ("tdc", "asmc", "aismc")
 

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.campaign.cases import Case, scenario_of
-from ffsm_drake.campaign.prediction import predict
-from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
+from ffsm_drake.plugins.campaign.cases import Case, scenario_of
+from ffsm_drake.plugins.campaign.prediction import predict
+from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED

@@ -5,8 +5,9 @@ import gc
 import pytest
 from campaign_tools import write_spec
 
-from ffsm_drake.campaign.cases import Case, scenario_of
-from ffsm_drake.campaign.evaluate import (
+from ffsm_drake.common.errors import LimitError, ScenarioError
+from ffsm_drake.plugins.campaign.cases import Case, scenario_of
+from ffsm_drake.plugins.campaign.evaluate import (
     METRICS,
     PREDICTIONS,
     Batch,
@@ -14,8 +15,7 @@ from ffsm_drake.campaign.evaluate import (
     differing_columns,
     evaluate,
 )
-from ffsm_drake.campaign.spec import load_spec, spec_from_data
-from ffsm_drake.common.errors import LimitError, ScenarioError
+from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario, scenario_from_dict, scenario_to_dict

@@ -10,13 +10,17 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.evaluate import (
+from ffsm_drake.common.errors import CampaignError, RecordError, one_line
+from ffsm_drake.common.files import published, write_text
+from ffsm_drake.common.numbers import NONE, number, percent
+from ffsm_drake.plugins.campaign.charts import GRID_METRICS, chart_views, limits_of
+from ffsm_drake.plugins.campaign.evaluate import (
     OUTCOMES,
     frame_parts,
     parts_of_campaign,
 )
-from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.campaign.statistics import (
+from ffsm_drake.plugins.campaign.spec import Spec
+from ffsm_drake.plugins.campaign.statistics import (
     CONFIDENCE,
     Findings,
     Interval,
@@ -24,11 +28,7 @@ from ffsm_drake.campaign.statistics import (
     quantiles,
     worst_runs,
 )
-from ffsm_drake.campaign.store import Store
-from ffsm_drake.common.errors import CampaignError, RecordError, one_line
-from ffsm_drake.common.files import published, write_text
-from ffsm_drake.common.numbers import NONE, number, percent
-from ffsm_drake.show.campaign.charts import GRID_METRICS, chart_views, limits_of
+from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import aligned
@@ -152,7 +152,7 @@ def _page(store: Store, findings: Findings) -> str:
         "database": store.path.name,
         "fingerprint": spec.fingerprint,
     }
-    return render("campaign.html.j2", content)
+    return render("campaign.html.j2", content, package="ffsm_drake.plugins.campaign")
 
 
 def _metric_tables(spec: Spec) -> list[dict[str, str]]:

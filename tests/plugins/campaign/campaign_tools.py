@@ -12,10 +12,10 @@ import alone  # noqa: F401 (what processes have loaded)
 import yaml
 from children import PIPE, STDOUT, child, pool, processes
 
-from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
-from ffsm_drake.campaign.run import start_campaign
-from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.common.workers import InThisProcess, Stop, Workers
+from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.plugins.campaign.run import start_campaign
+from ffsm_drake.plugins.campaign.spec import load_spec
 
 SMALL = {
     "description": "a small campaign",

@@ -1,1 +1,0 @@
-"""A campaign's page and charts."""
