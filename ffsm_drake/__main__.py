@@ -37,7 +37,7 @@ def main() -> None:
     gc.set_threshold(_MANY_OBJECTS, *gc.get_threshold()[1:])
     try:
         _main()
-    except (OSError, ImportError) as error:  # of what is imported
+    except (OSError, ImportError) as error:  # raised by the imports
         os.write(2, f"error: {' '.join(str(error).split())}\n".encode("utf-8", "replace"))
         os._exit(2)
 
@@ -45,7 +45,7 @@ def main() -> None:
 def _main() -> None:
     try:
         os.getcwd()
-    except FileNotFoundError:  # Python itself may fail to import what follows
+    except FileNotFoundError:  # Python itself may fail to import modules from here on
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
         os._exit(2)
     try:

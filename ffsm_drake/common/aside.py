@@ -47,7 +47,7 @@ class Aside:
         def run() -> None:
             try:
                 found = False, work()
-            except BaseException as error:  # whatever it is, it is the other thread's
+            except BaseException as error:  # any exception is passed to the other thread
                 found = False, error
             try:
                 release()

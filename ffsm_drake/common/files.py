@@ -87,7 +87,7 @@ def published(
             new.mkdir(exist_ok=True)
             yield new
             with undisturbed():
-                if not _renamed(new, place):  # it is there, or has appeared meanwhile
+                if not _renamed(new, place):  # it exists, or has been created in the meantime
                     with _alone(place):
                         if is_taken():
                             found = _next_free(new, place.resolve())
@@ -148,7 +148,7 @@ def _next_free(new: Path, place: Path) -> Path:
             continue
         try:
             new.rename(found)
-        except OSError as error:  # it has appeared meanwhile
+        except OSError as error:  # it has been created in the meantime
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
             continue

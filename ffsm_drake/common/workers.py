@@ -179,7 +179,7 @@ def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
             f"--slurm: SLURM_PROCID must be below SLURM_NTASKS, 3 or more, not {number['PROCID']} "
             f"and {number['NTASKS']}"
         )
-    try:  # it takes hold of SIGINT, by which the runner ends its tasks
+    try:  # it handles SIGINT; the runner ends its tasks by this signal
         jobqueue: Any = importlib.import_module("dask_jobqueue.slurm")
     except ImportError:
         raise WorkersError(

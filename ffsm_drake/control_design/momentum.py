@@ -54,20 +54,20 @@ class StorageBudget:
     """
 
     name: str  # section of the scenario
-    momentum: float  # N m s; to be held, with what it holds at the start
+    momentum: float  # N m s; momentum to be held, including the initial one
     capacity: float  # N m s; along the momentum, at the end of the planned motion
     least_capacity: float  # N m s; along the worst direction
     share: float  # filled share of the fullest unit at the end; above 1 the attitude cannot be held
     peak_share: float  # over the planned motion
     fullest: str  # the unit of ``peak_share``
-    least_time: float  # s; in which the largest torque takes the momentum up
+    least_time: float  # s; time for the largest torque to absorb the momentum
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ArmBudget:
     """The momentum that the arm holds by turning its joints, the base's attitude kept."""
 
-    # N m s; along the momentum, within the joints' rate limits; None: there are none
+    # N m s; along the momentum, within the joints' rate limits; None: no limits
     capacity: float | None
     # s; duration of the motion found that holds all of it; None: longer than ``LONGEST``
     time: float | None
@@ -118,7 +118,7 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
     contact = planned_contact(scenario, model)
     name, storage = _storage(scenario)
     linear, of_bodies = contact.momentum_after[3:], contact.spin_after
-    angular = of_bodies  # with what is stored
+    angular = of_bodies  # including stored momentum
     if storage is not None:
         angular = of_bodies + _attitude(contact.q) @ storage.initial
     times, q, spin = _along(scenario, model, contact.q)

@@ -74,7 +74,7 @@ BLOCKS: dict[str, Ports] = {
         optional_outputs={"desired_frame": FRAME},
     ),
     "sensing": Ports(
-        # ``state`` is what the stage before gives, of the first one the plant's state.
+        # ``state`` is the output of the stage before, of the first one the plant's state.
         inputs={"state": STATE},
         optional_inputs={
             "true_state": STATE,
@@ -93,7 +93,7 @@ BLOCKS: dict[str, Ports] = {
             "applied_force": VELOCITY,
             "measurement_is_new": STATE,
             "desired_frame": FRAME,
-            "restart": NUMBER,  # 1: this sample is a first one, whatever was before
+            "restart": NUMBER,  # 1: this sample is a first one, regardless of earlier samples
         },
         outputs={"generalized_force": VELOCITY},
         optional_outputs={**dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY), SMALLEST: NUMBER},
@@ -141,7 +141,7 @@ BLOCKS: dict[str, Ports] = {
     ),
 }
 DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
-# Blocks of which there may be several.
+# Blocks that may occur several times.
 _SEVERAL = ("sensing.<name>", "forces.<name>")
 # Names of systems that are part of every loop.
 _TAKEN = (

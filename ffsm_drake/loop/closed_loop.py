@@ -466,7 +466,7 @@ class _Wiring:
             self._connect("generalized_force", actuation.GetInputPort("commanded_force"))
             self._give_states(actuation)
             applied = (actuation, name)
-        # no force acts there, whatever is commanded
+        # no force acts there for any command
         if joint_force is not None or self._coordinates.undriven:
             mask = self._coordinates.is_driven.astype(float)
             if joint_force is not None:

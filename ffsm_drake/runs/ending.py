@@ -16,9 +16,9 @@ from ffsm_drake.systems.registry import section_parts
 
 # Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
-SLIPPED, BOUNCED = "slipped", "bounced"  # the target got out of the gripper, closed or closing
+SLIPPED, BOUNCED = "slipped", "bounced"  # the target left the gripper, closed or closing
 NOT_CAPTURED = (MISSED, SLIPPED, BOUNCED)
-FAILED = "failed"  # user-supplied code raised an exception, or returned what cannot be used
+FAILED = "failed"  # user-supplied code raised an exception or returned an unusable result
 OUTCOMES = (COMPLETED, *NOT_CAPTURED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
 # A completed run is one of the first three; best first.

@@ -91,7 +91,7 @@ class Monitor:
         self.message = f"{self.loop.scenario.controller} diverged at t = {time:.2f} s: {what}"
 
 
-_SKIPS = 3  # steps that are not looked at
+_SKIPS = 3  # steps without a check
 _SLOW = 0.1  # share of the bound; slower copies cannot exceed it within so many steps
 
 

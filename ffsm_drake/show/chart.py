@@ -42,7 +42,7 @@ class Level:
     name: str = ""  # in the legend; "": not there
     axis: Literal["x", "y"] = "y"
     style: Style = Style(NEUTRAL)
-    below: bool = False  # whether the text stands below the line
+    below: bool = False  # whether the text is below the line
 
 
 @dataclasses.dataclass(frozen=True)

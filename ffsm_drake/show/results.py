@@ -26,7 +26,7 @@ class Magnitude:
     peak_error: float
     final_error: float
     peak_effort: float  # N m or N, commanded
-    peak_applied: float  # N m or N, what the actuators made of it
+    peak_applied: float  # N m or N, applied by the actuators
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

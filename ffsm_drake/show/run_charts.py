@@ -16,7 +16,7 @@ from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, NEUTRAL, Style
 
 RMS_POINTS = 500  # number of points of a smooth curve
 _REFERENCE = Style(NEUTRAL, "dot")
-_STARTING_STEPS = 5  # in which the loop builds up the force from zero
+_STARTING_STEPS = 5  # steps in which the loop builds up the force from zero
 
 Column = tuple[int, np.ndarray]  # which run, its values
 

@@ -89,7 +89,7 @@ def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, 
         raise ModelError(f"line {line}: is not UTF-8 text; save it as UTF-8") from error
     except OSError as error:
         raise ModelError(f"cannot be read: {one_line(error)}") from error
-    # read as what Drake takes it for, whatever it declares
+    # read with Drake's encoding, regardless of the declared one
     require("<!DOCTYPE" not in text, "has a <!DOCTYPE ...>, not allowed in a URDF; remove it")
     try:
         parser = ElementTree.XMLParser(encoding="utf-8")

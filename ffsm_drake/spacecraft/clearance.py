@@ -49,7 +49,7 @@ from ffsm_drake.spacecraft.plant import (
 # Bodies with few joints between them that are near at every joint angle are left out.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _TRIALS = 40  # joint configurations tested
-_DEEP = 0.1  # m; no wrist's shapes overlap what it holds by more at every joint angle
+_DEEP = 0.1  # m; no wrist's shapes overlap a held body by more at every joint angle
 
 # Nearer to the grasp, and turned less from it, the gripper may touch the target: m, rad.
 _REACH, _TURN = 0.1, 0.35
@@ -200,7 +200,7 @@ class Clearance:
         joints_at: dict[int, list[tuple[int, Joint]]] = {}
         for joint in sorted(joints_of(plant), key=_is_known):
             ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
-            if not _is_known(joint):  # a flexible part belongs to what carries it
+            if not _is_known(joint):  # a flexible part belongs to its carrying body
                 part_of = {
                     body: ends[0] if part == ends[1] else part for body, part in part_of.items()
                 }
@@ -240,7 +240,7 @@ class Clearance:
         """The joints between two rigid parts."""
         ways: dict[int, tuple[Joint, ...]] = {start: ()}
         pending = [start]
-        for part in pending:  # grows meanwhile
+        for part in pending:  # grows during the loop
             for there, joint in joints_at.get(part, []):
                 if there not in ways:
                     ways[there] = (*ways[part], joint)

@@ -275,7 +275,7 @@ class _Added:
     inertia: SpatialInertia  # M_FFo_F
     drawn: Shape
     drawn_at: RigidTransform = dataclasses.field(default_factory=RigidTransform)  # X_FG
-    # X_AF on what carries it
+    # X_AF on the carrying body
     place: RigidTransform = dataclasses.field(default_factory=RigidTransform)
     stiffness: float | None = None  # N/m; it slides along z; None: it is hinged about x
     carries_next: bool = False  # the next body of the part

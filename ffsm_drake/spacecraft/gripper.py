@@ -84,7 +84,7 @@ class Jaws:
         K, D, palm = self._K, self._D, self._palm
         implicit = (step * D + step * step * K)[:, None] * mobility
         free = -K * (offset + step * rate - center - slid) - D * (rate - center_rate)
-        # The palm draws back with what was in it at first.
+        # The palm first retracts with the initial penetration.
         depth, sinks = palm @ self.start, palm @ (offset + step * rate)
         face, face_rate = ((1.0 - closed) * depth, -closing * depth) if depth < 0.0 else (0.0, 0.0)
         pushed = -K[3] * (sinks - face) - D[3] * (palm @ rate - face_rate)

@@ -56,7 +56,7 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
 def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path, ...]]:
     """The first problem of a file and the files that it names, or "", and the files."""
     pending = [first]
-    for path in pending:  # grows meanwhile
+    for path in pending:  # grows during the loop
         try:
             check_regular(path, limit=_MAX_SIZE)
             if path.suffix.lower() == ".urdf":

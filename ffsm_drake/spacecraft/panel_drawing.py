@@ -11,7 +11,7 @@ from pydrake.multibody.tree import RigidBody
 from ffsm_drake.scenario import Flexible, Model
 from ffsm_drake.spacecraft.flexible import labels_of
 
-# Distance by which a shape may reach beyond its panel, as fractions of width and length.
+# Allowed excess of a shape beyond its panel, as fractions of width and length.
 _ASIDE, _INWARDS, _OUTWARDS, _ABOVE = 0.25, 0.05, 0.25, 0.1
 _LEAST = 0.5  # fraction of width and length that the shapes cover; below it they are fittings
 _MOST_PLATES = 1.5  # longest shape, in plates; a longer one cannot bend

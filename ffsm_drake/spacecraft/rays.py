@@ -6,7 +6,7 @@ from functools import singledispatch
 import numpy as np
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 
-_LEAST = 1e-4  # m; what begins on a shape or within it does not meet it
+_LEAST = 1e-4  # m; rays that begin on a shape or within it do not meet it
 
 
 def first_meeting(shape: Shape, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:

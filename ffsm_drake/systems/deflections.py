@@ -24,7 +24,7 @@ from ffsm_drake.systems.part import (
 from ffsm_drake.systems.setup import BlockSetup
 
 _AT_REST = 1e-9  # rad/s or m/s; below any planned motion
-# By the unit of the coordinates: what their columns in campaigns are called.
+# Name of the columns in campaigns, by the unit of the coordinates.
 _COLUMNS = {"rad": "angle", "m": "distance"}
 
 

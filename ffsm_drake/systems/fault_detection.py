@@ -64,7 +64,7 @@ _WINDOWS = (8, 24, 60)  # blocks
 _CONFIRMED, _ASKED = 4, 0.6
 _LEARNT = 50  # samples, or blocks, after which a variance is known
 _REPEATED = 5  # samples with the same bits
-_JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller errors of sensors are none
+_JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller sensor errors are ignored
 _SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the commanded impulse: tolerance of a wheel
 _STILL, _LEAST = 2e-5, 0.05  # for a jam: rad or m; N m or N beyond all bounds
 _OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
@@ -513,14 +513,14 @@ class _Detector(LeafSystem):
                 self._lose(memory, name, "silent")
             elif prompt and self._is_fine[entries].all() and memory["repeats"][index] >= _REPEATED:
                 walk = self._velocity_noise[entries % nv].max() * np.sqrt(memory["repeats"][index])
-                least = 1e-7 + self._settings.threshold * self._step * walk  # or it stands still
+                least = 1e-7 + self._settings.threshold * self._step * walk  # or it is at rest
                 if (
                     np.abs(memory["since"][entries]).max() > least
                     and not joints[entries % nv].any()
                 ):
                     self._lose(memory, name, "frozen")
             elif same:
-                continue  # a jump back to what it shows would be none
+                continue  # a jump back to the shown value would not be one
             elif prompt and known and entries[0] < nv and not lost[entries + nv].any():
                 size = np.linalg.norm(slip[entries] / np.sqrt(memory["jitter"][entries] + 1e-30))
                 if size > self._settings.threshold + 1.0 and np.linalg.norm(slip[entries]) > _JUMP:
@@ -565,7 +565,7 @@ class _Detector(LeafSystem):
         bound = self._settings.threshold * np.sqrt(memory["rough"])
         bound += self._step * np.abs(pushes) @ self._force
         known = np.clip(left[0], -bound, bound) if count > _LEARNT else left[0]
-        # a jump of a sensor is no force; what goes on is one
+        # a jump of a sensor is no force; a lasting change is one
         jumps = float((known != left[0]).any())
         if jumps and not memory["jumped"][0] and memory["blocks"][0] >= _WINDOWS[0]:
             self._forget(memory)

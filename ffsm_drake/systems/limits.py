@@ -31,7 +31,7 @@ class BaseLimits:
     """
 
     torque: np.ndarray  # by direction (n)
-    helped: np.ndarray  # torque with what thrusters add for a while, where they help wheels
+    helped: np.ndarray  # torque including the temporary help of thrusters for wheels
     force: np.ndarray
     named: str  # the actuators, in words that follow actuation.limit
 

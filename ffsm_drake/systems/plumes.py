@@ -15,7 +15,7 @@ from ffsm_drake.spacecraft.plume import PlumeField, returned_shares
 from ffsm_drake.systems.part import HELD_FORCE, STEPS, Figure, Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
-_TELLING = 0.05  # share of its thrust from which on a thruster's plume is named
+_TELLING = 0.05  # share of its thrust from which a thruster's plume is reported
 
 
 class Plumes(Part):

@@ -208,7 +208,7 @@ def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> P
         clearance=plain.clearance,
         planning=plain.planning,
     )
-    # All inputs of what follows from the motion.
+    # All inputs of the quantities derived from the motion.
     content, period = (part, files_read(scenario), motion.end), scenario.sample_time
     if scenario.reference.frame is None:
         return FreeMotion(motion, model=nominal, sample_time=period, content=content)

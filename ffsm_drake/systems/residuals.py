@@ -54,7 +54,7 @@ class Suspicion:
     """The best hypothesis on thrusters."""
 
     explained: float  # squares of standard deviations
-    is_isolated: bool  # it is one thruster, and explains what is seen
+    is_isolated: bool  # a single thruster that explains the observation
     thruster: int
     kind: str
     theta: float

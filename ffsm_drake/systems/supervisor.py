@@ -271,7 +271,7 @@ class _Supervisor(LeafSystem):
         first = Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP
         self._mode = self.DeclareDiscreteState([float(first)])
         self._cause = self.DeclareDiscreteState(1)
-        # 1 while the law starts afresh at each sample, the force being that of damping
+        # 1 while the law restarts at each sample, with the force of damping
         self._restart = self.DeclareDiscreteState(1)
         # saturated time, time below ``end_share``, number of new plans, request before
         self._counters = self.DeclareDiscreteState(4)
@@ -347,7 +347,7 @@ class _Supervisor(LeafSystem):
             is_quiet = self._damp(state, filtered, new)
             counters[1] = counters[1] + self._step if is_quiet else 0.0
             if counters[1] >= self._settings.end_time - 1e-9:
-                counters[1] = 0.0  # without a plan it goes on
+                counters[1] = 0.0  # without a plan damping continues
                 plan = self._plan_anew(time, state, int(counters[2]))
                 if plan is not None:
                     counters[2] += 1.0

@@ -58,7 +58,7 @@ from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.limits import actuation_limit
 
-# Confirming a choice takes at least so many evaluations, and s more than is expected.
+# Confirming a choice takes at least this many evaluations, and s beyond the expected time.
 _CONFIRMING, _GRACE = 4.0, 1.0
 _TRANSIENT = 5.0  # s, at the start, which is not counted as the motion
 # Seeds of the noise under which a design must not diverge with its base actuators.
@@ -230,7 +230,7 @@ class _Search:
         )
         self._search_end, self.ended_by = math.inf, ""
         self._margins = dict[int, Boundaries]()  # by id of a confirmed point
-        self._objections = dict[int, str]()  # likewise: what stands against it
+        self._objections = dict[int, str]()  # likewise: the objection to it
         self._tried, self._searches = list[tuple[str, DesignPoint]](), dict[str, AxisSearch]()
         ideal = 1.1 * self._demand.ideal_isv
         self.requirement = Requirement(
@@ -287,9 +287,9 @@ class _Search:
         alarm = self._obstacle(self.given.scenario)
         self.given = self.chosen = dataclasses.replace(self.given, alarm=alarm)
         if alarm or not self._is_usable:
-            return  # whatever goes as planned is better
+            return  # any scenario expected to go as planned is better
         boundaries, time_of_edge = _boundaries(self.given.scenario)
-        # without margins there are none to lose
+        # without margins none can be lost
         trade = [*self._trade, *(["margins"] if math.isnan(boundaries.gains) else [])]
         baseline = Baseline(point=self.given, boundaries=boundaries, time=time_of_edge, trade=trade)
         self.requirement = dataclasses.replace(self.requirement, baseline=baseline)

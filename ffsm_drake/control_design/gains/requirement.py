@@ -25,7 +25,7 @@ from ffsm_drake.systems.controllers import complete_gains
 
 # Criteria that a design may trade off.
 TRADES = ("accuracy", "effort", "margins")
-# Factor by which a figure may be worse than it was.
+# Factor by which a figure may be worse than the given one.
 TOLERANCE = 1.02
 # Standard deviations of the noise's force that limited actuators shall give beside the motion's.
 ROOM = 3.0
@@ -147,7 +147,7 @@ class Requirement:
     # (nv) largest standard deviation of the noise's force for which limited base actuators have
     # room beside the motion, N m or N; infinite: they are not limited
     room: np.ndarray
-    # None: the given gains are no good; whatever is found is better
+    # None: the given gains are unusable; any usable result is better
     baseline: Baseline | None = None
 
     def violated(self, point: DesignPoint) -> str:

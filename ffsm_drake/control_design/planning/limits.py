@@ -12,7 +12,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.limits import limits_of
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
-_SLACK = 1e-3  # relative; by which a plan may exceed a limit between the solver's instants
+_SLACK = 1e-3  # relative; allowed excess over a limit between the solver's instants
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

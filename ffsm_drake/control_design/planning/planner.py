@@ -36,7 +36,7 @@ _ATTEMPTS = 5  # at limits that are exceeded between the solver's instants
 _ACCURACY = 1e-8  # relative accuracy of the undriven base's final pose
 _AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
-_SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
+_SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s; decay times of the rates at the end
 _MOST_SEGMENTS = 100  # upper bound of a scenario's setting
 
 
@@ -51,7 +51,7 @@ class PlannedMotionReport:
     plan: Plan
     solve_time: float  # s of wall time
     evaluations: int
-    effort: float  # integral of the squared force, up to the plan's duration: what ISV counts
+    effort: float  # integral of the squared force, up to the plan's duration, as in ISV
     # by group: integral of the force's size summed over its coordinates, up to the duration
     impulse: dict[str, float]
     # |H0| about the centre of mass, N m s, and the least time in which torque on the base alone

@@ -33,9 +33,9 @@ from ffsm_drake.systems.plan import DEGREE
 
 INSTANTS = 3  # per segment, at which force and clearance are evaluated
 _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
-_ROOM = 0.002  # m beyond the clearance, for what happens between instants
+_ROOM = 0.002  # m beyond the clearance, for motion between instants
 _SUM = 0.005  # share of an impulse that the sum over the instants may miss
-_LESS = 0.001  # share by which limits are tightened beyond need
+_LESS = 0.001  # share by which limits are tightened beyond the required amount
 _LESS_TURN, _TURN_ROOM = 0.85, 1e-3  # relative change of the base's turn between solutions
 # The solver is stopped when merit falls by less than a share in so many evaluations.
 _GAIN, _PATIENCE, _MOST = 1e-3, 100, 1000
@@ -120,7 +120,7 @@ class PlanningProgram:
         self._near = self._segment[:, None] + np.arange(DEGREE + 1)  # control points
         points = self._near[..., None] * self._size + np.arange(self._size)
         lengths = self._segment[:, None] + np.arange(-2, 3)
-        # Segments beyond the ends stand in a last column, which is left out.
+        # Segments beyond the ends are in a last column, which is ignored.
         lengths[(lengths < 0) | (lengths >= segments)] = segments
         self._columns = np.hstack([points.reshape(count, -1), lengths + self._points.size])
         # h = lengths_by [T, d]

@@ -49,16 +49,16 @@ from ffsm_drake.systems.registry import Factory
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Step of a finite difference: rad, m, and per s; other states: relative to their size.
 _STEP = 1e-7
-# Control samples on the plan before the map is taken, in which every memory fills.
+# Control samples on the plan before the map is taken, to fill every memory.
 _WARM_UP = 5
-# Beyond these, a look at one instant takes more than seconds, or much memory.
+# Beyond these, an evaluation at one instant takes more than seconds, or much memory.
 _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, searched for user-supplied systems without a declared one, and
 # the change of their map, relative to its rows, between different samples.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
 _COARSE = 1e3  # times the step, with which a smooth function has the same derivative
 _ROUNDING = 1e-14  # rounding of numbers in memory, relative to the largest of a group
-# Stretches of samples that are looked at: a transient may hide the period in the first.
+# Stretches of samples evaluated: a transient may hide the period in the first.
 _TRIES = 3
 
 
@@ -320,7 +320,7 @@ class Linearizer:
         desired = self.motion.rows(np.arange(count) * period)[:, : nv + 1]
         context = self._start.Clone()
         silent = _silence(self._noise.systems, self.loop.diagram, context)
-        if silent:  # as a run goes, which is faster
+        if silent:  # step as in a run, for speed
             simulator = self._new_simulator(context)
             context = simulator.get_mutable_context()
             simulator.Initialize()

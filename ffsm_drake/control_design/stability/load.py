@@ -22,7 +22,7 @@ from ffsm_drake.systems.registry import section_parts
 
 _ANSWER = 1.0  # s; response of the loop to a wrong velocity at the start
 _INSTANTS = 101  # number of instants of the plan after that
-_TRANSIENT = 5.0  # s after a grasp, in which the torque does not depend on the motion's duration
+_TRANSIENT = 5.0  # s after a grasp with a torque independent of the motion's duration
 # Largest share of the limit for a motion, and the target share of a longer one.
 _MOST, _WANTED = 0.7, 0.65
 _LEAST_STEP, _LONGEST = 1.03, 10.0  # ratios of durations: successive trials, longest to given

@@ -58,7 +58,7 @@ class LegVerdict:
     instants: int  # at which the loop was linearised
     rests_stable: bool  # radius below 1 where the leg begins or ends at rest
     status: Status
-    sentence: str  # one line, with what it covers
+    sentence: str  # one line, with its scope
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

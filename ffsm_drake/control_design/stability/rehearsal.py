@@ -40,12 +40,12 @@ from ffsm_drake.systems.setup import BlockSetup
 SEEDS, MANY = 16, 64  # noises, under actuators of the base; where they cost little
 _FURTHER = 1.5  # standard deviations; excess of the largest of 64 runs over one run
 _CONFIDENCE = 3.0  # none of n noises diverges: the chance is below 3 / n, at 95 %
-_LIMIT = "actuation.limit"  # among what saturates
+_LIMIT = "actuation.limit"  # name among the saturated limits
 _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
-_SETTLED_AFTER = 5.0  # s, from which on the rms error counts
+_SETTLED_AFTER = 5.0  # s; start of the rms error
 _CLOSEST = 1.0 / 64.0  # share of the motion between two postures
-_PUSH = "push"  # the source of what actuators add to the command
+_PUSH = "push"  # the source of the actuators' deviation from the command
 Maps = tuple[np.ndarray, np.ndarray]  # maps of one control sample, from x and from w
 
 
@@ -58,7 +58,7 @@ class Rehearsal:
     noise_force: np.ndarray  # (nv,) standard deviation of the command by sensor noise, N m or N
     motion_force: np.ndarray  # (nv,) largest command without noise, N m or N
     diverged: np.ndarray  # (seeds,) s, when a rate passed ``divergence_speed``; NaN: it did not
-    # by actuator: (seeds,) share of the samples in which it gave less than was wanted of it
+    # by actuator: (seeds,) share of the samples with less than the wanted output
     saturated: Mapping[str, np.ndarray]
     largest_error: np.ndarray  # (nv,) in the last two seconds, rad or m; median over the seeds
     # (nv,) after the settling time, rad or m, about the mean; rms over the seeds

@@ -58,7 +58,7 @@ _FINDING_TONES = {
     "not tested": "mute",
     "not applicable": "mute",
 }
-# Section key -> title, text, and the sentence that stands where the records have nothing to draw.
+# Section key -> title, text, and the sentence for records without data for it.
 _SECTIONS = {
     "motion": (
         "Motion",

@@ -57,7 +57,7 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
         "Error": each("error", "{unit}"),
         "rms of the error over 1 s, logarithmic": panels(rms_charts(results), thin),
     }
-    if len(results) > 1:  # whose errors differ by orders of magnitude
+    if len(results) > 1:  # their errors differ by orders of magnitude
         errors = dict(reversed(errors.items()))
     applied = each("applied_force", "{effort}") if actuators_act(results) else []
     sections: dict[str, dict[str, list[Panel]]] = {

@@ -72,7 +72,7 @@ def read_target(path: Path) -> Target:
         rotation = RollPitchYaw(vector(origin, "rpy", place)).ToRotationMatrix().matrix()
         tensor = rotation @ tensor @ rotation.T
         scale = max(float(np.abs(tensor).max()), 1e-300)
-        # no products of 1e-16 where there are none
+        # no products of 1e-16 in place of zeros
         tensor = scale * np.round(tensor / scale, 12) + 0.0
         return Target(
             source=path,

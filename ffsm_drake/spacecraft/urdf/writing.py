@@ -184,7 +184,7 @@ def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path
 def _with_companions(mesh: Path) -> list[Path]:
     """A mesh and the files in its folder that it names: materials, textures, buffers."""
     files = [mesh]
-    for file in files:  # grows meanwhile
+    for file in files:  # grows during the loop
         if file.suffix.lower() not in (*DRAWABLE, ".mtl"):
             continue
         for named in _NAMED_FILE.findall(file.read_text(encoding="utf-8", errors="replace")):

@@ -22,10 +22,10 @@ from pydrake.solvers import ClpSolver, MathematicalProgram
 from ffsm_drake.common.products import times
 
 _SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
-_SLACK = 1e-9  # relative; by which a bound may be missed
+_SLACK = 1e-9  # relative; tolerance of a bound
 # Relative perturbation of the costs, to select one of equally cheap forces.
 _DISTINCT = 1e-7
-_DISTINCT_PROGRAM = 1e-4  # in the linear program, whose solver takes differences of 1e-7 for none
+_DISTINCT_PROGRAM = 1e-4  # in the linear program; its solver ignores differences of 1e-7
 _TOUCHES = 1e-10  # relative to the largest cost
 
 

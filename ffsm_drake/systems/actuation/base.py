@@ -34,7 +34,7 @@ from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 # Commands beyond their limits are not recovered: the controller reads applied_force and repeats
 # them.
 _RECOVERY = 10
-Hit = tuple[str, Fault, int]  # unit, fault, the control sample from which on it is there
+Hit = tuple[str, Fault, int]  # unit, fault, first control sample of the fault
 # Codes of fault detection for a thruster or wheel: it is off and gets no command (a thruster's
 # upstream valve is shut); a thruster stays open.
 LOST, STUCK_ON = 1.0, 2.0

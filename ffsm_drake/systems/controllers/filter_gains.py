@@ -138,7 +138,7 @@ class _LateFilter:
     by needs only prediction.
     """
 
-    late: tuple[int, int]  # samples by which the position, or the velocity, is the older
+    late: tuple[int, int]  # samples by which the position, or the velocity, is older
     transition: np.ndarray
     output: np.ndarray
     noise: np.ndarray  # (2) variances of the measurements, relative to the smaller
