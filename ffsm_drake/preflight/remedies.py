@@ -29,9 +29,9 @@ from ffsm_drake.systems.part import Advice
 
 # factors, the mildest first
 _LESS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02)
-_TOO_LIGHT = 9  # number of these that are too many for a nominal payload
+_TOO_LIGHT = 9  # number of these factors considered for a nominal payload
 _MUCH_LESS = (0.7, 0.5, 0.35, 0.25)
-_SOONER = (0.8, 0.5, 0.4, 0.25, 0.2, 0.1)  # shorter values, with other durations as multiples
+_SOONER = (0.8, 0.5, 0.4, 0.25, 0.2, 0.1)  # factors on the sample time; they divide other durations
 _MORE = (1.1, 1.25, 1.5, 2.0, 3.0)
 _LIGHTER = "a lighter nominal payload"
 Changes = dict[str, Any]

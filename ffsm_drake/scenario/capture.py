@@ -157,7 +157,7 @@ class Retreat:
     distance: float = setting(
         2.0,
         "m",
-        "straight-line distance of the base from the target at the end of the retreat",
+        "distance of the base's straight motion away from the target",
         above=0,
     )
     duration: float = setting(

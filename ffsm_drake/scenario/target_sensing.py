@@ -84,8 +84,8 @@ class Measured:
     last: float = setting(
         3.0,
         "s",
-        "time of the last scheduled replan before the gripper closes; later ones depend on "
-        "the covariance",
+        "time of the last plan before the gripper closes; the approach is aborted then if the "
+        "estimate is too uncertain",
         above=0,
     )
 

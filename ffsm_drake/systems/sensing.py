@@ -90,10 +90,10 @@ class Sampling(LeafSystem):
 
     Input: ``state`` (size).
     Outputs: ``estimated_state`` (size), and, with a period longer than a control sample,
-    ``measurement_is_new`` (size), 1 for an entry with its first use of a measurement, else 0.
-    Discrete state, updated every control sample: for each pair (p, d) but (1,
-    0), the measurements made last, newest first. Read the outputs at control
-    samples, before the update.
+    ``measurement_is_new`` (size), 1 for entries with a measurement shown for the first time, else
+    0.
+    Discrete state, updated every control sample: for each pair (p, d) but (1, 0), the
+    measurements made last, newest first. Read the outputs at control samples, before the update.
     """
 
     def __init__(self, period: np.ndarray, delay: np.ndarray, *, sample_time: float) -> None:
