@@ -404,4 +404,4 @@ def test_design_without_time_keeps_the_given_gains():
     found = design(scenario, time_limit=0.0)
     assert found.kept
     assert found.ended_by == "the time limit"
-    assert any("best so far" in remark for remark in found.remarks)
+    assert any("best result so far" in remark for remark in found.remarks)
