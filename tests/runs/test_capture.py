@@ -148,7 +148,7 @@ def test_the_ledger_counts_the_wheels(run):
     change -= ledger["before"]["angular_momentum"]
     assert np.linalg.norm(change) < 0.2
     section = grasp_of(results_of([record])[0])
-    assert section["budget"][0].startswith("After the grasp as planned: ")
+    assert section["budget"][0].startswith("Momentum after the planned grasp: ")
     rows = {row[0]: row[1:3] for row in section["ledger"]}
     assert (
         rows["Stored in actuators, in addition [N m s]"]
