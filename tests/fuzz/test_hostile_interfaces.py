@@ -516,7 +516,10 @@ def test_what_others_give_ends_cleanly(area, all_of_them, tmp_path, monkeypatch)
         pytest.importorskip(module)
     monkeypatch.chdir(tmp_path)
     *_, quick, every = AREAS[area]
-    run_alone(inputs_end_cleanly, area, every if all_of_them else quick)
+    if all_of_them:
+        run_alone(inputs_end_cleanly, area, every, inputs=every)
+    else:
+        run_alone(inputs_end_cleanly, area, quick)
 
 
 def inputs_end_cleanly(area, count):
