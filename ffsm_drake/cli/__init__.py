@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.audit import audit
 from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
 from ffsm_drake.cli.plan import plan
@@ -46,7 +45,7 @@ def main() -> None:
 
 
 for command in (
-    new, plan, run, compare, analyze, audit, stability, design, replay, plot,
+    new, plan, run, compare, analyze, stability, design, replay, plot,
     diagram, scenarios, validate, schema, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

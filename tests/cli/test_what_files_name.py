@@ -136,26 +136,6 @@ def test_a_database_runs_no_sql_of_its_own(statements, here, database):
         pass
 
 
-def test_a_log_is_not_unpacked_beyond_a_bound(tmp_path, monkeypatch):
-    pytest.importorskip("mcap")
-    from mcap.writer import Writer
-
-    from ffsm_drake.analysis import mcap_log
-
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        channel = writer.register_channel("/x", "json", 0)
-        for k in range(100):
-            writer.add_message(channel, k, json.dumps({"value": 10_000 * "0"}).encode(), k)
-        writer.finish()
-    monkeypatch.setattr(mcap_log, "_MAX_UNPACKED", 100_000)
-    assert path.stat().st_size < 100_000
-    with pytest.raises(ValueError, match="unpacked; at most 1e\\+05 are read"):
-        mcap_log.read_mcap(path, "base")
-
-
 @pytest.mark.parametrize("name", ["/dev/zero", "pipe"])
 @pytest.mark.parametrize("key", ["reference.plan", "model.servicer", "controller", "extends"])
 def test_no_device_or_pipe_is_read(key, name, here):

@@ -18,6 +18,7 @@ PACKAGE = Path(ffsm_drake.__file__).parent
 SHORT = ["run", "postcapture", "--set", "duration=0.5", "--no-report", "--out", "out"]
 # plug-in -> commands that need it
 NEEDED = {
+    "audit": [["audit", "log.csv", "--urdf", "craft.urdf"]],
     "benchmark": [["benchmark", "paper"]],
     "campaign": [["campaign", "status", "c.db"]],
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],

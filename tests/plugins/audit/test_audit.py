@@ -14,11 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.analysis.audit import audit
-from ffsm_drake.analysis.foreign_log import read_log
-from ffsm_drake.analysis.log_dynamics import Dynamics
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import RecordError
+from ffsm_drake.plugins.audit import audit
+from ffsm_drake.plugins.audit.dynamics import Dynamics
+from ffsm_drake.plugins.audit.reading import read_log
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import make_plant, models_dir
 
@@ -214,7 +214,7 @@ BASILISK = {
     ),
     "velocity in body axes": (
         lambda log: turned(log, "v_BN_N", dcm(log).transpose(0, 2, 1)), str,
-        "axes", "in body axes, while the log says in world axes",
+        "axes", "in body axes, while the log says world axes",
     ),
     "sigma_NB": (
         lambda log: with_triple(log, "sigma_BN", -triple(log, "sigma_BN")), str,
@@ -340,7 +340,7 @@ BROKEN = {
     ),
     "wrong frame": (
         lambda log: log | rotated(log | rotated(log, "base_velocity"), "base_velocity"),
-        "base_velocity", "in world or in body axes",
+        "base_velocity", "which no one mistake explains",
     ),
     "dropped samples": (lambda log: taken(log, KEPT), "dropped_samples", "about 6 samples"),
     "dropped samples, renumbered": (
@@ -358,7 +358,7 @@ BROKEN = {
     ),
     "gravity": (
         lambda _: mujoco_log(gravity=(0.0, 0.0, -9.81)), "gravity",
-        "gravity of 9.81 m/s^2 acts along [0.00, 0.00, -1.00]",
+        "-9.81] ±",
     ),
     "damping": (lambda _: mujoco_log(damping=5.0), "damping", "N s/m and 5 N m s"),
     "unknown force": (lambda _: mujoco_log(push=3.0), "external_force", "not logged"),

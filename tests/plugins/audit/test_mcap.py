@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import json
 import sys
 from pathlib import Path
 
@@ -10,9 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.analysis.audit import audit
-from ffsm_drake.analysis.mcap_log import read_mcap
 from ffsm_drake.common.errors import FfsmError, RecordError
+from ffsm_drake.plugins.audit import audit, mcap
+from ffsm_drake.plugins.audit.reading import read_log
 from ffsm_drake.spacecraft.plant import models_dir
 
 pytest.importorskip("foxglove", reason="needs foxglove-sdk")
@@ -20,6 +21,7 @@ pytest.importorskip("mcap_protobuf", reason="needs mcap-protobuf-support")
 writer = pytest.importorskip("mcap_ros2.writer", reason="needs mcap-ros2-support")
 
 from mcap.reader import make_reader  # noqa: E402
+from mcap.writer import Writer  # noqa: E402
 
 foxglove, ros2 = (
     pytest.importorskip(f"ffsm_drake.plugins.exports.{name}") for name in ("foxglove", "ros2")
@@ -203,8 +205,9 @@ def test_poses_too_far_apart_are_not_judged(tmp_path, definitions):
 def test_messages_at_other_times_are_interpolated(recorder):
     """Joint states at every second sample alone, and not at the first poses."""
     found = recorder.odometry().joints(rows=slice(3, None, 2)).audit()
-    said = "197 samples, period 0.05 s; joint interpolated to the poses' times"
-    assert statement(found, "time") == said
+    said = statement(found, "time")
+    assert said.startswith("197 samples, period 0.05 s; 4 rows left out")
+    assert "the joints' positions, the joints' rates, the joints' efforts interpolated" in said
     assert found.is_physics, str(found)
 
 
@@ -221,13 +224,12 @@ def test_wrenches_of_the_base_are_its_forces(recorder):
         for time in recorder.time:
             recorder.add("/wrench", kind, time, wrench=wrench)
             recorder.messages[-1][3]["header"]["frame_id"] = frame
-        found, _ = read_mcap(recorder.write(), "hub")
+        log = read_log(recorder.write(), JOINTS, base="hub")
         if turn is None:
-            assert "base_force_x" not in found
+            assert {"force", "torque"} <= set(log.missing)
             continue
-        for name, vector in {"base_force": force, "base_torque": torque}.items():
-            columns = np.array([found[f"{name}_{x}"] for x in "xyz"]).T
-            np.testing.assert_allclose(columns - turn.apply(vector), 0.0, atol=1e-12)
+        np.testing.assert_allclose(log.force - turn.apply(force), 0.0, atol=1e-12)
+        np.testing.assert_allclose(log.torque - turn.apply(torque), 0.0, atol=1e-12)
 
 
 def test_logs_that_cannot_be_read(recorder, folder, tmp_path, monkeypatch):
@@ -247,3 +249,18 @@ def test_logs_that_cannot_be_read(recorder, folder, tmp_path, monkeypatch):
             patch.setitem(sys.modules, f"{package}.decoder", None)
             with pytest.raises(FfsmError, match=rf"pip install 'ffsm-drake\[{extra}\]'"):
                 audit(folder / name, URDF)
+
+
+def test_a_log_is_not_unpacked_beyond_a_bound(tmp_path, monkeypatch):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/x", "json", 0)
+        for k in range(100):
+            writer.add_message(channel, k, json.dumps({"value": 10_000 * "0"}).encode(), k)
+        writer.finish()
+    monkeypatch.setattr(mcap, "_MAX_UNPACKED", 100_000)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(ValueError, match="unpacked; at most 1e\\+05 are read"):
+        mcap.read_mcap(path, "base")

@@ -14,17 +14,15 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import pandas as pd  # type: ignore[import-untyped]
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.so3 import in_body_axes
 
 _MODULES = {  # encoding of messages -> what decodes it, its package, our extra
     "protobuf": ("mcap_protobuf.decoder", "mcap-protobuf-support", "mcap"),
     "cdr": ("mcap_ros2.decoder", "mcap-ros2-support", "ros2"),
 }
 _MAX_UNPACKED = 8_000_000_000  # bytes
-_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
 
 
 class _Key(NamedTuple):
@@ -35,25 +33,25 @@ class _Key(NamedTuple):
     parent: str = ""  # of a pose or odometry: the frame that it is in
 
 
-class Series(NamedTuple):
-    """Values at their own times."""
-
-    stamps: np.ndarray  # (n), ns
-    rows: np.ndarray  # (n, k)
-
-
+_Series = dict[_Key, pd.DataFrame]  # values (n, k) by their times, ns
 _Found = Iterator[tuple[_Key, Any, list[float]]]  # with a time stamp
+_COLUMNS = {
+    "pose": [f"base_{x}" for x in ("position_x", "position_y", "position_z", "quaternion_w",
+             "quaternion_x", "quaternion_y", "quaternion_z")],
+    "odometry": [f"base_{what}_{x}" for what in ("velocity", "angular_velocity") for x in "xyz"],
+    "wrench": [f"base_{what}_{x}" for what in ("force", "torque") for x in "xyz"],
+}  # fmt: skip
 
 
-def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str]:
-    """Read a log; times are those of the base's poses, from the first: the headers', or the log's
-    where a header's never advances.
+def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str, dict[str, str]]:
+    """Read a log; times are the headers', or the log's where a header's never advances.
 
     Args:
       base: the base's frame, with or without what precedes "::" or "/".
 
-    Returns: columns by this package's names and, as TOPIC.FIELD, the numbers of JSON topics; what
-    was done to them.
+    Returns: columns by this package's names and, as TOPIC.FIELD, the numbers of JSON topics, with
+    blank cells where something has other times; what was done to them; the axes that the messages
+    define.
 
     Raises:
       FfsmError: a library is missing.
@@ -62,45 +60,26 @@ def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str]:
     series, logged = _read(path)
     frames = {key.name: key for kind in ("odometry", "pose") for key in series if key.kind == kind}
     pose = frames[_called(base, frames)]
-    odometry = next((k for k in series if k[:2] == ("odometry", pose.name)), None)
-    wrenches = [_Key("wrench", name) for name in (pose.parent, pose.name)]
-    used = [key for key in series if key in (pose, odometry, *wrenches) or key.kind == "joint"]
-    spans = [series[key].stamps for key in used]
-    stamps, rows = series[pose]
-    first, last = max(each.min() for each in spans), min(each.max() for each in spans)
-    kept = (stamps >= first) & (stamps <= last)
-    stamps, rows = stamps[kept], rows[kept, :7]
-    if not stamps.size:
-        raise ValueError(f"{pose.kind} of {pose.name} and the other messages share no time")
-    found = {"time": 1e-9 * (stamps - stamps[0])} | _split("base_position", rows[:, :3])
-    found |= _split("base_quaternion", rows[:, 3:], "wxyz")
-    changed = {key.kind for key in used if not _fits(series[key], stamps)}
-    if odometry:
-        twist = at_times(series[odometry], stamps)[:, 7:]
-        found |= _split("base_velocity", twist[:, :3])
-        found |= _split("base_angular_velocity", twist[:, 3:])
-    for key in wrenches:
-        if key in series:
-            force, torque = np.hsplit(at_times(series[key], stamps, smooth=False), 2)
-            if key.name == pose.name:
-                back = rows[:, 3:] * _INVERSE
-                force, torque = in_body_axes(back, force), in_body_axes(back, torque)
-            found |= _split("base_force", force) | _split("base_torque", torque)
+    tables = [series[pose].iloc[:, :7].set_axis(_COLUMNS["pose"], axis=1)]
+    stated: dict[str, str] = {}
     for key, each in series.items():
-        if key.kind == "joint":
-            for end, column in zip(("", "_rate", "_effort"), each.rows.T, strict=True):
-                if not np.isnan(column).all():
-                    own = Series(each.stamps, column[:, None])
-                    found[key.name + end] = at_times(own, stamps, smooth=end != "_effort")[:, 0]
+        if key[:2] == ("odometry", pose.name):
+            tables.append(each.iloc[:, 7:].set_axis(_COLUMNS["odometry"], axis=1))
+            stated |= dict.fromkeys(("linear", "angular"), "body axes")  # as Odometry defines
+        elif key.kind == "wrench" and key.name in (pose.parent, pose.name):
+            tables.append(each.set_axis(_COLUMNS["wrench"], axis=1))
+            if key.name == pose.name:
+                stated |= dict.fromkeys(("force", "torque"), "body axes")
+        elif key.kind == "joint":
+            names = [key.name + end for end in ("", "_rate", "_effort")]
+            tables.append(each.set_axis(names, axis=1).dropna(axis=1, how="all"))
         elif key.kind == "json":
-            found[key.name] = at_times(each, stamps, smooth=False)[:, 0]
+            tables.append(each.set_axis([key.name], axis=1))
+    whole = pd.concat([each[~each.index.duplicated()] for each in tables], axis=1).sort_index()
+    found = {str(name): column.to_numpy(dtype=float) for name, column in whole.items()}
+    stamps = whole.index.to_numpy()
     note = "; the headers' stamps do not advance: log times are used" if logged else ""
-    note += f"; {' and '.join(sorted(changed))} interpolated to the poses' times" if changed else ""
-    return found, note
-
-
-def _split(name: str, rows: np.ndarray, labels: str = "xyz") -> dict[str, np.ndarray]:
-    return {f"{name}_{label}": row for label, row in zip(labels, rows.T, strict=True)}
+    return {"time": 1e-9 * (stamps - stamps[0])} | found, note, stated
 
 
 def _called(base: str, frames: Mapping[str, object]) -> str:
@@ -113,25 +92,7 @@ def _called(base: str, frames: Mapping[str, object]) -> str:
     return alike[0]
 
 
-def _fits(series: Series, stamps: np.ndarray) -> bool:
-    """Whether a series has the times that are asked for."""
-    return bool(np.isin(stamps, series.stamps).all())
-
-
-def at_times(series: Series, stamps: np.ndarray, *, smooth: bool = True) -> np.ndarray:
-    """A series at other times (n, k): by cubic splines where it is smooth, else linear."""
-    own, index = np.unique(series.stamps, return_index=True)
-    rows = series.rows[index]
-    if _fits(series, stamps):
-        return rows[np.searchsorted(own, stamps)]
-    times, wanted = 1e-9 * (own - own[0]), 1e-9 * (stamps - own[0])
-    if smooth and own.size > 1 and np.isfinite(rows).all():
-        found: np.ndarray = CubicSpline(times, rows)(wanted)
-        return found
-    return np.stack([np.interp(wanted, times, column) for column in rows.T], axis=1)
-
-
-def _read(path: Path) -> tuple[dict[_Key, Series], bool]:
+def _read(path: Path) -> tuple[_Series, bool]:
     """All series of a file, and whether their times are those of the log."""
     try:
         make_reader = importlib.import_module("mcap.reader").make_reader
@@ -165,7 +126,7 @@ def _read(path: Path) -> tuple[dict[_Key, Series], bool]:
     times = {key: np.array(pairs) for key, pairs in stamps.items()}
     stopped = [not np.ptp(pair[:, 0]) and np.ptp(pair[:, 1]) > 0 for pair in times.values()]
     own = int(any(stopped))
-    return {key: Series(times[key][:, own], np.array(rows[key])) for key in rows}, bool(own)
+    return {key: pd.DataFrame(rows[key], index=times[key][:, own]) for key in rows}, bool(own)
 
 
 def _check_unpacked(stream: BinaryIO) -> None:

@@ -6,13 +6,12 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
-from ffsm_drake.analysis.foreign_log import ForeignLog
+from ffsm_drake.plugins.audit.log import Array, Log, every, only
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.plant import base_body, coordinates_of
 
-MOST = 4000  # samples at which the plant is evaluated; of longer logs every second, third, ... one
+MOST = 4000  # samples at which the plant is evaluated
 _STEP = 1e-4  # rad or m of a numerical derivative
 
 
@@ -20,20 +19,17 @@ _STEP = 1e-4  # rad or m of a numerical derivative
 class Bodies:
     """The bodies as they move relative to the base, in its axes (n, bodies, ...)."""
 
-    mass: np.ndarray  # (bodies), kg
-    center: np.ndarray  # (n, bodies, 3) centres of mass from the base's origin, m
-    velocity: np.ndarray  # (n, bodies, 3) of these
-    spin: np.ndarray  # (n, bodies, 3) angular velocities
-    inertia: np.ndarray  # (n, bodies, 3, 3) about the centres of mass
+    mass: Array  # (bodies), kg
+    center: Array  # (n, bodies, 3) centres of mass from the base's origin, m
+    velocity: Array  # (n, bodies, 3) of these
+    spin: Array  # (n, bodies, 3) angular velocities
+    inertia: Array  # (n, bodies, 3, 3) about the centres of mass
 
-    def momenta(
-        self, turn: np.ndarray, position: np.ndarray, angular: np.ndarray, linear: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Of every body (n, bodies, 6): the momentum of its mass and that of its rotation about
-        its own centre of mass, [angular; linear] about the origin, world axes.
-
-        Args: the base's R_WB (n, 3, 3), p_WB, w_WB and v_WB (n, 3).
+    def momenta(self, log: Log) -> tuple[Array, Array]:
+        """Momenta of every body (n, bodies, 6) if the base moves as in a log: of its mass, and of
+        its rotation about its own centre of mass; [angular; linear] about the origin, world axes.
         """
+        turn, angular, linear, position = log.turns, log.angular, log.linear, log.position
         w = np.einsum("nji,nj->ni", turn, angular)[:, None]
         arm = np.einsum("nij,nbj->nbi", turn, self.center)
         relative = np.einsum("nij,nbj->nbi", turn, np.cross(w, self.center) + self.velocity)
@@ -66,7 +62,7 @@ class Dynamics:
             ]
         )
 
-    def bodies_of(self, log: ForeignLog) -> Bodies:
+    def bodies_of(self, log: Log) -> Bodies:
         """How the bodies move relative to the base."""
         shape = len(log.time), len(self.bodies), 3
         turns, origins = np.zeros((*shape, 3)), np.zeros(shape)
@@ -90,14 +86,14 @@ class Dynamics:
             inertia=np.einsum("nbij,bjk,nblk->nbil", turns, self._inertias, turns),
         )
 
-    def points(self, log: ForeignLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def points(self, log: Log) -> dict[str, tuple[Array, Array]]:
         """Points that are mistaken for the base's origin: their places from it (n, 3), m, and their
         velocities relative to it (n, 3), m/s, world axes.
         """
-        turn = turns_of(log)
+        turn = log.turns
         w = np.einsum("nji,nj->ni", turn, log.angular)
         base = base_body(self.plant).CalcCenterOfMassInBodyFrame(self.context)
-        rows = every(log)
+        rows = every(len(log.time), most=MOST)
         bodies = self.bodies_of(only(log, rows))
         shares = self.masses / self.mass
         whole = np.einsum("b,nbi->ni", shares, bodies.center)
@@ -116,7 +112,7 @@ class Dynamics:
             )
         }
 
-    def joint_terms(self, log: ForeignLog) -> tuple[np.ndarray, np.ndarray]:
+    def joint_terms(self, log: Log) -> tuple[Array, Array]:
         """Generalized momentum of each joint p = (M v)_i and its rate without efforts dT/dq_i,
         (n, joints) each: dp/dt = effort + dT/dq.
         """
@@ -138,21 +134,3 @@ class Dynamics:
                 sides.append(plant.CalcMassMatrix(context) @ speed)
             rates[k] = (sides[0] - sides[1]) / (2.0 * step) - bias
         return momenta[:, NUM_BASE_VELOCITIES:], rates[:, NUM_BASE_VELOCITIES:]
-
-
-def turns_of(log: ForeignLog) -> np.ndarray:
-    """R_WB (n, 3, 3)."""
-    found: np.ndarray = Rotation.from_quat(log.quaternion, scalar_first=True).as_matrix()
-    return found
-
-
-def only(log: ForeignLog, kept: np.ndarray | slice) -> ForeignLog:
-    """Some samples of a log."""
-    values = {f.name: getattr(log, f.name) for f in dataclasses.fields(log)}
-    arrays = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
-    return log.replace(**{name: v[kept] for name, v in arrays.items()})
-
-
-def every(log: ForeignLog, *, most: int = MOST) -> np.ndarray:
-    """Indices of so many samples at most, evenly spread, with the first."""
-    return np.arange(0, len(log.time), -(-len(log.time) // most))

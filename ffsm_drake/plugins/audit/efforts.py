@@ -1,0 +1,179 @@
+"""Whether each joint's momentum follows the logged effort, and the mistake with which it would."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from ffsm_drake.plugins.audit.checks import Check, fault
+from ffsm_drake.plugins.audit.dynamics import MOST, Dynamics
+from ffsm_drake.plugins.audit.log import Log, only
+from ffsm_drake.plugins.audit.misfit import (
+    NAMED,
+    Estimate,
+    Followed,
+    Mistake,
+    Motion,
+    areas,
+    common_factor,
+    means,
+    since_start,
+    swing,
+)  # fmt: skip
+from ffsm_drake.plugins.audit.momentum import Momentum
+
+_PARTS = 4  # of a long log
+_LEAST = 1e-2  # of the largest joint's momentum: less counts as this
+_WORST = ("does not hold", "cannot tell", "not tested", "holds", "measured")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _Work:
+    """What changes the momentum of one joint (n, 1)."""
+
+    time: np.ndarray
+    momentum: np.ndarray
+    rate: np.ndarray  # dT/dq and the disturbance
+    effort: np.ndarray
+
+    def motion(self) -> Motion:
+        """What the momentum changes by beside what the other bodies give, and the effort."""
+        moved = np.diff(self.momentum, axis=0) - areas(self.time, self.rate)
+        return Motion(time=self.time, rate=self.effort, moved=moved)
+
+    @property
+    def size(self) -> float:
+        given = [since_start(areas(self.time, each)) for each in (self.rate, self.effort)]
+        return sum(map(swing, (self.momentum, *given)))
+
+
+def _works(log: Log, dynamics: Dynamics) -> list[_Work]:
+    """The work at each joint."""
+    momentum, rate = dynamics.joint_terms(log)
+    rate = rate + log.disturbance[:, 6:]
+    return [
+        _Work(time=log.time, momentum=momentum[:, [j]], rate=rate[:, [j]],
+              effort=log.efforts[:, [j]])
+        for j in range(len(dynamics.names))
+    ]  # fmt: skip
+
+
+def check_efforts(log: Log, found: Momentum, tolerance: float) -> list[Check]:
+    """The checks of the joints' efforts; long logs in stretches at their own steps."""
+    count = 1 if len(log.time) <= MOST else _PARTS
+    length = len(log.time) if count == 1 else MOST // _PARTS
+    starts = np.linspace(0, len(log.time) - length, count).astype(int)
+    parts = [_check(only(log, slice(i, i + length)), found, tolerance) for i in starts]
+    told = min(parts, key=lambda checks: min(_WORST.index(each.verdict) for each in checks))
+    added = f" ({count} stretches of {length} samples)" if count > 1 else ""
+    return [dataclasses.replace(each, statement=each.statement + added) for each in told]
+
+
+def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
+    name, dynamics, names = "energy", found.dynamics, found.dynamics.names
+    works = _works(log, dynamics)
+    sizes = [work.size for work in works]
+    if not any(sizes):
+        return [Check(name=name, statement="no joint moves", verdict="measured")]
+    least = _LEAST * max(sizes)
+
+    @functools.cache
+    def other(how: Callable[[Log], Log]) -> list[_Work]:
+        return _works(how(log), dynamics)
+
+    joints = [
+        Followed(
+            samples=work, motion=_Work.motion, size=max(size, least),
+            others={
+                why: lambda how=how, j=j: other(how)[j]  # type: ignore[misc]
+                for why, how in (("digits", Log.shaken), ("sampling", Log.resampled))
+            },
+            drifts=lambda: found.excuses_efforts,
+        )
+        for j, (work, size) in enumerate(zip(works, sizes, strict=True))
+    ]  # fmt: skip
+    worst = max(joint.share for joint in joints)
+    if "efforts" in log.missing:
+        if worst <= tolerance:
+            said = f"conserved within {worst:.2g}: nothing drives the joints"
+            return [Check(name=name, statement=said)]
+        said = "efforts drive the joints; log them (joint_1_effort, ...) to have it checked"
+        return [Check(name=name, statement=said, verdict="not tested")]
+    factors = [joint.factor() for joint in joints]
+    wrong = [
+        j for j, (joint, factor) in enumerate(zip(joints, factors, strict=True))
+        if joint.share > tolerance or _is_odd(joint, factor, tolerance)
+    ]  # fmt: skip
+    if not wrong:
+        said = f"follows the work of the efforts within {worst:.2g} of it"
+        return [Check(name=name, statement=said)]
+    checks = [
+        joints[j].judged(name, names[j], _mistakes(log, joints, j, names), tolerance, "effort")
+        for j in wrong
+    ]
+    faults = [
+        _sign(check, names[j]) if found and found.sizes[0] < -1.9 else check
+        for j, (check, found) in zip(wrong, checks, strict=True) if check.verdict == "does not hold"
+    ]  # fmt: skip
+    if not faults:
+        return [max(zip(wrong, checks, strict=True), key=lambda each: joints[each[0]].share)[1][0]]
+    moving = [each for each, size in zip(factors, sizes, strict=True) if size > least]
+    each, errors = ([float(getattr(x, k)[0]) for x in moving] for k in ("sizes", "errors"))
+    factor = common_factor([1.0 + size for size in each], errors)
+    if factor and abs(factor - 1.0) > tolerance and "effort_scale" in {x.cause for x in faults}:
+        said = (
+            f"is {factor:.4g} times the work of the efforts: all masses of the log are "
+            f"{1.0 / factor:.4g} times those of the URDF, or the efforts have another unit"
+        )
+        return [fault(name, "mass_or_effort_scale", said)]
+    return faults
+
+
+def _sign(check: Check, name: str) -> Check:
+    said = f"{name}'s effort has the other sign"
+    is_sign = check.cause == "effort_scale"
+    return fault(check.name, "effort_sign", said) if is_sign else check
+
+
+def _is_odd(joint: Followed, factor: Estimate, tolerance: float) -> bool:
+    """Whether an effort that is small beside what else moves the joint has another scale."""
+    off = abs(factor.sizes[0]) > max(tolerance, 3.0 * factor.errors[0])
+    return bool(off and factor.left < NAMED * joint.left)
+
+
+def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) -> Iterator[Mistake]:
+    """Mistakes of one joint's effort: what its momentum changes by in each period."""
+    expected, period = joints[j].expected, np.diff(log.time)[:, None]
+    moved, rate = np.diff(log.angles[:, [j]], axis=0), log.rates[:, [j]]
+    from_start = log.angles[:, [j]] - log.angles[0, j]
+    against = -means(np.sign(rate)) * period
+
+    yield Mistake(
+        cause="effort_scale", text="has a momentum of {0} that of its effort", unit="times",
+        offset=1.0, columns=[expected],
+    )  # fmt: skip
+    for cause, text, columns, factor, unit, least in (
+        ("effort_shift", "has an effort that is {0} late", [joints[j].parts.lag], 1.0, "periods",
+         0.55),
+        ("effort_offset", "has an effort with a constant offset of {0}", [period], -1.0, "N m or N",
+         -math.inf),
+        ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
+         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", -math.inf),
+        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", 0.0),
+        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", 0.0),
+        ("friction", "is damped by {1:.4g} N m s and has dry friction of {2:.4g} N m",
+         [-moved, against], 1.0, "", 0.0),
+        ("spring", "has a spring of {1:.4g} N m/rad (or N/m)",
+         [-means(from_start) * period, period], 1.0, "", 0.0),
+    ):  # fmt: skip
+        yield Mistake(
+            cause=cause, text=text, columns=columns, factor=factor, unit=unit, least=least
+        )
+    for i, other in enumerate(names):
+        if i != j:
+            yield Mistake(
+                cause="joint_order", text=f"has the effort called {other}",
+                columns=[joints[i].expected - expected], least=0.95, most=1.05,
+            )  # fmt: skip

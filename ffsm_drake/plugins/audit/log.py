@@ -1,0 +1,169 @@
+"""A log of a spacecraft's motion as arrays, and what its digits and its sampling leave open."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import TypeVar
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.common.so3 import in_body_axes
+
+Array = np.ndarray
+RATES = ("angular", "linear", "rates")  # which a log of poses alone lacks
+_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
+_Samples = TypeVar("_Samples")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Log:
+    """Samples of a spacecraft's motion as a log gives them, in whatever axes and units.
+
+    What is not logged is zero; a missing rate is differentiated.
+    """
+
+    time: Array  # (n), s
+    quaternion: Array  # (n, 4) of R_WB, w first
+    position: Array  # (n, 3) p_WB, m
+    angular: Array  # (n, 3) w_WB, rad/s
+    linear: Array  # (n, 3) v_WB, m/s
+    angles: Array  # (n, joints), rad or m
+    rates: Array  # (n, joints)
+    efforts: Array  # (n, joints) at the joints, N m or N
+    torque: Array  # (n, 3) on the base, world axes, N m
+    force: Array  # (n, 3) on the base at its origin, world axes, N
+    disturbance: Array  # (n, 6 + joints) generalized force beside all these
+    stated: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """Axes that the log states, such as angular -> body axes."""
+    missing: tuple[str, ...] = ()  # arrays that are not logged
+    note: str = ""  # on the samples
+    digits: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """Step of the last digit of each array; 0 where it is that of double precision."""
+    unsure: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+    """Change of interpolated or differentiated arrays if every second value is left out."""
+
+    def replace(self, **changes: object) -> "Log":
+        """A copy with other columns."""
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+    @property
+    def turns(self) -> Array:
+        """R_WB (n, 3, 3)."""
+        found: Array = attitudes(self.quaternion).as_matrix()
+        return found
+
+    def resampled(self) -> "Log":
+        """The log as every second of the values that were interpolated or differentiated says."""
+        changed = {what: getattr(self, what) + change for what, change in self.unsure.items()}
+        return self.replace(**changed)
+
+    def shaken(self) -> "Log":
+        """The log with half of a last digit more or less, drawn anew wherever a number changes."""
+        draw, changes = np.random.default_rng(0), {}
+        for what, digit in self.digits.items():
+            values = getattr(self, what)
+            if digit:
+                runs = np.cumsum(np.diff(values, axis=0, prepend=values[:1]) != 0.0, axis=0)
+                sides = draw.choice([-0.5, 0.5], values.shape)
+                changes[what] = values + digit * np.take_along_axis(sides, runs, 0)
+        return self.replace(**changes)
+
+
+def attitudes(quaternions: Array) -> Rotation:
+    """Rotations of quaternions (n, 4), w first."""
+    return Rotation.from_quat(quaternions, scalar_first=True)
+
+
+def in_world_axes(quaternions: Array, vectors: Array) -> Array:
+    """Vectors in body axes (n, 3) in those of the world, for attitudes (w, x, y, z) (n, 4)."""
+    return in_body_axes(quaternions * _INVERSE, vectors)
+
+
+def only(samples: _Samples, kept: Array | slice) -> _Samples:
+    """Some samples of a dataclass of arrays; all of them are not copied."""
+    if isinstance(kept, np.ndarray) and kept.dtype == bool and kept.all():
+        return samples
+    changes: dict[str, object] = {}
+    for field in dataclasses.fields(samples):  # type: ignore[arg-type]
+        value = getattr(samples, field.name)
+        if isinstance(value, np.ndarray):
+            changes[field.name] = value[kept]
+        elif field.name == "unsure":
+            changes[field.name] = {what: change[kept] for what, change in value.items()}
+    return dataclasses.replace(samples, **changes)  # type: ignore[type-var]
+
+
+def every(count: int, *, most: int) -> Array:
+    """Indices of so many of ``count`` samples at most, evenly spread, with the first."""
+    return np.arange(0, count, -(-count // most))
+
+
+def resolution(values: Array) -> float | None:
+    """Step of the last digit (decimal, or of single precision) of columns (n, k) that vary; None:
+    none does.
+    """
+    worst = None
+    for column in values[:: -(-len(values) // 2000)].T:
+        some = column[np.isfinite(column)]
+        if not some.size or not np.ptp(some) or np.ptp(np.diff(some)) < 1e-9 * np.ptp(some):
+            continue  # constant, or even as times are
+        size, worst = float(np.abs(some).max()), worst or 0.0
+        if (
+            size < 1e38
+            and (some == some.astype(np.float32)).all()
+            and (some != np.round(some)).any()
+        ):
+            worst = max(worst, size * float(np.finfo(np.float32).eps))
+        for step in 10.0 ** -np.arange(12.0):
+            if (
+                step <= size < 1e12 * step
+                and (np.abs(some / step - np.round(some / step)) < 1e-4).all()
+            ):
+                worst = max(worst, float(step))
+                break
+    return worst
+
+
+def with_rates(log: Log) -> Log:
+    """The log with the rates that are missing, in world axes: those of cubic splines through its
+    poses. Times must increase.
+    """
+
+    turned = (log.quaternion[1:] * log.quaternion[:-1]).sum(axis=1) < 0.0
+    q = log.quaternion * np.cumprod(np.where([False, *turned], -1.0, 1.0))[:, None]
+    paths = {"angular": q, "linear": log.position, "rates": log.angles}
+
+    def rates(step: int) -> dict[str, Array]:
+        found = {
+            what: CubicSpline(log.time[::step], path[::step])(log.time, 1)
+            for what, path in paths.items()
+        }
+        dw, dv = found["angular"][:, :1], found["angular"][:, 1:]
+        found["angular"] = 2.0 * (q[:, :1] * dv - dw * q[:, 1:] - np.cross(dv, q[:, 1:]))
+        return {what: found[what] for what in log.missing if what in RATES}
+
+    fine, coarse = rates(1), rates(2)
+    unsure = {what: coarse[what] - fine[what] for what in fine}
+    return log.replace(**fine, unsure={**log.unsure, **unsure})
+
+
+def interpolated(
+    time: Array, values: Array, wanted: Array, *, smooth: bool, step: int = 1
+) -> Array:
+    """Columns (n, k) with blank cells at the times wanted (m, k), from every so many values of each
+    column: by cubic splines if they are smooth, else linearly; NaN outside of their times.
+    """
+    found = np.full((len(wanted), values.shape[1]), math.nan)
+    for i, column in enumerate(values.T):
+        own, index = np.unique(time[np.isfinite(column)], return_index=True)
+        given = column[np.isfinite(column)][index]
+        inside = (wanted >= own[0]) & (wanted <= own[-1])
+        picked = np.union1d(np.arange(0, own.size, step), [own.size - 1])
+        times, given = own[picked], given[picked]
+        if smooth and own.size > 2:
+            found[inside, i] = CubicSpline(times, given)(wanted[inside])
+        else:
+            found[inside, i] = np.interp(wanted[inside], times, given)
+    return found

@@ -1,0 +1,340 @@
+"""How far a path is from the integral of its rate, and the mistake with which it would not be.
+
+The paths are attitudes, positions and joints' angles with their rates, and joints' momenta with
+their efforts. A mistake is a column with a size: what it would change. Least squares find the size,
+and its standard error by leaving parts of the log out.
+"""
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.plugins.audit.checks import Check, fault, undecided
+from ffsm_drake.plugins.audit.log import Array, every, only
+
+NAMED = 0.15  # share of what is missed that may remain with the mistake that is named
+SURE = 0.03  # the same, where less could be the doubt of sampling, digits or noise
+_CLEAR = 0.01  # the same, from which on fewer sizes are better than less that remains
+TRIMMED = 0.9  # share of the periods that a fit is about: jumps are found apart
+STILL = 1e-9  # rad or m
+_FOLDS = 8  # parts of a log that are left out in turn, for standard errors
+_MOST = 2000  # samples of a fit
+DOUBTS = {
+    "sampling": "every second sample tells as little: log more of them, and all that is known",
+    "digits": "the last digits of the numbers change it as much: log more digits",
+    "noise": "it jumps as much from sample to sample: log true values",
+    "integrator": "the drift of an integrator explains as much: log a run with shorter steps",
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Mistake:
+    """A mistake that may explain what is missed."""
+
+    cause: str
+    text: str  # {0} stands for its sizes with their errors, {1} for the first, {2}, ...
+    columns: Sequence[Array]  # of what is missed, for a size of 1 each
+    changes: Sequence[Array] = ()  # of the logged rate, which mend it, for a size of 1 each
+    unit: str = ""
+    factor: float = 1.0  # what is said is offset + factor * size
+    offset: float = 0.0
+    least: float = -math.inf  # of the first size
+    most: float = math.inf
+    more: int = 0  # sizes beside those of the columns
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Sizes of a mistake, and what is missed with it."""
+
+    mistake: Mistake
+    sizes: Array
+    errors: Array  # standard errors
+    left: float  # the largest that is still missed
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the sizes are beyond their errors and within their limits."""
+        first = self.sizes[0] if len(self.sizes) else 0.0
+        within = self.mistake.least < first < self.mistake.most
+        return bool(within and (np.abs(self.sizes) > 3.0 * self.errors).any())
+
+    def __str__(self) -> str:
+        numbers = self.mistake.offset + self.mistake.factor * self.sizes
+        said = about(numbers, abs(self.mistake.factor) * self.errors, self.mistake.unit)
+        return self.mistake.text.format(said, *numbers)
+
+
+def swing(path: Array) -> float:
+    """The farthest of a path (n, k) from its mean."""
+    return float(np.linalg.norm(path - path.mean(axis=0), axis=1).max(initial=0.0))
+
+
+def since_start(parts: Array) -> Array:
+    """Sum since the start (n, k) of what each period gives (n - 1, k)."""
+    return np.concatenate([np.zeros_like(parts[:1]), np.cumsum(parts, axis=0)])
+
+
+def means(values: Array) -> Array:
+    """Means over each period (n - 1, k) by the trapezoidal rule."""
+    found: Array = 0.5 * (values[1:] + values[:-1])
+    return found
+
+
+def slopes(time: Array, rate: Array) -> Array:
+    """What a smooth rate (n, k) makes of its integral over each period beside the trapezoids."""
+    slope = np.gradient(rate, time, axis=0, edge_order=2)
+    found: Array = -(np.diff(time)[:, None] ** 2) / 12.0 * np.diff(slope, axis=0)
+    return found
+
+
+def areas(time: Array, rate: Array) -> Array:
+    """Integral (n - 1, k) of a smooth rate (n, k) over each period, to the fourth order."""
+    return np.diff(time)[:, None] * means(rate) + slopes(time, rate)
+
+
+def about(values: Array, errors: Array | None, unit: str) -> str:
+    """An estimated number or vector, with the largest standard error."""
+    numbers = ", ".join(f"{x + 0.0:.4g}" for x in values)
+    size = numbers if len(values) == 1 else f"[{numbers}]"
+    return f"{size} {unit}" if errors is None else f"{size} ± {errors.max():.1g} {unit}"
+
+
+def estimate(missed: Array, mistake: Mistake, lag: Array) -> Estimate:
+    """Least squares for sizes of columns (n, k), and of a lag within half a period, which an
+    integrator or a hold makes. Standard errors are a jackknife's: parts of the log are left out.
+    """
+    count = len(mistake.columns)
+    table = np.stack([*mistake.columns, lag], axis=2)
+    table = table - table.mean(axis=0)
+    flat = missed - missed.mean(axis=0)
+    norms = np.sqrt((table**2).sum(axis=(0, 1)))
+    norms = np.where(norms > 0.0, norms, np.inf)
+    table = table / norms
+    parts = np.array_split(np.arange(len(flat)), _FOLDS)
+    squares = np.array([np.einsum("nki,nkj->ij", table[p], table[p]) for p in parts])
+    sums = np.array([np.einsum("nki,nk->i", table[p], flat[p]) for p in parts])
+
+    def solve(square: Array, right: Array) -> Array:
+        found: Array = np.linalg.pinv(square, rcond=1e-12, hermitian=True) @ right
+        if abs(found[count]) > 0.5 * norms[count]:
+            found[count] = math.copysign(0.5 * norms[count], found[count])
+            inner = np.linalg.pinv(square[:count, :count], rcond=1e-12, hermitian=True)
+            found[:count] = inner @ (right[:count] - square[:count, count] * found[count])
+        return found
+
+    square, right = squares.sum(axis=0), sums.sum(axis=0)
+    sizes = solve(square, right)
+    others = np.array([solve(square - a, right - b) for a, b in zip(squares, sums, strict=True)])
+    errors = np.sqrt((_FOLDS - 1) * others.var(axis=0))
+    return Estimate(
+        mistake=mistake,
+        sizes=(sizes / norms)[:count],
+        errors=(errors / norms)[:count],
+        left=swing(flat - table @ sizes),
+    )
+
+
+_NONE = Mistake(cause="", text="", columns=())
+
+
+def named(
+    missed: Array,
+    lag: Array,
+    mistakes: Iterable[Mistake],
+    doubt: float,
+    *,
+    share: float = NAMED,
+) -> Estimate | None:
+    """The mistake with the fewest sizes that explains what is missed about as well as the best
+    does, if any: but for a share of it, and nearly all where it may be mere doubt.
+    """
+    before = estimate(missed, _NONE, lag).left
+    tried = [estimate(missed, each, lag) for each in mistakes]
+    tried = [each for each in tried if each.is_possible]
+    best = min((each.left for each in tried), default=math.inf)
+    if best > (max(share * before, doubt) if before > doubt else min(share, SURE) * before):
+        return None
+    enough = max(2.0 * best, 0.5 * doubt, _CLEAR * before)
+    return min(
+        (each for each in tried if each.left <= enough),
+        key=lambda each: (len(each.sizes) + each.mistake.more, each.left),
+    )
+
+
+def noise(values: Array) -> float:
+    """Bound of what jumps from sample to sample in values (n, k)."""
+    third = np.diff(values, n=3, axis=0)
+    return 4.0 * float(np.linalg.norm(np.sqrt((third**2).mean(axis=0) / 20.0)))
+
+
+def open_by_steps(paths: Sequence[Array]) -> float:
+    """Bound of the error of a path by quadrature, from those with each, every second and every
+    fourth sample, by Richardson's extrapolation with what the steps were seen to gain.
+    """
+    first, second = (
+        swing(coarse - fine[::2][: len(coarse)]) for fine, coarse in itertools.pairwise(paths)
+    )
+    gain = min(first / second, 0.9) if second > 0.0 else 0.0
+    return first * max(1.0, 2.0 * gain / (1.0 - gain))
+
+
+def greatest(doubts: dict[str, float]) -> tuple[float, str]:
+    """The largest of some doubts, and its reason."""
+    why = max(doubts, key=lambda each: doubts[each])
+    return doubts[why], why
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """What each period brings of a path, beside its rate."""
+
+    time: Array  # (n), s
+    rate: Array  # (n, k)
+    moved: Array  # (n - 1, k)
+    beside: float | Array = 0.0  # what is expected beside the rate's integral
+
+    @property
+    def slope(self) -> Array:
+        """What a smooth rate makes of its integral beside the trapezoids."""
+        return slopes(self.time, self.rate)
+
+    @property
+    def expected(self) -> Array:
+        """The integral of a smooth rate, to the fourth order."""
+        return areas(self.time, self.rate) + self.beside
+
+    @property
+    def lag(self) -> Array:
+        """What is missed if the rates are those of one period later."""
+        found: Array = np.diff(self.time)[:, None] * np.diff(self.rate, axis=0)
+        return found
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """How a path follows its rate, jumps apart."""
+
+    samples: Any  # a dataclass of arrays with a time
+    motion: Callable[[Any], Motion]
+    others: Mapping[str, Callable[[], Any]]  # by doubts: with other digits, interpolations
+    size: float = 0.0  # what is missed is a share of this; 0: of the motion
+    drifts: Callable[[], bool] = lambda: False  # whether an integrator's drift may explain it
+
+    @functools.cached_property
+    def parts(self) -> Motion:
+        return self.motion(self.samples)
+
+    @functools.cached_property
+    def expected(self) -> Array:
+        return self.parts.expected
+
+    @functools.cached_property
+    def beyond(self) -> Array:
+        """What is missed in each period (n - 1, k)."""
+        return self.parts.moved - self.expected
+
+    @functools.cached_property
+    def jumps(self) -> Array:
+        """Periods (n - 1) in which what is missed is far beyond that of others."""
+        parts, missed = self.parts, np.linalg.norm(self.beyond, axis=1)
+        most = np.maximum(*(np.linalg.norm(x, axis=1) for x in (parts.moved, self.expected)))
+        usual = np.linalg.norm(np.abs(parts.lag) + 3.0 * np.abs(parts.slope), axis=1)
+        found: Array = missed > np.maximum(
+            10.0 * np.quantile(missed, TRIMMED), np.maximum(0.3 * most, usual)
+        )
+        return found
+
+    @property
+    def jumped(self) -> float:
+        """How far the jumps go."""
+        return swing(since_start(self.beyond * self.jumps[:, None]))
+
+    def path(self, parts: Array) -> Array:
+        """Some of the path (n, k) since the start without jumps of what periods (n - 1, k) give."""
+        rows = every(len(parts) + 1, most=_MOST)
+        return since_start(parts * ~self.jumps[:, None])[rows]
+
+    @functools.cached_property
+    def lag(self) -> Array:
+        return self.path(self.parts.lag)
+
+    @functools.cached_property
+    def missed(self) -> Array:
+        """What is missed (n, k), of a smooth rate, or one under efforts that are held: straight."""
+        both = (self.beyond, self.beyond + self.parts.slope)
+        return min((self.path(x) for x in both), key=lambda x: estimate(x, _NONE, self.lag).left)
+
+    @functools.cached_property
+    def scale(self) -> float:
+        return self.size or max(swing(self.path(x)) for x in (self.parts.moved, self.expected))
+
+    @functools.cached_property
+    def left(self) -> float:
+        """The largest that is missed but for a lag within half a period."""
+        return estimate(self.missed, _NONE, self.lag).left
+
+    @property
+    def share(self) -> float:
+        return self.left / self.scale if self.scale else 0.0
+
+    @functools.cached_property
+    def doubt(self) -> tuple[float, str]:
+        """How far the path can be off, and why: the steps, the digits, noise, or an integrator."""
+
+        def path(samples: Any, step: int = 1) -> Array:
+            whole = len(samples.time) - (len(samples.time) - 1) % step
+            parts = self.motion(only(samples, slice(None, whole, step)))
+            kept = np.all(~self.jumps[: whole - 1].reshape(-1, step), axis=1, keepdims=True)
+            return since_start((parts.moved - parts.expected) * kept)
+
+        paths = [path(self.samples, step) for step in (1, 2, 4)]
+        slope = 0.5 * swing(since_start(self.parts.slope * ~self.jumps[:, None]))
+        doubts = {
+            "sampling": max(open_by_steps(paths), slope),
+            "noise": noise(paths[0]),
+        }
+        for why, other in self.others.items():
+            doubts[why] = max(doubts.get(why, 0.0), 2.0 * swing(path(other()) - paths[0]))
+        drifts = max(doubts.values()) < self.left and self.drifts()
+        return (math.inf, "integrator") if drifts else greatest(doubts)
+
+    def named(self, mistakes: Iterable[Mistake]) -> Estimate | None:
+        """The mistake that explains what is missed, its columns those of periods."""
+        return named(self.missed, self.lag, map(self._along, mistakes), self.doubt[0])
+
+    def _along(self, mistake: Mistake) -> Mistake:
+        return dataclasses.replace(mistake, columns=[self.path(x) for x in mistake.columns])
+
+    def factor(self) -> Estimate:
+        """By how much the motion differs from a multiple of what is expected."""
+        scale = Mistake(cause="scale", text="", columns=[self.expected])
+        return estimate(self.missed, self._along(scale), self.lag)
+
+    def judged(
+        self, name: str, said: str, mistakes: Iterable[Mistake], tolerance: float, cause: str
+    ) -> tuple[Check, Estimate | None]:
+        """The check of what is missed beyond the tolerance, and its mistake if one explains it.
+
+        Args:
+          cause: of what no mistake explains, nor any doubt.
+        """
+        if found := self.named(mistakes):
+            return fault(name, found.mistake.cause, f"{said} {found}"), found
+        (doubt, why), missed = self.doubt, f"{said} misses {100.0 * self.share:.2g} %"
+        if self.left > max(tolerance * self.scale, doubt):
+            return fault(name, cause, f"{missed}, which no one mistake explains"), None
+        return undecided(name, why, f"{missed}, but {DOUBTS[why]}"), None
+
+
+def common_factor(factors: Sequence[float], errors: Sequence[float] | float) -> float | None:
+    """A factor that all have within a tenth of what it differs from 1, or their errors."""
+    values = np.array(factors)
+    found = float(np.median(values)) if len(values) > 1 else 1.0
+    unlike = np.abs(values - found) > 0.05 * abs(found - 1.0) + 3.0 * np.array(errors)
+    return None if found == 1.0 or unlike.any() else found

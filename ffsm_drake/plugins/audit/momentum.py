@@ -1,0 +1,358 @@
+"""Whether momentum is conserved but for the forces that are logged, and the mistake without which
+it would be.
+"""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.plugins.audit.checks import Check, fault, undecided
+from ffsm_drake.plugins.audit.dynamics import Bodies, Dynamics
+from ffsm_drake.plugins.audit.log import Array, Log, attitudes, every, only
+from ffsm_drake.plugins.audit.misfit import (
+    DOUBTS,
+    SURE,
+    Estimate,
+    Mistake,
+    about,
+    areas,
+    greatest,
+    means,
+    named,
+    noise,
+    since_start,
+    swing,
+)  # fmt: skip
+from ffsm_drake.plugins.audit.motions import turned
+
+_GROUPS = 60  # places of the log at which momentum is compared, of four samples each
+_DRIFTED = 0.2  # share of what is missed that may remain with an integrator's drift
+_DEGREE = np.pi / 180.0
+
+
+def _integral(time: Array, rate: Array) -> Array:
+    """Integral (n, k) of a smooth rate (n, k) since the start."""
+    found: Array = CubicSpline(time, rate).antiderivative()(time)
+    return found
+
+
+def _impulses(log: Log) -> list[Array]:
+    """Impulse (n, 6) of the forces on the base since the start, as momenta: a force may be that of
+    its samples, held from each sample on, or held up to it; a disturbance is smooth.
+    """
+    place, period = log.position - log.position[0], np.diff(log.time)[:, None]
+    moment, push = log.disturbance[:, :3], log.disturbance[:, 3:6]
+    smooth = areas(log.time, np.hstack([moment + np.cross(place, push), push]))
+    arm = means(place)
+    return [
+        since_start(np.hstack([torque + np.cross(arm, force), force]) * period + smooth)
+        for torque, force in (
+            (means(log.torque), means(log.force)),
+            (log.torque[:-1], log.force[:-1]),
+            (log.torque[1:], log.force[1:]),
+        )
+    ]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Momentum:
+    """The momenta at some samples of a log, and the share of them that changes."""
+
+    log: Log  # mended: rates in world axes
+    dynamics: Dynamics
+    kept: Array  # indices of the samples
+
+    @functools.cached_property
+    def some(self) -> Log:
+        """The samples, with positions from the first."""
+        some = only(self.log, self.kept)
+        return some.replace(position=some.position - self.log.position[0])
+
+    @functools.cached_property
+    def bodies(self) -> Bodies:
+        return self.dynamics.bodies_of(self.some)
+
+    @functools.cached_property
+    def momenta(self) -> tuple[Array, Array]:
+        return self.bodies.momenta(self.some)
+
+    @functools.cached_property
+    def scale(self) -> Array:
+        """What the bodies exchange (6), N m s and N s; of one body, what it has."""
+        whole = np.sum(self.momenta, axis=0)
+        shares = (self.dynamics.masses / self.dynamics.mass)[:, None]
+        drift = whole[..., 3:].sum(axis=1, keepdims=True) * shares
+        angular, linear, beside = (
+            np.abs(x).sum(axis=1).max()
+            for x in (whole[..., :3], whole[..., 3:], whole[..., 3:] - drift)
+        )
+        scale = np.repeat([angular, max(beside, 1e-3 * linear)], 3)
+        return np.where(scale > 1e-12, scale, 1.0)
+
+    @functools.cached_property
+    def impulse(self) -> Array:
+        """That of the logged forces (n, 6), as they conserve momentum best."""
+        total = self.total(self.some, bodies=self.bodies)
+        each = [impulse[self.kept] for impulse in _impulses(self.log)]
+        return min(each, key=lambda impulse: swing(total - impulse / self.scale))
+
+    @functools.cached_property
+    def missed(self) -> Array:
+        """Total momentum (n, 6) without the impulse of the logged forces, by the scale."""
+        return self.total(self.some, bodies=self.bodies) - self.impulse / self.scale
+
+    def total(self, log: Log, *, bodies: Bodies | None = None) -> Array:
+        """Total momentum (n, 6) of samples, by the scale."""
+        momenta = (bodies or self.dynamics.bodies_of(log)).momenta(log)
+        found: Array = np.sum(momenta, axis=(0, 2)) / self.scale
+        return found
+
+    @functools.cached_property
+    def share(self) -> float:
+        """How far a component of the total is from its mean."""
+        return float(np.abs(self.missed - self.missed.mean(axis=0)).max())
+
+    @functools.cached_property
+    def doubt(self) -> tuple[float, str]:
+        """How far it can be off, and why."""
+        groups = np.split(self.missed, np.flatnonzero(np.diff(self.kept) > 1) + 1)
+        total = self.total(self.some, bodies=self.bodies)
+        fine, coarse = (_impulses(only(self.log, slice(None, None, k)))[0] for k in (1, 2))
+        doubts = {
+            "noise": 2.0 * max(noise(group) for group in groups if len(group) > 3),
+            "sampling": 0.7 * swing((coarse - fine[::2]) / self.scale),
+        }
+        if self.log.unsure:
+            change = 2.0 * swing(self.total(self.some.resampled()) - total)
+            doubts["sampling"] = max(doubts["sampling"], change, doubts.pop("noise"))
+        if any(self.log.digits.values()):
+            doubts["digits"] = 3.0 * swing(self.total(self.some.shaken()) - total)
+        return greatest(doubts)
+
+    def named(self, mistakes: Iterator[Mistake], *, share: float = SURE) -> Estimate | None:
+        """The mistake with which momentum is conserved."""
+        return named(self.missed, np.zeros_like(self.missed), mistakes, self.doubt[0], share=share)
+
+    @functools.cached_property
+    def drift(self) -> tuple[float, float] | None:
+        """The step of a first-order integrator whose drift explains what is missed, s, and what is
+        then missed.
+        """
+        found = self.named(_of_integrator(self), share=_DRIFTED)
+        return (float(found.sizes[0]), found.left) if found else None
+
+    @property
+    def excuses_efforts(self) -> bool:
+        """Whether an integrator's drift, or doubt, is all that is missed."""
+        return self.share <= self.doubt[0] or self.drift is not None
+
+
+def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Check, Momentum]:
+    """The check of momentum; its shares are of what the bodies exchange."""
+    size, name = len(log.time), "momentum"
+    starts = np.linspace(0, size - 4, min(_GROUPS, size // 4)).astype(int)
+    kept = np.unique(starts[:, None] + np.arange(4))
+    found = Momentum(log=log, dynamics=dynamics, kept=kept)
+    if not np.isfinite(found.missed).all():
+        raise ValueError("momentum is not finite")
+    if found.share <= tolerance:
+        said = f"conserved within {found.share:.2g} of what the bodies exchange"
+        if log.unsure:
+            said += f" (rates of every second sample change it by {found.doubt[0]:.1g})"
+        return Check(name=name, statement=said), found
+    said = f"changes by {found.share:.2g} of what the bodies exchange"
+    if explained := found.named(_mistakes(found)):
+        words = f"{said}, by {explained.left:.2g} if {explained}"
+        return fault(name, explained.mistake.cause, words), found
+    doubt, why = found.doubt
+    if found.share <= doubt:
+        return undecided(name, why, f"{said}, but {DOUBTS[why]}"), found
+    if found.drift:
+        step, left = found.drift
+        words = (
+            f"{said}, by {left:.2g} beside the drift of an integrator with steps of {step:.2g} s"
+        )
+        return undecided(name, "integrator", f"{words}: log a run with shorter ones"), found
+    words = "no one mistake explains it: an external force that is not logged, or several at once"
+    return fault(name, "external_force", f"{said}; {words}"), found
+
+
+def _mistakes(found: Momentum) -> Iterator[Mistake]:
+    yield from _of_masses(found)
+    yield from _of_forces(found)
+    yield from _of_frames(found)
+    for cause, words, changed in _of_columns(found):
+        yield _instead(found, cause, words, changed)
+
+
+def _instead(found: Momentum, cause: str, words: str, log: Log, *, more: int = 0) -> Mistake:
+    """Other samples in place of those that are logged: all of the change, or nothing of it."""
+    change = found.missed + found.impulse / found.scale - found.total(log)
+    return Mistake(cause=cause, text=words, columns=[change], more=more, least=0.9, most=1.1)
+
+
+def _of_masses(found: Momentum) -> Iterator[Mistake]:
+    """One body with another mass and inertia: momentum is linear in both."""
+    bodies = found.dynamics.bodies
+    for i, body in enumerate(bodies if len(bodies) > 1 else ()):
+        words = " has {1:.3g} times the mass of the URDF and {2:.3g} times the inertia"
+        yield Mistake(
+            cause="mass", text=body.name() + words, offset=1.0, least=-1.0,
+            columns=[-part[:, i] / found.scale for part in found.momenta],
+        )  # fmt: skip
+
+
+def _of_forces(found: Momentum) -> Iterator[Mistake]:
+    """Gravity; a constant force; drag of the base; momentum that decays."""
+    some, place, turn = found.some, found.some.position, found.some.turns
+    shares = found.dynamics.masses / found.dynamics.mass
+    center = place + np.einsum("nij,b,nbj->ni", turn, shares, found.bodies.center)
+    still = np.zeros_like(place)
+
+    def impulse(force: Array, at: Array, torque: Array) -> Array:
+        rate = np.hstack([np.cross(at, force) + torque, force])
+        return _integral(some.time, rate) / found.scale
+
+    world, base = (
+        [*np.broadcast_to(np.eye(3)[:, None], (3, *place.shape))],
+        [*np.moveaxis(turn, 2, 0)],
+    )
+    decay = -_integral(some.time, found.missed)
+
+    def pushes(axes: list[Array]) -> list[Array]:
+        torques = [impulse(still, place, axis) for axis in axes]
+        return [impulse(axis, place, still) for axis in axes] + torques
+
+    pushed = "the base is pushed by {0} (N, N m) in "
+    for cause, text, columns, least in (
+        ("gravity", "gravity of {0} m/s^2 acts",
+         [impulse(found.dynamics.mass * axis, center, still) for axis in world], -np.inf),
+        ("external_force", pushed + "world axes", pushes(world), -np.inf),
+        ("external_force", pushed + "base axes", pushes(base), -np.inf),
+        ("damping", "the base is damped by {1:.3g} N s/m and {2:.3g} N m s",
+         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], 0.0),
+        ("damping", "it decays by {1:.3g} per s, the angular part by {2:.3g} per s: a simulator's "
+         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], 0.0),
+    ):  # fmt: skip
+        yield Mistake(cause=cause, text=text, columns=columns, least=least)
+
+
+def _of_frames(found: Momentum) -> Iterator[Mistake]:
+    """Constant rotations of the base's axes, or of the world in which its attitude is; a log in a
+    frame that turns.
+    """
+    some, since = found.some, (found.some.time - found.some.time[0])[:, None]
+    attitude, place = attitudes(some.quaternion), some.position + found.log.position[0]
+
+    def turned_to(turn: Rotation, angular: Array) -> Log:
+        return some.replace(quaternion=turn.as_quat(scalar_first=True), angular=angular)
+
+    def base(vector: Array) -> Log:
+        return turned_to(attitude * Rotation.from_rotvec(-vector), some.angular)
+
+    def world(vector: Array) -> Log:
+        back = Rotation.from_rotvec(-vector)
+        return turned_to(back * attitude, back.apply(some.angular))
+
+    def turning(rate: Array) -> Log:
+        frame = Rotation.from_rotvec(since * rate)
+        return turned_to(frame * attitude, frame.apply(some.angular + rate)).replace(
+            position=frame.apply(place) - place[0],
+            linear=frame.apply(some.linear + np.cross(rate, place)),
+        )
+
+    cube = Rotation.create_group("O").as_rotvec()
+    for cause, changed, starts, unit, words in (
+        ("frame", base, cube, _DEGREE, "the base's axes are turned from the URDF's by {} deg "
+         "(rotation vector): another body frame, or a star tracker's"),
+        ("frame", world, cube, _DEGREE, "the attitude is in a world whose axes are turned from "
+         "those of the positions by {} deg (rotation vector)"),
+        ("frame_rate", turning, np.zeros((1, 3)), 1.0, "the log is in a frame that turns at a "
+         "constant rate of {} rad/s (its own axes)"),
+    ):  # fmt: skip
+
+        def misses(vector: Array, changed: Callable[[Array], Log] = changed) -> Array:
+            total = found.total(changed(vector), bodies=found.bodies) - found.impulse / found.scale
+            return np.asarray((total - total.mean(axis=0)).ravel())
+
+        near = sorted(starts, key=lambda start: np.abs(misses(start)).max())[:3]
+        fits = [least_squares(misses, np.array(x), x_scale="jac", max_nfev=40) for x in near]
+        best = min(fits, key=lambda fit: fit.cost).x
+        said = words.format(about(best / unit, None, "").strip())
+        yield _instead(found, cause, said, changed(best), more=2)
+
+
+def _of_columns(found: Momentum) -> Iterator[tuple[str, str, Log]]:
+    """Another point of the base logged; joints exchanged, turned the other way, or in degrees:
+    cause, words, the log without it.
+    """
+    log, names = found.some, found.dynamics.names
+    for point, (arm, swung) in found.dynamics.points(log).items():
+        words = f"the position and velocity are those of {point}, not of the base's origin"
+        yield "point", words, log.replace(position=log.position - arm, linear=log.linear - swung)
+    order = [*range(len(names))]
+    orders = {"the joints stand in the reverse order": order[::-1]} if len(names) > 2 else {}
+    for i, j in itertools.combinations(order, 2):
+        swapped = [{i: j, j: i}.get(k, k) for k in order]
+        orders[f"{names[i]} and {names[j]} are exchanged"] = swapped
+    for words, each in orders.items():
+        yield "joint_order", words, _joints(log, each, 1.0)
+    for i, name in enumerate(names):
+        sign = np.where(np.arange(len(names)) == i, -1.0, 1.0)
+        yield "joint_sign", f"{name} turns the other way", _joints(log, order, sign)
+    yield "degrees", "every joint is in degrees", _joints(log, order, _DEGREE)
+
+
+def _joints(log: Log, order: list[int], factor: float | Array) -> Log:
+    """The log with its joints in another order, and multiplied."""
+    return log.replace(angles=log.angles[:, order] * factor, rates=log.rates[:, order] * factor)
+
+
+def _of_integrator(found: Momentum) -> Iterator[Mistake]:
+    """The drift of first-order integrators: a step h changes momentum by h^2 times what a trial
+    step does.
+    """
+    log, period = found.log, np.diff(found.log.time)
+    near = every(len(period), most=1000)
+    here, there = only(log, near), only(log, near + 1)
+    times = 0.5 * (here.time + there.time)
+    halfway = Rotation.from_rotvec(0.5 * turned(log)[near]) * attitudes(here.quaternion)
+    most = float(np.abs(np.hstack([found.some.angular, found.some.rates])).max())
+    trial = 0.01 / max(most, 1e-9)
+
+    def total(is_body: bool, semi: float, step: float) -> Array:
+        """The total after a step from the middle of each period, its rates changed before poses."""
+
+        def after(what: str, step: float) -> Array:
+            first, last = getattr(here, what), getattr(there, what)
+            if is_body and what == "angular":
+                first, last = (in_body_axes(x.quaternion, x.angular) for x in (here, there))
+            found: Array = 0.5 * (first + last) + step * (last - first) / period[near][:, None]
+            return found
+
+        def moved(path: str, rate: str) -> Array:
+            return after(path, 0.0) + step * after(rate, semi * step)
+
+        more = Rotation.from_rotvec(step * after("angular", semi * step))
+        now = halfway * more if is_body else more * halfway
+        omega = after("angular", step)
+        return found.total(here.replace(
+            quaternion=now.as_quat(scalar_first=True), angles=moved("angles", "rates"),
+            position=moved("position", "linear") - log.position[0],
+            angular=now.apply(omega) if is_body else omega,
+            linear=after("linear", step), rates=after("rates", step),
+        ))  # fmt: skip
+
+    for way in itertools.product((True, False), (1.0, 0.0)):
+        sides = total(*way, trial) + total(*way, -trial) - 2.0 * total(*way, 0.0)
+        drift = CubicSpline(times, sides / (2.0 * trial**2)).antiderivative()(found.some.time)
+        yield Mistake(
+            cause="integrator", text="", columns=[drift], least=0.0, most=1.1 * period.max(),
+        )  # fmt: skip
