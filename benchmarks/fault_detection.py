@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.control_design.asked import Asked
-from ffsm_drake.control_design.first_scenario import new_scenario
 from ffsm_drake.loop.blocks import settle_faults
+from ffsm_drake.preflight.asked import Asked
+from ffsm_drake.preflight.first_scenario import new_scenario
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.scenario import Fault, Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant

@@ -150,8 +150,8 @@ def new(
       ffsm new mine --urdf my_robot.urdf --package
       my_robot_description=~/ws/src/my_robot_description
     """
-    from ffsm_drake.control_design.asked import Asked
-    from ffsm_drake.control_design.first_scenario import new_scenario
+    from ffsm_drake.preflight.asked import Asked
+    from ffsm_drake.preflight.first_scenario import new_scenario
     from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import load_scenario
 

@@ -16,8 +16,8 @@ from outside_urdfs import OUTSIDE, gripper, seven_joints, simple_arm, six_joints
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ScenarioError
-from ffsm_drake.control_design.asked import Asked, wheel_units
-from ffsm_drake.control_design.first_scenario import new_scenario
+from ffsm_drake.preflight.asked import Asked, wheel_units
+from ffsm_drake.preflight.first_scenario import new_scenario
 from ffsm_drake.preflight.remarks import plan_clearance
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -85,8 +85,8 @@ def test_peak_forces_are_those_of_the_motion_that_was_written(tmp_path, mass):
     rows = motion.rows(np.linspace(0.0, motion.end, 101))
     force = model.calc_inverse_dynamics(*np.split(rows, [nq, nq + nv], axis=1))
     for name, peak in zip(model.coordinates.names, np.abs(force).max(axis=0), strict=True):
-        assert new.motion.peak_force[name] == pytest.approx(peak, rel=0.02)
-    assert new.motion.duration == scenario.reference.duration
+        assert new.peak_force[name] == pytest.approx(peak, rel=0.02)
+    assert new.scenario.reference == scenario.reference
 
 
 SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]
@@ -163,7 +163,7 @@ def test_flags_are_the_scenarios_settings(tmp_path):
     limits = base_limits(scenario)
     for group, least in (("rotation", limits.torque.min()), ("position", limits.force.min())):
         names = [f"base_{group}_{axis}" for axis in "xyz"]
-        assert max(new.motion.peak_force[name] for name in names) < 0.7 * least
+        assert max(new.peak_force[name] for name in names) < 0.7 * least
 
 
 def test_undriven_base(tmp_path):
