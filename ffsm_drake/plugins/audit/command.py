@@ -42,7 +42,7 @@ def audit(log: Path, urdf: Path, columns: tuple[str, ...], tolerance: float, as_
       ffsm audit log.nc --urdf servicer.urdf --column time=t_sim --column joint_1=shoulder
       ffsm audit run.mcap --urdf servicer.urdf --column base=base_link
     """
-    from ffsm_drake.plugins.audit import audit as check
+    from ffsm_drake.plugins.audit.verdict import audit as check
 
     for text in columns:
         if not all(text.partition("=")):

@@ -16,9 +16,9 @@ from click.testing import CliRunner
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import RecordError
-from ffsm_drake.plugins.audit import audit
 from ffsm_drake.plugins.audit.dynamics import Dynamics
 from ffsm_drake.plugins.audit.reading import read_log
+from ffsm_drake.plugins.audit.verdict import audit
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import make_plant, models_dir
 

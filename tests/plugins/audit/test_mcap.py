@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.common.errors import FfsmError, RecordError
-from ffsm_drake.plugins.audit import audit, mcap
+from ffsm_drake.plugins.audit import mcap
 from ffsm_drake.plugins.audit.reading import read_log
+from ffsm_drake.plugins.audit.verdict import audit
 from ffsm_drake.spacecraft.plant import models_dir
 
 pytest.importorskip("foxglove", reason="needs foxglove-sdk")

@@ -7,7 +7,7 @@ import scipy.io
 import xarray as xr
 
 from ffsm_drake.common.errors import RecordError
-from ffsm_drake.plugins.audit import audit
+from ffsm_drake.plugins.audit.verdict import audit
 
 
 @pytest.fixture(scope="module")
