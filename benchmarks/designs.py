@@ -23,7 +23,7 @@ from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.common.files import write_text
 from ffsm_drake.control_design.gains import Design, design
 from ffsm_drake.preflight.verdict import verdict
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 
 PAIRS = (
     ("postcapture", "tdc"),

@@ -24,7 +24,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.preflight.asked import Asked
 from ffsm_drake.preflight.first_scenario import new_scenario
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import Fault, Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.fault_detection import KINDS

@@ -11,7 +11,7 @@
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,6 @@ from ffsm_drake.loop.blocks import (
     make_blocks,
 )
 from ffsm_drake.scenario import MassProperties, Scenario, kind_of
-from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.nominal import (
@@ -49,6 +48,7 @@ from ffsm_drake.spacecraft.nominal import (
     set_true_masses,
 )
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
+from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
@@ -128,19 +128,7 @@ class ClosedLoop:
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
         self._tell("set_payload", root_context, scenario.payload.truth)
-        self.set_whole_states(root_context, self._start(scenario, self.model(context))[None])
-
-    def _start(self, scenario: Scenario, model: PlantModel) -> np.ndarray:
-        """[q; v] of a spacecraft at the start, with the hidden state."""
-        position = configuration(model.plant, scenario.initial_posture, key="initial_posture")
-        velocity = self.coordinates.vector(
-            scenario.initial_velocity, key="initial_velocity", default=0.0
-        )
-        state = self.split.whole(np.concatenate([position, velocity]))
-        if scenario.capture is not None:
-            contact = planned_contact(scenario, model)
-            state[model.plant.num_positions() :] += contact.grasp.velocity
-        return state
+        self.set_whole_states(root_context, state_at_start(scenario, self.model(context))[None])
 
     def _initialize_copies(self, root: System, root_context: Context, copies: Copies) -> None:
         """``initialize`` of several copies."""
@@ -156,7 +144,7 @@ class ClosedLoop:
             copies.set_parameters(context, copy, copies.single, model.context)
             for placed in self.parts_of_copies[copy].values():
                 placed.part.check_plant(scenario, model)
-            rows.append(self._start(scenario, model))
+            rows.append(state_at_start(scenario, model))
         self._tell(
             "set_payload", root_context, [scenario.payload.truth for scenario in self.scenarios]
         )
@@ -237,55 +225,42 @@ class ClosedLoop:
         root_context: Context,
         before: "ClosedLoop",
         context_before: Context,
-        references: np.ndarray,
+        references: np.ndarray | None = None,
         *,
-        afresh: bool = False,
+        afresh: Collection[str] = (),
     ) -> None:
-        """Continue the blocks from another loop's state; its scenario differs in the payload only.
+        """Continue the blocks from those of another loop of the same wiring.
 
         Args:
           root_context: this loop's root context.
           before: the other loop.
           context_before: the other loop's root context.
-          references: [q_d; v_d] at the start of this loop's motion, for each copy: (B, nq + nv).
-          afresh: the controller keeps its own state.
+          references: [q_d; v_d] where this loop's motion begins, of each copy (B, nq + nv), where
+            its nominal model is another; None: it is the same.
+          afresh: the blocks that keep their own states.
         """
         for name, block in self.blocks.items():
-            if afresh and name == "controller":
-                continue
-            other = before.blocks[name]
-            context, source = (
-                block.GetMyMutableContextFromRoot(root_context),
-                other.GetMyContextFromRoot(context_before),
-            )
-            _resume(block, context, other, source, references)
-
-    def carry_on(
-        self,
-        root_context: Context,
-        before: "ClosedLoop",
-        context_before: Context,
-        *,
-        afresh: bool = False,
-    ) -> None:
-        """Continue the plant and the blocks from the state of another loop with the same wiring;
-        with ``afresh`` the controller starts from the plant's state, and the supervisor with it.
-        """
-        self.set_whole_states(root_context, before.whole_states(context_before))
-        for name, block in self.blocks.items():
-            if name == "reference" and not getattr(block, "carries_on", False):
-                continue
-            if afresh and name in ("controller", "supervisor"):
-                continue
-            context = block.GetMyMutableContextFromRoot(root_context)
-            source = before.blocks[name].GetMyContextFromRoot(context_before)
-            context.SetStateAndParametersFrom(source)
+            if name not in afresh:
+                other, context = (
+                    before.blocks[name],
+                    block.GetMyMutableContextFromRoot(root_context),
+                )
+                _resume(
+                    block, context, other, other.GetMyContextFromRoot(context_before), references
+                )
 
 
 def _resume(
-    block: Any, context: Context, before: Any, context_before: Context, references: np.ndarray
+    block: Any,
+    context: Context,
+    before: Any,
+    context_before: Context,
+    references: np.ndarray | None,
 ) -> None:
     """Continue a block from another loop's, as in ``ClosedLoop.resume``."""
+    if references is None:
+        context.SetStateAndParametersFrom(context_before)
+        return
     if isinstance(block, SideBySide):
         pairs = zip(block.each(context), before.each(context_before), references, strict=True)
         for own, other, reference in pairs:

@@ -20,7 +20,7 @@ from ffsm_drake.control_design.stability.mission import linear_verdict
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.preflight.asked import Asked, wheel_units
 from ffsm_drake.preflight.remarks import plan_clearance
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_dict
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES

@@ -15,6 +15,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.momentum import momentum_budget, storage_remark
+from ffsm_drake.runs.handover import Handover
 from ffsm_drake.runs.limits import (
     INSTANTS,
     Closest,
@@ -23,15 +24,9 @@ from ffsm_drake.runs.limits import (
     too_near,
 )
 from ffsm_drake.scenario import Scenario, planned_part
-from ffsm_drake.spacecraft.capture import (
-    NOTHING,
-    planned_contact,
-    target_path,
-    velocity_at_start,
-)
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
-from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     make_flexible_plant,
@@ -39,6 +34,7 @@ from ffsm_drake.spacecraft.nominal import (
     make_true_plant,
 )
 from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
+from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_remarks
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -187,7 +183,7 @@ def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Clos
     motion = make_motion(scenario, model.coordinates)
     found: list[Closest] = []
     if motion.begin > 0.0:
-        _, path = target_path(scenario, model, planned_contact(scenario, model))
+        path = Handover(scenario).path
         chosen = np.unique(np.linspace(0, len(path) - 1, INSTANTS).round().astype(int))
         times = scenario.sample_time * chosen
         found += closest_of(scenario, times, _positions_of(motion, times), target=path[chosen, :7])

@@ -21,7 +21,7 @@ from ffsm_drake.control_design.stability.mission import LegVerdict, linear_verdi
 from ffsm_drake.control_design.stability.one_axis import tolerated_eta
 from ffsm_drake.control_design.stability.rehearsal import MANY, rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import Scenario, controller_key, override_scenario
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers import complete_gains, declared_gains

@@ -17,9 +17,9 @@ from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.preflight.remarks import LimitWarning, plan_remarks
 from ffsm_drake.runs.batches import run_many
-from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.mission import MissionRollout, make_rollout
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
@@ -79,7 +79,7 @@ def prepare(
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
     check_stability: bool = True,
-) -> Rollout | CaptureRollout:
+) -> Rollout | MissionRollout:
     """The preparations of ``simulate`` before the run, with the same arguments and errors.
 
     With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as

@@ -32,11 +32,11 @@ from ffsm_drake.control_design.stability.rehearsal import (
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.preflight.remarks import plan_limits
 from ffsm_drake.preflight.remedies import remedies
-from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
 from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, checked, from_grasp
 from ffsm_drake.systems.part import Advice
@@ -324,8 +324,7 @@ def _without_a_run(
     """Fill the parts of a verdict one after another; what was found before a BlockError stays."""
     found["linear"] = linear = linear_verdict(scenario, linearizer)
     found["adaptation"] = "" if linear.is_alarm else adaptation_remark(linearizer)
-    if scenario.capture is not None:
-        found["load"] = predicted_load(linearizer)
+    found["load"] = predicted_load(linearizer)
     if margins:
         found["margins"] = stability(scenario, linearizer=linearizer)
         found["noises"] = found["margins"].rehearsal

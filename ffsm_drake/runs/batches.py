@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.runs.capture import make_rollout
-from ffsm_drake.runs.closing import closing_of
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
@@ -148,7 +147,7 @@ def _group(scenario: Scenario) -> str | None:
         or config.integration_scheme not in _EXPLICIT
         or config.target_realtime_rate > 0.0
         or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
-        or closing_of(scenario) is not None
+        or scenario.closing is not None
     ):
         return None
     neutral = Scenario()

@@ -1,7 +1,7 @@
 """Runs whose gripper closes over a time (``capture.closing``), up to the grasp: approach and
 closing; then, with the target apart, retreat and the next try.
 
-Each leg has a loop of its own; plant and blocks go on from leg to leg as they are.
+Each phase has a loop of its own; plant and blocks go on from phase to phase as they are.
 """
 
 import dataclasses
@@ -18,13 +18,14 @@ from ffsm_drake.common.numbers import number
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED, Outcome
+from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED
 from ffsm_drake.runs.handover import Handover
 from ffsm_drake.runs.limits import closest_of
-from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import Mission, Phase, Progress, given_up
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Posture, Scenario
-from ffsm_drake.scenario.capture import Closing, Compliance, Retreat
+from ffsm_drake.scenario.capture import Compliance, Retreat
 from ffsm_drake.spacecraft.capture import coast, target_body
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
@@ -35,14 +36,15 @@ from ffsm_drake.systems.approach import (
     given_approach,
     is_gentle,
     outwards,
+    without_target,
 )
-from ffsm_drake.systems.gripper import Gripper, Met
+from ffsm_drake.systems.gripper import Gripper
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import make_motion, without_target
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.retreat import Move, RetreatReference
-from ffsm_drake.systems.supervisor import Mode, SupervisorPart
+from ffsm_drake.systems.supervisor import SupervisorPart
 from ffsm_drake.systems.target_filter import Path
 from ffsm_drake.systems.tracked_target import Approached, TrackedTarget, drawn_path
 
@@ -53,87 +55,78 @@ _INSTANTS = 15  # at which the clearance of each is looked at
 _PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # of a stop, that may keep clear
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
-Begin = Callable[[ClosedLoop, Context], None]
 
+class ClosingRun(Mission):
+    """One run with its tries to close the gripper.
 
-def closing_of(scenario: Scenario) -> Closing | None:
-    """The closing of a run's gripper; None where it closes at once."""
-    capture = scenario.capture
-    return None if capture is None or capture.approach is None else capture.closing
-
-
-class ClosingRun:
-    """The legs of one run up to the grasp.
-
-    After ``run``, ``scenario``, ``blocks``, ``handover`` and ``sample`` are those of the last try,
-    ``loop`` and ``context`` those in which it ended.
+    ``scenario``, ``blocks`` and ``handover`` are those of the last try.
     """
 
-    loop: ClosedLoop
-    context: Context
+    afresh = ("controller",)
     _across: Move  # from where a retreat ends to where the next try begins
 
     def __init__(
         self,
-        scenario: Scenario,
         handover: Handover,
         *,
         blocks: Mapping[str, Factory] | None,
-        progress: Callable[[float, float], None] | None,
+        progress: Progress | None,
     ) -> None:
-        """Args: what to run; that of its first try; as for ``Rollout`` and its ``run``."""
-        self.scenario, self.handover, self.blocks = scenario, handover, dict(blocks or {})
-        self._chosen, self._progress = scenario, progress
-        closing = closing_of(scenario)
-        if closing is None or scenario.capture is None or scenario.capture.approach is None:
-            raise ValueError("capture.closing: there is none")
-        self._capture, self._closing = scenario.capture, closing
-        self._approach = scenario.capture.approach
-        self._samples = round(closing.duration / scenario.sample_time)  # of the closing
-        self.sample = 0
+        """Args: that of its first try; as for ``Rollout``; as for ``Mission``."""
+        super().__init__([handover], progress)
+        self._chosen = self.scenario = scenario = handover.scenario
+        self.blocks = dict(blocks or {})
+        assert scenario.capture is not None
+        assert scenario.approach is not None
+        assert scenario.closing is not None
+        self._capture, self._approach, self._closing = (
+            scenario.capture,
+            scenario.approach,
+            scenario.closing,
+        )
+        self._samples = round(self._closing.duration / scenario.sample_time)  # of the closing
+        self._tries = 1
         # motion of the target (n, 13) at the samples of the run, as far as is known
         last = handover.sample - 1
-        self._path = np.vstack([handover.path[:last], self._onward(handover.path[last], last)])
-        self._measured = self._capture.measured is not None
+        self._motion = np.vstack([handover.path[:last], self._onward(handover.path[last], last)])
+        self._measured = measured = scenario.measured
         nominal = np.array(scenario.payload.nominal.center_of_mass)
-        arm = nominal if self._measured else self._true_arm
-        self._known = Path(motion=self._path, arm=arm)
+        arm = nominal if measured else self._true_arm
+        self._known = Path(motion=self._motion, arm=arm)
         place = np.array(scenario.initial_posture.base_position)  # at the grasp
         self._reach = float(np.linalg.norm(place - self._known.center(handover.sample)))
+        if measured:
+            motion, self._expected = drawn_path(scenario, measured.filter, self._motion[0])
+            self._motion = self._onward(motion, 0)
+
+    @property
+    def handover(self) -> Handover:
+        """That of the last try."""
+        return self.handovers[0]
+
+    def first(self, loop: Rollout, scenarios: Sequence[Scenario] | None) -> Phase:
+        """The approach, on the loop of such without closing, which a measured target replaces."""
         if self._measured:
-            motion, self._expected = drawn_path(scenario, self._path[0])
-            self._path = self._onward(motion, 0)
-        self._legs: list[tuple[str, int]] = []
-        self.logs: list[RunLog] = []
-        self.outcome: Outcome | None = None  # unless the target is captured
+            loop, scenarios = self._loop(self.followed(self.blocks)), None
+        return Phase(
+            loop=loop,
+            names=(("approach", self.handover.sample - self._samples),),
+            begin=self.put_at_start,
+            scenarios=scenarios,
+            next=self._close,
+        )
 
-    def run(self, rollout: Rollout, scenario: Scenario | None, begin: Begin) -> bool:
-        """Approach and close, and try again as ``capture.retreat`` says; True: it is captured.
+    def _loop(self, blocks: dict[str, Factory], joint_force: np.ndarray | None = None) -> Rollout:
+        """A loop with the target apart."""
+        alone = without_target(self.scenario)
+        return Rollout(alone, blocks=blocks, joint_force=joint_force)
 
-        Args: the loop of the first approach; as for its ``run``; called at its start.
-        """
-        first = self.handover.sample - self._samples
-        alone = None if scenario is None else without_target(scenario)
-        if self._measured:
-            rollout = Rollout(without_target(self.scenario), blocks=self.followed(self.blocks))
-            alone = None
-        flown = self._leg(rollout, [("approach", first)], begin, alone)
-        tries, retreat = 1, self._capture.retreat
-        while flown and not self._close(tries):
-            if self.outcome is None or retreat is None:
-                return False
-            if not self._retreat(tries, retreat):
-                return False
-            tries += 1
-        return flown
-
-    def held(self) -> tuple[Scenario, Handover]:
-        """What the run goes on with once the target is captured: a stop planned from the state that
-        the servicer measures, with the target at rest in the gripper.
+    def _stop(self) -> Phase:
+        """The stop with the target in the gripper, at rest there, planned from the state that the
+        servicer measures.
         """
         scenario, model = self.scenario, make_nominal_plant(self.scenario)
-        state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
-        q, v = np.split(state, [model.plant.num_positions()])
+        q, v = np.split(self._estimated, [model.plant.num_positions()])
         body = target_body(scenario, model)
         w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
         arm = body.EvalPoseInWorld(model.context).rotation() @ np.array(
@@ -153,120 +146,82 @@ class ClosingRun:
         )
         scenario = _with_clear_stop(scenario, model.coordinates)
         handover = Handover(scenario)
-        handover.sample, handover.path = self.sample, self._path[: self.sample]
-        handover.legs = tuple(self._legs)
-        handover.find_target(self._path[self.sample])
-        return scenario, handover
+        handover.sample, handover.path = self.sample, self._motion[: self.sample]
+        handover.find_target(self._motion[self.sample])
+        self.handovers = [handover]
+        loop = Rollout(scenario, blocks=self.followed(self.blocks, follows=False, sees=False))
+        self.meet(loop.loop)
+        return Phase(loop=loop, names=(("stop", None),), begin=self.grasp)
 
-    @property
-    def ungrasped(self) -> GraspLog:
-        """Log of the run so far."""
-        return GraspLog(
-            sample=self.sample,
-            contact=None,
-            payload=self._chosen.payload.truth,
-            target=self._path[: self.sample],
-            legs=tuple(self._legs),
-        )
+    def _path(self, copy: int) -> np.ndarray:
+        return self._motion
 
-    @property
-    def joined(self) -> RunLog:
-        """The log of all legs."""
-        *_, last = self.logs
-        names = set.intersection(*(set(log.series) for log in self.logs))
-        return dataclasses.replace(
-            last,
-            scenario=self._chosen,
-            outcome=self.outcome or last.outcome,
-            time=np.concatenate([log.time for log in self.logs]),
-            series={
-                name: np.concatenate([log.series[name] for log in self.logs])
-                for name in last.series
-                if name in names
-            },
-            wall_time={key: sum(log.wall_time[key] for log in self.logs) for key in last.wall_time},
-            grasp=self.ungrasped,
-        )
+    def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
+        first = self.sample
+        super()._note(phase, logs)
+        gripper: Any = phase.loop.loop.blocks[GRIPPER]
+        if gripper.motions:  # it moved the target
+            count = self.logs[0][-1].time.size
+            self._motion = np.vstack([self._motion[:first], *gripper.motions[:count]])
 
-    def _keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        self.loop, self.context = loop, root_context
+    def _go_on(self, loop: ClosedLoop, root_context: Context, *afresh: str) -> None:
+        """Put a loop, but for some blocks, where the last phase ended."""
+        loop.set_whole_states(root_context, self.before.whole_states(self.context))
+        own = afresh if self._measured else (*afresh, "reference")
+        loop.resume(root_context, self.before, self.context, afresh=own)
 
-    def _leg(
-        self,
-        rollout: Rollout,
-        names: Sequence[tuple[str, int]],
-        begin: Begin,
-        scenario: Scenario | None = None,
-    ) -> bool:
-        """Run on to the last of the samples with the names before them; False: it ends before."""
-        leg = Leg(first=self.sample, last=names[-1][1], begin=begin, end=self._keep)
-        log = rollout.run(scenario, progress=self._progress, leg=leg)
-        self.logs.append(_without_contact(log))
-        end = self.sample + log.time.size
-        for name, last in names:
-            count = min(last, end) - self.sample
-            if count > 0:
-                self._legs.append((name, count))
-                self.sample += count
-        return log.outcome.completed
-
-    def _go_on(self, tell: Begin | None = None, *, afresh: bool = False) -> Begin:
-        """A leg's begin that carries on the loop of the last one; ``tell``: called after it;
-        ``afresh``: the law starts anew.
-        """
-        before, context_before = self.loop, self.context
-
-        def begin(loop: ClosedLoop, root_context: Context) -> None:
-            loop.carry_on(root_context, before, context_before, afresh=afresh)
-            if tell is not None:
-                tell(loop, root_context)
-
-        return begin
-
-    def _close(self, tries: int) -> bool:
-        """Close the gripper, unless it misses; True: the target is captured."""
-        self.outcome = None
+    def _close(self) -> Phase | None:
+        """Close the gripper, unless it misses."""
         first, handover = self.sample, self.handover
-        if since := given_up(self.logs[-1]):
-            self._fail(MISSED, f"is not met: {since}")
-            return False
-        handover.find_target(self._path[first])
-        handover.meet(self.loop, self.loop.whole_states(self.context)[0])
+        if since := given_up(self.logs[0][-1]):
+            return self._retreat(MISSED, f"is not met: {since}")
+        handover.find_target(self._motion[first])
+        self.meet(self.before)
         if beyond := handover.beyond_envelope():
-            self._fail(MISSED, f"is missed: {beyond}")
-            return False
-        name = "closing" if tries == 1 else f"closing_{tries}"
+            return self._retreat(MISSED, f"is missed: {beyond}")
         part = Gripper(self._capture.compliance or Compliance())
         blocks = self._supervised({**self.blocks, GRIPPER: part}, waits=True)
-        blocks = self.followed(blocks, sees=False)
         limp = self._closing.joints == "limp"
-        applied = self.logs[-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
-        rollout = Rollout(
-            without_target(self.scenario),
-            blocks=blocks,
-            joint_force=applied.mean(axis=0) if limp else None,
-        )
+        applied = self.logs[0][-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
+        loop = self._loop(self.followed(blocks, sees=False), applied.mean(axis=0) if limp else None)
 
         def begin(loop: ClosedLoop, root_context: Context) -> None:
+            self._go_on(loop, root_context)
             force, context = _gripper(loop, root_context)
             force.begin(
                 context,
                 payload=self._chosen.payload.truth,
-                target=self._path[first],
+                target=self._motion[first],
                 state=loop.whole_states(root_context)[0],
             )
 
-        flown = self._leg(rollout, [(name, first + self._samples)], self._go_on(begin))
-        moved: Any = rollout.loop.blocks[GRIPPER]
-        self._path = np.vstack([self._path[:first], *moved.motions[: self.sample - first]])
-        if not flown:
-            return False
-        force, context = _gripper(self.loop, self.context)
-        met = force.met(context, self.loop.whole_states(self.context)[0])
+        last = first + self._samples
+        return Phase(
+            loop=loop,
+            names=((self._numbered("closing"), last),),
+            begin=begin,
+            next=lambda: self._judge(first),
+        )
+
+    def _judge(self, first: int) -> Phase | None:
+        """Go on with the target, if the gripper that began to close at a sample holds it."""
+        force, context = _gripper(self.before, self.context)
+        met = force.met(context, self.before.whole_states(self.context)[0])
         pose = [*met.X_WP.rotation().ToQuaternion().wxyz(), *met.X_WP.translation()]
         onward = self._onward(np.concatenate([pose, met.twist]), self.sample)
-        self._path = np.vstack([self._path, onward])
-        return self._holds(met, first)
+        self._motion = np.vstack([self._motion, onward])
+        turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
+        if math.isinf(met.left) and max(turning, moving) <= self._closing.rest:
+            return self._stop()
+        away = float(np.linalg.norm(met.offset[3:]))
+        closed_at = first * self._chosen.sample_time + self._closing.time
+        status = BOUNCED if met.left < closed_at else SLIPPED
+        how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
+        motion = f"{number(moving)} m/s and {number(turning)} rad/s"
+        return self._retreat(status, f"{how}: {number(away)} m away, moving at {motion} from it")
+
+    def _numbered(self, name: str) -> str:
+        return name if self._tries == 1 else f"{name}_{self._tries}"
 
     def _onward(self, motion: np.ndarray, sample: int) -> np.ndarray:
         """The free target's motion (n, 13) from a sample to the end of the run."""
@@ -279,87 +234,95 @@ class ClosingRun:
             onward=True,
         )
 
-    def _holds(self, met: Met, first: int) -> bool:
-        """Whether the target is held; else the outcome says how it got away."""
-        turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
-        if math.isinf(met.left) and max(turning, moving) <= self._closing.rest:
-            return True
-        away = float(np.linalg.norm(met.offset[3:]))
-        closed_at = first * self._chosen.sample_time + self._closing.time
-        status = BOUNCED if met.left < closed_at else SLIPPED
-        how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
-        motion = f"{number(moving)} m/s and {number(turning)} rad/s"
-        self._fail(status, f"{how}: {number(away)} m away, moving at {motion} from it")
-        return False
-
-    def _retreat(self, tries: int, retreat: Retreat) -> bool:
-        """Move away from the target, and to it again if there are tries left and a way to it; True:
-        the gripper is to close once more.
+    def _retreat(self, status: str, what: str) -> Phase | None:
+        """Move away from the target, which was not captured, and to it again if there are tries
+        left and a way to it.
         """
-        period = self._chosen.sample_time
+        period, retreat = self._chosen.sample_time, self._capture.retreat
+        message = f"at t = {self.sample * period:g} s the target {what}"
+        self._fail(0, status, message)
+        if retreat is None:
+            return None
         self._known = self._seen
-        moves = [self._away(retreat)]
-        end = self.sample + round(moves[0].duration / period)
+        away = self._away(retreat)
+        end = self.sample + round(away.duration / period)
         if end > self._chosen.num_control_periods:
-            return False
-        failed, number_of = self.outcome, "" if tries == 1 else f"_{tries}"
-        self.outcome, name, left = None, f"retreat{number_of}", tries < retreat.tries
-        touched = failed is not None and failed.status != MISSED
-        flown = True
-        if left and self._measured:  # it looks at the target before it plans the next try
-            flown = self._go(moves, [(name, end)], touched=touched)
-            self._known, touched = self._seen, False
-        again = flown and left and self._meet_again(moves[0].goal, end)
-        if again:
-            begin = self.handover.sample - round(self.scenario.grasp_time / period)
-            names = [
-                (name, begin),
-                (f"approach_{tries + 1}", self.handover.sample - self._samples),
-            ]
-            flown = self._go([*moves, self._across], names, again=begin * period, touched=touched)
-        elif self.sample < end and flown:
-            flown = self._go(moves, [(name, end)], touched=touched)
-        if failed is not None and flown and not again:
-            last = self.loop.whole_states(self.context)[0][4:7]
-            path = Path(motion=self._path, arm=self._true_arm)
-            apart = float(np.linalg.norm(last - path.center(self.sample - 1)))
-            message = f"{failed.message}; the servicer retreats to {number(apart)} m from it"
-            time = (self.sample - 1) * period
-            self.outcome = dataclasses.replace(failed, time=time, message=message)
-        return flown and again
+            return None
+        del self.failed[0]  # unless the retreat comes to its end
+        name, left = (self._numbered("retreat"), end), self._tries < retreat.tries
+        touched = status != MISSED
 
-    def _go(
+        def apart() -> Phase | None:
+            last = self.before.whole_states(self.context)[0][4:7]
+            path = Path(motion=self._motion, arm=self._true_arm)
+            far = number(float(np.linalg.norm(last - path.center(self.sample - 1))))
+            self._fail(0, status, f"{message}; the servicer retreats to {far} m from it")
+            return None
+
+        def again(*, touched: bool = False) -> Phase | None:
+            if left and self._meet_again(away.goal, end):
+                self._tries += 1
+                begin = self.handover.sample - round(self.scenario.grasp_time / period)
+                closes = self.handover.sample - self._samples
+                names = ((name[0], begin), (self._numbered("approach"), closes))
+                moves = (away, self._across)
+                return self._along(
+                    moves, names, again=begin * period, touched=touched, next=self._close
+                )
+            if self.sample < end:
+                return self._along((away,), (name,), touched=touched, next=apart)
+            return apart()
+
+        def seen() -> Phase | None:  # it looks at the target before it plans the next try
+            self._known = self._seen
+            return again()
+
+        if left and self._measured:
+            return self._along((away,), (name,), touched=touched, next=seen)
+        return again(touched=touched)
+
+    def _along(
         self,
-        moves: Sequence[Move],
-        names: Sequence[tuple[str, int]],
+        moves: tuple[Move, ...],
+        names: tuple[tuple[str, int | None], ...],
         *,
         again: float | None = None,
         touched: bool,
-    ) -> bool:
-        """Run a leg along moves, and from ``again`` on (s) along the next approach; ``touched``:
-        the gripper has touched the target since it was seen. False: it ends before.
+        next: Callable[[], Phase | None],
+    ) -> Phase:
+        """Along moves, and from ``again`` on (s) along the next approach; ``touched``: the gripper
+        has touched the target since it was seen.
         """
-        self.blocks["reference"] = RetreatReference(moves=tuple(moves), again=again)
+        self.blocks["reference"] = RetreatReference(moves=moves, again=again)
         begin = moves[0].begin if again is None else again
         self.blocks = self._supervised(self.blocks, begin=begin)
-        blocks = self.followed(self.blocks, follows=again is not None)
-        rollout = Rollout(without_target(self.scenario), blocks=blocks)
 
-        def renew(loop: ClosedLoop, root_context: Context) -> None:
-            block: Any = loop.blocks["reference"]
-            block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
+        def go_on(loop: ClosedLoop, root_context: Context) -> None:
+            self._go_on(loop, root_context, "controller", "supervisor")
+            if self._measured:
+                block: Any = loop.blocks["reference"]
+                block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
 
-        tell = renew if self._measured else None
-        return self._leg(rollout, names, self._go_on(tell, afresh=True))
+        return Phase(
+            loop=self._loop(self.followed(self.blocks, follows=again is not None)),
+            names=names,
+            begin=go_on,
+            next=next,
+        )
+
+    @property
+    def _estimated(self) -> np.ndarray:
+        """The state [q; v] that the servicer measures."""
+        found: np.ndarray = self.before.diagram.GetOutputPort("estimated_state").Eval(self.context)
+        return found
 
     def _away(self, retreat: Retreat) -> Move:
         """From the measured state to rest away from the target, at a pace that the limits and the
         end of the run allow: straight away from it, or in the nearest other direction, to a face,
         an edge or a corner of a cube, in which it keeps clear.
         """
-        scenario, coordinates = self._chosen, self.loop.coordinates
-        state = self.loop.diagram.GetOutputPort("estimated_state").Eval(self.context)
-        q, v = np.split(state, [len(coordinates.position_names)])
+        scenario, coordinates = self._chosen, self.before.coordinates
+        q, v = np.split(self._estimated, [len(coordinates.position_names)])
         from_target = q[4:7] - self._known.center(self.sample)
         straight, moves = from_target / np.linalg.norm(from_target), []
         for direction in (
@@ -380,7 +343,7 @@ class ClosingRun:
             )
             moves.append(self._paced(move))
             last = self.sample + round(moves[-1].duration / scenario.sample_time)
-            samples = np.linspace(self.sample, min(last, len(self._path) - 1), 2 * _INSTANTS)
+            samples = np.linspace(self.sample, min(last, len(self._motion) - 1), 2 * _INSTANTS)
             motion = moves[-1].motion(scenario, coordinates)
             if self._is_clear(motion, samples, self.sample):
                 return moves[-1]
@@ -392,7 +355,7 @@ class ClosingRun:
 
     def _paced(self, move: Move) -> Move:
         """A retreat that lasts as long as the limits ask for and the run leaves."""
-        scenario, coordinates = self._chosen, self.loop.coordinates
+        scenario, coordinates = self._chosen, self.before.coordinates
 
         def motion_in(duration: float) -> PlannedMotion:
             return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
@@ -420,7 +383,9 @@ class ClosingRun:
         inner: Any = blocks.get("reference")
         part = TrackedTarget(
             self._chosen,
-            self._path,
+            self._capture,
+            self._measured,
+            self._motion,
             self._expected,
             inner=inner,
             approached=approached if follows else None,
@@ -432,11 +397,11 @@ class ClosingRun:
     def _seen(self) -> Path:
         """The target's path as the servicer knows it: from now on by the estimate."""
         if not self._measured:
-            return dataclasses.replace(self._known, motion=self._path)
-        block: Any = self.loop.blocks["reference"]
+            return dataclasses.replace(self._known, motion=self._motion)
+        block: Any = self.before.blocks["reference"]
         context = block.GetMyContextFromRoot(self.context)
-        path: Path = block.known_path(context, self.sample, len(self._path) - self.sample)
-        motion = np.vstack([self._path[: self.sample], path.motion])
+        path: Path = block.known_path(context, self.sample, len(self._motion) - self.sample)
+        motion = np.vstack([self._motion[: self.sample], path.motion])
         return dataclasses.replace(path, motion=motion)
 
     def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
@@ -474,12 +439,12 @@ class ClosingRun:
             scenario = self._try(X_WB, X_WB @ X_BS, self._known.motion[sample])
             begin = sample - lasts
             if self._leads_to(start, scenario, first, begin) and self._is_clear(
-                make_motion(without_target(scenario), self.loop.coordinates),
+                make_motion(without_target(scenario), self.before.coordinates),
                 np.linspace(begin, sample - self._samples, _INSTANTS),
                 begin,
                 margin=self._approach.margin,
             ):
-                self.scenario, self.handover = scenario, Handover(scenario)
+                self.scenario, self.handovers = scenario, [Handover(scenario)]
                 self.handover.sample = sample
                 return True
         return False
@@ -517,7 +482,7 @@ class ClosingRun:
         """
         period, goal = scenario.sample_time, approach_posture(scenario)
         move = Move(begin=first * period, duration=(begin - first) * period, start=start, goal=goal)
-        self._across, motion = move, move.motion(scenario, self.loop.coordinates)
+        self._across, motion = move, move.motion(scenario, self.before.coordinates)
         samples = np.linspace(first, begin, _INSTANTS)
         margin = self._approach.margin
         return is_gentle(scenario, motion) and self._is_clear(motion, samples, first, margin=margin)
@@ -530,15 +495,10 @@ class ClosingRun:
         """
         samples, scenario = samples.round().astype(int), self._chosen
         times = (samples - first) * scenario.sample_time
-        q = motion.rows(times)[:, : len(self.loop.coordinates.position_names)]
+        q = motion.rows(times)[:, : len(self.before.coordinates.position_names)]
         target = self._known.motion[samples, :7]
         nearest = closest_of(scenario, times, q, target=target)
         return all(each.distance >= scenario.clearance + margin for each in nearest)
-
-    def _fail(self, status: str, what: str) -> None:
-        time = self.sample * self._chosen.sample_time
-        message = f"at t = {time:g} s the target {what}"
-        self.outcome = Outcome(status=status, time=time, message=message)
 
 
 def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:
@@ -584,21 +544,3 @@ def _placed(posture: Posture, X_WB: RigidTransform) -> Posture:
     return dataclasses.replace(
         posture, base_position=X_WB.translation().tolist(), base_rpy=rpy.tolist()
     )
-
-
-def _without_contact(log: RunLog) -> RunLog:
-    """A leg's log whose external force is that on servicer and target together."""
-    series = dict(log.series)
-    contact = series.pop(f"force_{GRIPPER.partition('.')[2]}", None)
-    if contact is not None:
-        series["disturbance_force"] = series["disturbance_force"] - contact
-    return dataclasses.replace(log, series=series)
-
-
-def given_up(approach: RunLog) -> str:
-    """How an approach ended from which the supervisor retreats; empty of any other."""
-    modes = approach.series.get("mode", np.zeros(1)).ravel()
-    if modes[-1] == Mode.APPROACH:
-        return ""
-    since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
-    return f"the approach is given up at t = {since:g} s"

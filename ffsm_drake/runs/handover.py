@@ -1,20 +1,17 @@
 """The way of a run from the loop before the grasp to the one after it."""
 
 import dataclasses
-import time
-from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario import Capture, MassProperties, Scenario, inertia_matrix
 from ffsm_drake.spacecraft.capture import contact_at, planned_contact, target_body, target_path
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.approach import approach_posture
 from ffsm_drake.systems.part import STORED_MOMENTUM
@@ -23,10 +20,10 @@ from ffsm_drake.systems.part import STORED_MOMENTUM
 class Handover:
     """Takes a run from the loop before the grasp to the one after it."""
 
-    log: GraspLog
+    log: GraspLog | None = None  # of the grasp, once it is made
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario, self.truth = scenario, scenario.payload.truth
+        self.scenario, self.payload = scenario, scenario.payload.truth  # as it lies in the gripper
         self.sample = round(scenario.grasp_time / scenario.sample_time)
         model = make_nominal_plant(scenario)
         planned = planned_contact(scenario, model)
@@ -37,43 +34,16 @@ class Handover:
         # motion (13) of the target where the arm is planned to meet it
         pose = [*self._X_WP.rotation().ToQuaternion().wxyz(), *self._X_WP.translation()]
         self.expected = np.concatenate([pose, self._twist])
-        self.legs: tuple[tuple[str, int], ...] = ()  # before the grasp; see GraspLog
 
     def start(self, loop: ClosedLoop) -> np.ndarray:
         """The plant's own [q; v] of the servicer where the approach starts."""
-        capture = self._scenario.capture
-        if capture is None or capture.approach is None:
-            raise ValueError("capture.approach: there is none")
         position = configuration(
-            loop.single, approach_posture(self._scenario), key="capture.approach.posture"
+            loop.single, approach_posture(self.scenario), key="capture.approach.posture"
         )
         velocity = loop.coordinates.vector(
-            self._scenario.initial_velocity, key="initial_velocity", default=0.0
+            self.scenario.initial_velocity, key="initial_velocity", default=0.0
         )
         return loop.split.whole(np.concatenate([position, velocity]))
-
-    def ungrasped(self, samples: int) -> GraspLog:
-        """Log of a run that ended before the grasp, after a number of samples."""
-        payload = self._scenario.payload.truth
-        return GraspLog(sample=samples, contact=None, payload=payload, target=self.path[:samples])
-
-    def joined(self, approach: RunLog, log: RunLog, start: float) -> RunLog:
-        """The log of both legs of a run that began at a wall time."""
-        return dataclasses.replace(
-            log,
-            time=np.concatenate([approach.time, log.time]),
-            series={
-                name: np.concatenate([approach.series[name], values])
-                for name, values in log.series.items()
-                if name in approach.series
-            },
-            wall_time={
-                "build": approach.wall_time["build"] + log.wall_time["build"],
-                "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
-                "total": time.perf_counter() - start,
-            },
-            grasp=dataclasses.replace(self.log, stored=stored_at_start(log)),
-        )
 
     def find_target(self, motion: np.ndarray) -> None:
         """The target is elsewhere than planned: at (13) [quaternion, p_WP; w_WP, v_WP]."""
@@ -84,7 +54,7 @@ class Handover:
         """Find how the gripper, at the plant's own [q; v], meets the target, with the loop in which
         it is held.
         """
-        scenario, plant = self._scenario, loop.single
+        scenario, plant = self.scenario, loop.single
         self._q, self._v = np.split(state, [plant.num_positions()])
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, self._q)
@@ -100,9 +70,7 @@ class Handover:
 
     def beyond_envelope(self) -> str:
         """The part of the miss beyond ``capture.envelope``; empty where the gripper holds."""
-        capture = self._scenario.capture
-        if capture is None:
-            return ""
+        envelope = (self.scenario.capture or Capture()).envelope
         (angle, distance), (rate, speed) = (
             np.linalg.norm(part.reshape(2, 3), axis=1).tolist()
             for part in (self._offset, self._mismatch)
@@ -113,7 +81,7 @@ class Handover:
             "velocity": (speed, "m/s"),
             "angular_velocity": (rate, "rad/s"),
         }
-        limits = {name: getattr(capture.envelope, name) for name in sizes}
+        limits = {name: getattr(envelope, name) for name in sizes}
         return ", ".join(
             f"{name} {size:.3g} {unit} (capture.envelope.{name}: {limits[name]:g})"
             for name, (size, unit) in sizes.items()
@@ -122,9 +90,10 @@ class Handover:
 
     def grasp(self, loop: ClosedLoop) -> np.ndarray:
         """Grasp the target, as ``log`` says; the plant's own [q; v] after it."""
-        scenario = self._scenario
+        scenario = self.scenario
         model = loop.true_model(scenario)
-        payload = seen_from(scenario.payload.truth, self._X_WQ.InvertAndCompose(self._X_WP))
+        lies = self._X_WQ.InvertAndCompose(self._X_WP)
+        self.payload = payload = seen_from(scenario.payload.truth, lies)
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=payload)
         contact = contact_at(
             scenario, model, q=self._q, velocity=self._v, target_velocity=self._twist_Q
@@ -134,53 +103,10 @@ class Handover:
             contact=contact,
             payload=payload,
             target=self.path,
-            legs=self.legs,
             offset=self._offset,
             mismatch=self._mismatch,
         )
         return np.concatenate([self._q, contact.grasp.velocity])
-
-
-class Handovers:
-    """Those of runs side by side, or of one, as callbacks of their legs."""
-
-    def __init__(self, each: Sequence[Handover], *, afresh: bool = False) -> None:
-        """Args: of each run; whether their laws start afresh with the target held."""
-        self.each, self._afresh = each, afresh
-        (self.sample,) = {handover.sample for handover in self.each}
-        self.ended: set[int] = set()  # those that do not come to their grasp
-
-    def start(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Put the servicers where the approaches start."""
-        loop.set_whole_states(root_context, np.stack([each.start(loop) for each in self.each]))
-
-    def keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Keep the loop before the grasp, and its context at the grasp."""
-        self._before, self._context_before = loop, root_context
-
-    def meet(self, loop: ClosedLoop, without: Sequence[bool] = (False,)) -> None:
-        """Find how each gripper meets its target; ``without``: those whose approach failed."""
-        self.ended = set(np.flatnonzero(without).tolist())
-        for copy, state in enumerate(self._before.whole_states(self._context_before)):
-            if copy not in self.ended:
-                self.each[copy].meet(loop, state)
-                if self.each[copy].beyond_envelope():
-                    self.ended.add(copy)
-
-    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Grasp the targets; the runs continue from the states after the grasp."""
-        rows = loop.whole_states(root_context)
-        payloads = [each.truth for each in self.each]
-        for copy, handover in enumerate(self.each):
-            if copy not in self.ended:
-                rows[copy] = handover.grasp(loop)
-                payloads[copy] = handover.log.payload
-        loop.set_whole_states(root_context, rows)
-        references = np.stack([each.reference for each in self.each])
-        before, context_before = self._before, self._context_before
-        loop.resume(root_context, before, context_before, references, afresh=self._afresh)
-        # to the blocks, which resume with nothing in the gripper
-        loop.set_payloads(root_context, payloads)
 
 
 def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassProperties:
@@ -193,6 +119,24 @@ def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassPropertie
         center_of_mass=(X_QP @ np.array(properties.center_of_mass)).tolist(),
         inertia=inertia[rows, columns].tolist(),
     )
+
+
+def grasped_at_start(log: RunLog) -> RunLog:
+    """The log of a run with its planned grasp, with which it begins."""
+    model = make_flexible_plant(log.scenario)
+    contact = planned_contact(log.scenario, model)
+    mismatch = mismatch_of(
+        log.scenario, model, contact.q, contact.velocity, contact.target_velocity
+    )
+    grasp = GraspLog(
+        sample=0,
+        contact=contact,
+        payload=log.scenario.payload.truth,
+        target=np.empty((0, 13)),
+        mismatch=mismatch,
+        stored=stored_at_start(log),
+    )
+    return dataclasses.replace(log, grasp=grasp)
 
 
 def stored_at_start(log: RunLog) -> np.ndarray | None:

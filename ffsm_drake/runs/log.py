@@ -12,8 +12,8 @@ from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.capture import Contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
+from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.part import (
     Figure,

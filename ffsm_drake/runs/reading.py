@@ -217,7 +217,7 @@ def _problems(dataset: "xr.Dataset", fields: dict[str, Any]) -> Iterator[str]:
     yield from _of_parts(dataset, scenario, fields["parts"])
     if fields["grasp"] is not None:
         shape = _grasp_shape(coordinates.names)
-        if scenario.capture is None:
+        if not scenario.grasps:
             yield f"the scenario of {MANIFEST_FILE} has no capture, but it holds a grasp"
         if problem := misfit(fields["grasp"], shape, "grasp"):
             yield f"{MANIFEST_FILE} beside it: {problem}"

@@ -29,7 +29,7 @@ from ffsm_drake.runs.blame import bad_output, failure_of
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
-from ffsm_drake.scenario import Scenario, kind_of, scenario_to_dict
+from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import signals_of
@@ -128,7 +128,8 @@ class Rollout:
         """True if ``run`` takes the scenario, or ``run_all`` the scenarios, without a new build.
 
         Each may differ in description, seed, duration, divergence speed, initial velocity and the
-        payload's true mass properties.
+        payload's true mass properties; with a capture the true centre of mass must be the same,
+        since the target's motion depends on it.
         """
         scenarios = (scenario,) if isinstance(scenario, Scenario) else scenario
         return [_built_from(each) for each in scenarios] == self._built_for
@@ -536,7 +537,7 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
     return scenario_to_dict(
         dataclasses.replace(
             scenario,
-            payload=dataclasses.replace(scenario.payload, truth=neutral.payload.truth),
+            payload=planned_part(scenario).payload,
             **changes,
         )
     )

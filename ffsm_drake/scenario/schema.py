@@ -17,7 +17,7 @@ from pydrake.systems.analysis import SimulatorConfig
 from ffsm_drake.common.settings import Problems, setting
 from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
-from ffsm_drake.scenario.capture import Capture
+from ffsm_drake.scenario.capture import Approach, Capture, Closing
 from ffsm_drake.scenario.faults import Faults
 from ffsm_drake.scenario.fields import (
     ZERO,
@@ -33,6 +33,7 @@ from ffsm_drake.scenario.reference import Planning, Reference
 from ffsm_drake.scenario.resolving import as_dict
 from ffsm_drake.scenario.sensing import CommandFilter, Estimator, Sensing
 from ffsm_drake.scenario.supervisor import Supervisor
+from ffsm_drake.scenario.target_sensing import Measured
 
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
@@ -203,8 +204,8 @@ class Scenario:
     def postures(self) -> dict[str, Posture]:
         """Every posture that the scenario gives, by key."""
         found = {"initial_posture": self.initial_posture, "target_posture": self.target_posture}
-        if self.capture is not None and self.capture.approach is not None:
-            found["capture.approach.posture"] = self.capture.approach.posture
+        if self.approach is not None:
+            found["capture.approach.posture"] = self.approach.posture
         return found
 
     @property
@@ -222,16 +223,37 @@ class Scenario:
         """Whether the reference begins at ``initial_velocity`` and brings it to rest."""
         reference = self.reference
         is_polynomial = reference.kind != "optimal"
-        return self.capture is None and reference.goal == "stop" and is_polynomial
+        return not self.grasps and reference.goal == "stop" and is_polynomial
+
+    @property
+    def starts_moving(self) -> bool:
+        """Whether the reference begins at a velocity: after a grasp, or ``stops_from_start``."""
+        return self.grasps or self.stops_from_start
+
+    @property
+    def grasps(self) -> bool:
+        """Whether a moving target is grasped, at ``grasp_time``."""
+        return self.capture is not None
 
     @property
     def grasp_time(self) -> float:
         """Time of the grasp, s; 0 for a target held from the start."""
-        return (
-            0.0
-            if self.capture is None or self.capture.approach is None
-            else self.capture.approach.duration
-        )
+        return 0.0 if self.approach is None else self.approach.duration
+
+    @property
+    def approach(self) -> Approach | None:
+        """The motion up to the grasp; None: the target is held from the start."""
+        return None if self.capture is None else self.capture.approach
+
+    @property
+    def closing(self) -> Closing | None:
+        """The closing of the gripper after an approach; None: it closes at once."""
+        return None if self.capture is None or self.approach is None else self.capture.closing
+
+    @property
+    def measured(self) -> Measured | None:
+        """The measurement of the target during the approach; None: its motion is known."""
+        return None if self.capture is None or self.approach is None else self.capture.measured
 
     @property
     def planned_end(self) -> float | None:
@@ -251,7 +273,7 @@ class Scenario:
 
 def from_grasp(scenario: Scenario) -> Scenario:
     """The scenario from the grasp on, without an approach; unchanged if it has no capture."""
-    if scenario.capture is None or scenario.grasp_time == 0.0:
+    if scenario.capture is None or scenario.approach is None:
         return scenario
     held = replace(scenario.capture, approach=None, closing=None, retreat=None, measured=None)
     return replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
@@ -285,7 +307,7 @@ def planned_part(scenario: Scenario) -> Scenario:
     """
     plain, truth = Scenario(), MassProperties()
     # the target turns about its true centre of mass before the grasp
-    if scenario.capture is not None:
+    if scenario.grasps:
         truth.center_of_mass = scenario.payload.truth.center_of_mass
     payload = replace(scenario.payload, truth=truth)
     changes = {name: getattr(plain, name) for name in _OF_THE_RUN}

@@ -10,13 +10,13 @@ from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import quaternion_of
-from ffsm_drake.scenario import Capture, MassProperties, Scenario
+from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
-    Grasp,
+    Contact,
     compliant_grasp,
     plastic_grasp,
     shift_moment,
@@ -24,30 +24,6 @@ from ffsm_drake.spacecraft.grasp import (
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
-
-NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Contact:
-    """A grasp, with the motion before and after it; world axes, SI units.
-
-    q and v are the plant's own and include its flexible parts.
-    """
-
-    q: np.ndarray  # (nq)
-    velocity: np.ndarray  # (nv) of the servicer before the grasp
-    target_velocity: np.ndarray  # (6) of the target's frame P before: angular, linear
-    grasp: Grasp
-    # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
-    impulse: np.ndarray
-    # (6) of both, angular about the world's origin, then linear, N m s and N s
-    momentum_before: np.ndarray
-    momentum_after: np.ndarray
-    spin_before: np.ndarray  # (3) angular momentum of both about their centre of mass, N m s
-    spin_after: np.ndarray
-    compliant: CompliantGrasp | None  # with a compliance of the gripper
-    split: StateSplit
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
@@ -212,13 +188,6 @@ def _shift_twist(offset: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """Initial velocity (nv) of the motion with the target held; errors as ``planned_contact``."""
-    if scenario.capture is not None:
-        return planned_contact(scenario, model).grasp.velocity
-    return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
-
-
 def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
     """A scenario's grasp: in ``initial_posture``, at the chosen rates, with ``model``'s payload.
 
@@ -248,8 +217,7 @@ def target_path(
     model.plant.SetPositions(model.context, planned.q)
     body = target_body(scenario, model)
     X_WP = RigidTransform(body.EvalPoseInWorld(model.context))
-    closing = None if scenario.capture is None else scenario.capture.closing
-    if closing is not None:
+    if (closing := scenario.closing) is not None:
         arm = model.calc_jacobian(planned.q, body.body_frame()) @ planned.velocity
         turn, way = np.split(0.5 * closing.duration * (planned.target_velocity - arm), 2)
         rotation = RotationMatrix(Quaternion(quaternion_of(turn))) @ X_WP.rotation()

@@ -17,6 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ffsm_drake.spacecraft.coordinates import StateSplit
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grasp:
@@ -100,6 +102,28 @@ class CompliantGrasp:
     time: float
     # (6) on the target, about the gripper's point: angular, linear; as in the plastic grasp
     impulse: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Contact:
+    """A grasp, with the motion before and after it; world axes, SI units.
+
+    q and v are the plant's own and include its flexible parts.
+    """
+
+    q: np.ndarray  # (nq)
+    velocity: np.ndarray  # (nv) of the servicer before the grasp
+    target_velocity: np.ndarray  # (6) of the target's frame P before: angular, linear
+    grasp: Grasp
+    # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
+    impulse: np.ndarray
+    # (6) of both, angular about the world's origin, then linear, N m s and N s
+    momentum_before: np.ndarray
+    momentum_after: np.ndarray
+    spin_before: np.ndarray  # (3) angular momentum of both about their centre of mass, N m s
+    spin_after: np.ndarray
+    compliant: CompliantGrasp | None  # with a compliance of the gripper
+    split: StateSplit
 
 
 def compliant_grasp(

@@ -10,7 +10,7 @@ from ffsm_drake.spacecraft.plant import configuration
 
 def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
     """Initial velocity (nv) of the motion with the target held; errors as ``planned_contact``."""
-    if scenario.capture is not None:
+    if scenario.grasps:
         return planned_contact(scenario, model).grasp.velocity
     return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
 
@@ -20,6 +20,6 @@ def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     v = model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
     state = model.split.whole(np.concatenate([q, v]))
-    if scenario.capture is not None:
+    if scenario.grasps:
         state[model.plant.num_positions() :] += planned_contact(scenario, model).grasp.velocity
     return state

@@ -11,10 +11,12 @@ from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
-from ffsm_drake.spacecraft.capture import NOTHING, Contact, planned_contact, target_path
+from ffsm_drake.spacecraft.capture import planned_contact, target_path
 from ffsm_drake.spacecraft.clearance import shapes_of
+from ffsm_drake.spacecraft.grasp import Contact
+from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
@@ -44,9 +46,8 @@ def approach_posture(scenario: Scenario) -> Posture:
 
 def given_approach(scenario: Scenario) -> Approach:
     """A scenario's approach with its start given; errors as ``approach_posture``."""
-    assert scenario.capture is not None
-    assert scenario.capture.approach is not None
-    approach = scenario.capture.approach
+    approach = scenario.approach
+    assert approach is not None
     if approach.start == "given":
         return approach
     # what the plan depends on: the laws of a campaign share it
@@ -69,15 +70,14 @@ def given_approach(scenario: Scenario) -> Approach:
 
 @memoized(maxsize=16)
 def _clear_start(scenario: Scenario) -> Posture:
-    capture = scenario.capture
-    assert capture is not None
-    assert capture.approach is not None
+    approach = scenario.approach
+    assert approach is not None
     model = make_nominal_plant(scenario)
     contact = planned_contact(scenario, model)
     X_WP, path = target_path(scenario, model, contact)
     end = np.array(scenario.initial_posture.base_position)
-    best, kept = -np.inf, capture.approach.posture
-    needed = scenario.clearance + capture.approach.margin
+    best, kept = -np.inf, approach.posture
+    needed = scenario.clearance + approach.margin
     for joints, way in itertools.product(
         (kept.joints, scenario.initial_posture.joints), _ways(end - X_WP.translation())
     ):
@@ -119,16 +119,36 @@ def approach_motion(
     scenario: Scenario, model: PlantModel, contact: Contact, posture: Posture
 ) -> PolynomialMotion:
     """The way from the grasp back to a posture, as a function of the time before the grasp."""
-    assert scenario.capture is not None
-    assert scenario.capture.approach is not None
     return PolynomialMotion(
         coordinates=model.coordinates,
         start=scenario.initial_posture,
         target=posture,
-        blend=Blend(scenario.reference, scenario.capture.approach.duration, backwards=True),
+        blend=Blend(scenario.reference, scenario.grasp_time, backwards=True),
         base_rotation=scenario.reference.base_rotation,
         sample_time=scenario.sample_time,
         velocity=-contact.velocity,
+    )
+
+
+def planned_approach(scenario: Scenario, model: PlantModel) -> PolynomialMotion:
+    """The approach of a scenario, backwards; errors as ``approach_posture``."""
+    contact = planned_contact(scenario, model)
+    return approach_motion(scenario, model, contact, approach_posture(scenario))
+
+
+def without_target(scenario: Scenario) -> Scenario:
+    """The scenario with an empty gripper, valid up to the grasp."""
+    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
+    # the target turns about its true centre of mass, which the gripper meets
+    truth = dataclasses.replace(NOTHING, center_of_mass=scenario.payload.truth.center_of_mass)
+    capture = scenario.capture
+    if capture is not None:
+        capture = dataclasses.replace(capture, compliance=None, approach=given_approach(scenario))
+    return dataclasses.replace(
+        scenario,
+        capture=capture,
+        payload=dataclasses.replace(scenario.payload, truth=truth, nominal=NOTHING),
+        reference=dataclasses.replace(scenario.reference, duration=some),
     )
 
 

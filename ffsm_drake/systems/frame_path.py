@@ -14,9 +14,9 @@ from pydrake.multibody.tree import Frame
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import eigenaxis_motion, rotation_error, rotation_vector_motion
 from ffsm_drake.scenario import FrameGoal, Scenario
-from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend
 
 FRAME_SIZE = 19  # length of a row of FramePath
@@ -100,7 +100,7 @@ def make_frame_path(
     model.plant.SetPositions(model.context, q)
     X_WF = frame.CalcPoseInWorld(model.context)
     twist = np.zeros(6)
-    if scenario.capture is not None or scenario.stops_from_start:
+    if scenario.starts_moving:
         twist = model.calc_jacobian(q, frame) @ velocity_at_start(scenario, model)
     blend = Blend(reference, duration)
     quaternion, change = X_WF.rotation().ToQuaternion().wxyz(), np.zeros(6)

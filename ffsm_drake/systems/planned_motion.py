@@ -1,6 +1,7 @@
 """A planned motion as a function of time."""
 
 import abc
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -66,3 +67,41 @@ class PlannedMotion(abc.ABC):
             self._first_sample = sample
             self._rows = self.rows(self._sample_time * np.arange(sample, sample + count))
         return self._rows[sample - self._first_sample]
+
+
+class InTurn(PlannedMotion):
+    """Motions that begin at given times of the run, each where the one before it ends."""
+
+    def __init__(
+        self,
+        motions: Sequence[tuple[float, PlannedMotion]],
+        *,
+        begin: float,
+        end: float,
+        sample_time: float,
+    ) -> None:
+        self._motions, coordinates = motions, motions[-1][1].coordinates
+        super().__init__(coordinates=coordinates, sample_time=sample_time, begin=begin, end=end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        (first, motion), *later = self._motions
+        rows = motion.rows(times - first)
+        for begin, motion in later:
+            rows = np.where((times > begin - 1e-9)[:, None], motion.rows(times - begin), rows)
+        return rows
+
+
+class Backwards(PlannedMotion):
+    """A motion from its end to its beginning."""
+
+    def __init__(self, motion: PlannedMotion, *, sample_time: float) -> None:
+        self._motion = motion
+        super().__init__(coordinates=motion.coordinates, sample_time=sample_time, end=motion.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        rows = self._motion.rows(self.end - times)
+        first = len(self.coordinates.position_names)
+        rows[:, first : first + len(self.coordinates.names)] *= -1.0
+        return rows

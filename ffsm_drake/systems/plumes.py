@@ -8,8 +8,8 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.scenario import Scenario, thrusters_of
-from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
+from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plume import PlumeField, returned_shares
 from ffsm_drake.systems.part import HELD_FORCE, STEPS, Figure, Metric, Part, Signal, View

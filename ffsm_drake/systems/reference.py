@@ -23,18 +23,18 @@ from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Scenario, planned_part, scenario_to_dict
-from ffsm_drake.spacecraft.capture import NOTHING, planned_contact, velocity_at_start
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
-from ffsm_drake.systems.approach import approach_motion, approach_posture, given_approach
+from ffsm_drake.spacecraft.start import velocity_at_start
+from ffsm_drake.systems.approach import planned_approach
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.plan import Plan, load_plan
-from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.planned_motion import Backwards, InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.resolved_motion import ResolvedMotion
 from ffsm_drake.systems.setup import BlockSetup
@@ -55,36 +55,6 @@ class SplineMotion(PlannedMotion):
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         return self._plan.rows(times)
-
-
-class CaptureMotion(PlannedMotion):
-    """A motion run backwards until the grasp, at ``begin``; then another."""
-
-    def __init__(
-        self, *, approach: PolynomialMotion, stop: PlannedMotion, sample_time: float
-    ) -> None:
-        """Args:
-        approach: the approach, from the grasp back to the start.
-        stop: the motion after the grasp.
-        sample_time: the control period, s.
-        """
-        self._approach, self._stop = approach, stop
-        begin = approach.end
-        super().__init__(
-            coordinates=stop.coordinates, sample_time=sample_time, begin=begin, end=begin + stop.end
-        )
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        num_positions, num_velocities = (
-            len(self.coordinates.position_names),
-            len(self.coordinates.names),
-        )
-        before = self._approach.end - times
-        backwards = self._approach.rows(before)
-        backwards[:, num_positions : num_positions + num_velocities] *= -1.0
-        held = times > self.begin - 1e-9  # samples are multiples of the period, to rounding
-        return np.where(held[:, None], self._stop.rows(times - self._approach.end), backwards)
 
 
 class _FrameMotion(PlannedMotion):
@@ -151,9 +121,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be
         computed, or the plan cannot be read.
     """
-    capture, reference = scenario.capture, scenario.reference
+    reference = scenario.reference
     nominal = make_nominal_plant(scenario)
-    contact = None if capture is None else planned_contact(scenario, nominal)
     target = None if reference.goal == "stop" else scenario.target_posture
 
     def polynomial(
@@ -169,9 +138,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
             velocity=velocity,
         )
 
-    velocity = None if contact is None else contact.grasp.velocity
-    if scenario.stops_from_start:
-        velocity = velocity_at_start(scenario, nominal)
+    velocity = velocity_at_start(scenario, nominal) if scenario.starts_moving else None
     duration = reference.duration
     stop: PlannedMotion
     if reference.kind == "optimal":
@@ -187,10 +154,12 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
                 shaped_by=make_impulses(reference.shaper).length,
             )
         stop = polynomial(Blend(reference, duration), target, velocity)
-    if capture is None or contact is None or capture.approach is None:
+    if scenario.grasp_time == 0.0:
         return _follow(scenario, nominal, stop)
-    approach = approach_motion(scenario, nominal, contact, approach_posture(scenario))
-    return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)
+    period = scenario.sample_time
+    approach = Backwards(planned_approach(scenario, nominal), sample_time=period)
+    grasp, end = approach.end, approach.end + stop.end
+    return InTurn([(0.0, approach), (grasp, stop)], begin=grasp, end=end, sample_time=period)
 
 
 def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
@@ -234,22 +203,6 @@ def timed(scenario: Scenario) -> Scenario:
         duration = round(duration / scenario.sample_time) * scenario.sample_time
     reference = dataclasses.replace(scenario.reference, duration=duration)
     return dataclasses.replace(scenario, reference=reference)
-
-
-def without_target(scenario: Scenario) -> Scenario:
-    """The scenario with an empty gripper, valid up to the grasp."""
-    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
-    # the target turns about its true centre of mass, which the gripper meets
-    truth = dataclasses.replace(NOTHING, center_of_mass=scenario.payload.truth.center_of_mass)
-    capture = scenario.capture
-    if capture is not None:
-        capture = dataclasses.replace(capture, compliance=None, approach=given_approach(scenario))
-    return dataclasses.replace(
-        scenario,
-        capture=capture,
-        payload=dataclasses.replace(scenario.payload, truth=truth, nominal=NOTHING),
-        reference=dataclasses.replace(scenario.reference, duration=some),
-    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

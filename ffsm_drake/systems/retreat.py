@@ -1,7 +1,6 @@
 """The planned motion after a target that was not captured: away from it, and to it again."""
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 from pydrake.systems.framework import Diagram
@@ -9,33 +8,10 @@ from pydrake.systems.framework import Diagram
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.reference import make_motion, reference_from
 from ffsm_drake.systems.setup import BlockSetup
-
-
-class _InTurn(PlannedMotion):
-    """Motions that begin at given times of the run, each where the one before it ends."""
-
-    def __init__(
-        self,
-        motions: Sequence[tuple[float, PlannedMotion]],
-        *,
-        begin: float,
-        end: float,
-        sample_time: float,
-    ) -> None:
-        self._motions, coordinates = motions, motions[-1][1].coordinates
-        super().__init__(coordinates=coordinates, sample_time=sample_time, begin=begin, end=end)
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        (first, motion), *later = self._motions
-        rows = motion.rows(times - first)
-        for begin, motion in later:
-            rows = np.where((times > begin - 1e-9)[:, None], motion.rows(times - begin), rows)
-        return rows
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -82,7 +58,7 @@ class RetreatReference:
             own = make_motion(scenario, coordinates)
             motions.append((self.again, own))
             begin, end = self.again + own.begin, self.again + own.end
-        return _InTurn(motions, begin=begin, end=end, sample_time=scenario.sample_time)
+        return InTurn(motions, begin=begin, end=end, sample_time=scenario.sample_time)
 
     def __call__(self, setup: BlockSetup) -> Diagram:
         """The block."""

@@ -31,8 +31,8 @@ from pydrake.systems.primitives import Demultiplexer
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Reference, Scenario
-from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
+from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.approach import approach_posture
 from ffsm_drake.systems.blend import Blend
@@ -209,7 +209,7 @@ class NewPlan:
     def motion(self, scenario: Scenario, coordinates: Coordinates) -> PolynomialMotion:
         """As a function of the time since its begin."""
         goal = None if scenario.reference.goal == "stop" else scenario.target_posture
-        if self.retreats and scenario.capture is not None and scenario.capture.approach is not None:
+        if self.retreats and scenario.grasp_time > 0.0:
             goal = approach_posture(scenario)
         return PolynomialMotion(
             coordinates=coordinates,

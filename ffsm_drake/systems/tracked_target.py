@@ -17,7 +17,8 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import attitude_motion, matrix_of, quaternion_of
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.scenario.target_sensing import Measured, TargetTracker
 from ffsm_drake.spacecraft.free_body import SIZE, Target, composed, turn_between
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
@@ -64,6 +65,8 @@ class TrackedTarget(Part):
     def __init__(
         self,
         scenario: Scenario,
+        grasp: Capture,
+        measured: Measured,
         path: np.ndarray,
         expected: Target,
         *,
@@ -71,11 +74,12 @@ class TrackedTarget(Part):
         approached: Approached | None = None,
         sees: bool = True,
     ) -> None:
-        """Args: the run's scenario; the true target's motion (n, 13) at the control samples; the
-        one expected at the start; what is displaced, None: the scenario's own motion; for what,
-        None: nothing is; whether there are images.
+        """Args: the run's scenario, and settings in it; the true target's motion (n, 13) at the
+        control samples; the one expected at the start; what is displaced, None: the scenario's own
+        motion; for what, None: nothing is; whether there are images.
         """
-        self.scenario, self.path, self.expected, self.inner = scenario, path, expected, inner
+        self.scenario, self.grasp, self.measured = scenario, grasp, measured
+        self.path, self.expected, self.inner = path, expected, inner
         self.approached, self.sees = approached, sees
 
     def build(self, setup: BlockSetup) -> "TrackedReference":
@@ -154,13 +158,12 @@ def _mean_nees(run: View) -> float:
     return float(at_images.mean()) if at_images.size else float("nan")
 
 
-def drawn_path(scenario: Scenario, motion: np.ndarray) -> tuple[np.ndarray, Target]:
+def drawn_path(
+    scenario: Scenario, settings: TargetTracker, motion: np.ndarray
+) -> tuple[np.ndarray, Target]:
     """The true motion (13) at the start of a target that is expected in another, drawn from the
     scenario's seed; and the target as it is expected, with nominal mass properties.
     """
-    assert scenario.capture is not None
-    assert scenario.capture.measured is not None
-    settings = scenario.capture.measured.filter
     random = np.random.default_rng([scenario.random_seed, 1])
     truth = Target.from_motion(motion, scenario.payload.truth)
     nominal = Target.from_motion(motion, scenario.payload.nominal)
@@ -176,15 +179,11 @@ def drawn_path(scenario: Scenario, motion: np.ndarray) -> tuple[np.ndarray, Targ
 class TrackedReference(LeafSystem):
     """The block. Outputs: those of a reference, the part's signals, ``abort_request``."""
 
-    carries_on = True  # from leg to leg, in contrast to other references
-
     def __init__(self, part: TrackedTarget, motion: PlannedMotion) -> None:
         super().__init__()
         scenario = part.scenario
-        assert scenario.capture is not None
-        assert scenario.capture.measured is not None
         self._part, self._motion, self._scenario = part, motion, scenario
-        self._settings, self._envelope = scenario.capture.measured, scenario.capture.envelope
+        self._settings, self._envelope = part.measured, part.grasp.envelope
         orbit = None if scenario.environment is None else Orbit(scenario.environment)
         self._filter = TargetFilter(self._settings.filter, part.expected, orbit)
         self._period = scenario.sample_time
@@ -356,9 +355,7 @@ class TrackedReference(LeafSystem):
         R = matrix_of(quaternion_of(turn))
         arm, goal = R @ (q[4:7] - planned[4:7]), np.zeros((3, 6))
         goal[0] = np.concatenate([turn, motion[4:7] + arm - q[4:7]])
-        capture = self._scenario.capture
-        assert capture is not None
-        if capture.servicer.startswith("track"):
+        if self._part.grasp.servicer.startswith("track"):
             dw = motion[7:10] - R @ planned[7:10]
             goal[1, :3] = dw - 0.5 * np.cross(turn, dw)
             goal[1, 3:] = motion[10:] - R @ planned[10:] + np.cross(dw, arm)

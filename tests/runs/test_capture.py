@@ -15,15 +15,15 @@ from ffsm_drake.analysis import analyze
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.preflight.simulate import make_record
-from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.handover import seen_from
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
+from ffsm_drake.runs.mission import MissionRollout, make_rollout
 from ffsm_drake.scenario import MassProperties, Payload, Scenario, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.results import results_of
-from ffsm_drake.spacecraft.capture import NOTHING, coast, planned_contact
-from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
+from ffsm_drake.spacecraft.capture import coast, planned_contact
+from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import make_law
 
@@ -46,7 +46,7 @@ GRASP = 200  # the sample
 
 @pytest.fixture(scope="module")
 def rollout():
-    return CaptureRollout(SCENARIO)
+    return MissionRollout(SCENARIO)
 
 
 @pytest.fixture(scope="module")

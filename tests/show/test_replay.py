@@ -13,7 +13,7 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.show.meshcat import recording_html, start_meshcat, write_recording
 from ffsm_drake.show.meshcat.actuators import SwitchedSolids, solids_of

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from ffsm_drake import ScenarioError, load_scenario
-from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.handover import Handover
 from ffsm_drake.runs.limits import CLEARANCE, closest_of, distances_in, limits_left
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.approach import approach_posture, given_approach
+from ffsm_drake.systems.approach import approach_posture, given_approach, without_target
 from ffsm_drake.systems.limits import actuation_limit
-from ffsm_drake.systems.reference import make_motion, without_target
+from ffsm_drake.systems.reference import make_motion
 
 CLEAR = ["capture.approach.start=clear", "sample_time=0.02"]
 

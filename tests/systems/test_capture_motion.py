@@ -14,7 +14,8 @@ from ffsm_drake.common.so3 import rotation_vector_motion
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
-from ffsm_drake.systems.reference import make_motion, without_target
+from ffsm_drake.systems.approach import without_target
+from ffsm_drake.systems.reference import make_motion
 
 NQ, NV = 12, 11
 TUMBLE = [

@@ -14,11 +14,11 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.analysis.balances import energy_residual
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Approach, Environment, Scenario, SolarPressure
-from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.orbit import EARTH_GRAVITY, mean_motion
 from ffsm_drake.spacecraft.plant import configuration

@@ -10,7 +10,7 @@ from flight_settings import FLIGHT, NO_NOISE
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
-from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (

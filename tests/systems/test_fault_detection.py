@@ -10,8 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import Thrusters
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant

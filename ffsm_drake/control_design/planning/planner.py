@@ -15,7 +15,6 @@ from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics
 from ffsm_drake.control_design.planning.limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.control_design.planning.program import INSTANTS, PlanningProgram
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
@@ -25,6 +24,7 @@ from ffsm_drake.spacecraft.coordinates import (
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.reference import SplineMotion

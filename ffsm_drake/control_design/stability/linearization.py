@@ -40,9 +40,10 @@ from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_actuation
+from ffsm_drake.systems.approach import without_target
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController
-from ffsm_drake.systems.reference import make_motion, timed, without_target
+from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
 
 # Fractions of the planned motion at which a loop is linearised.

@@ -32,14 +32,17 @@ _NOISE_PEAK, _TOLERATED = 3.0, 50.0
 _NOTABLE, _LARGE = 0.05, 0.5  # share of saturated samples; that is said though a run settles
 
 
-def predicted_load(linearizer: Linearizer) -> float:
+def predicted_load(linearizer: Linearizer) -> float | None:
     """Largest force after a grasp, without noise, as a fraction of its limit; above 1 it saturates.
+    None without a capture.
 
     In the first second the loop responds to the difference between true and planned velocity after
     the grasp; this is simulated without noise and limits. Afterwards the force is that of perfect
     tracking with the true payload, less the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
+    if not scenario.grasps:
+        return None
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
     _, force = linearizer.follow(samples=answer)
     begin = answer * scenario.sample_time
@@ -122,7 +125,7 @@ def _base_load(scenario: Scenario) -> Load:
 def _motion_peak(planned: PlannedDynamics) -> np.ndarray:
     """The largest force (nv) of perfect tracking, of a capture after its first seconds."""
     end = min(planned.motion.end, planned.scenario.duration)
-    begin = 0.0 if planned.scenario.capture is None else min(_TRANSIENT, 0.5 * end)
+    begin = min(_TRANSIENT, 0.5 * end) if planned.scenario.grasps else 0.0
     _, force = planned.perfect_tracking(np.linspace(begin, end, _INSTANTS))
     peak: np.ndarray = np.abs(force).max(axis=0)
     return peak

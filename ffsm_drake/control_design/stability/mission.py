@@ -38,10 +38,9 @@ def _scope(scenario: Scenario, leg: Leg) -> str:
         left.append("the supervisor")
     if scenario.faults is not None:
         left.append("the faults")
-    capture = scenario.capture
-    if leg == "approach" and capture is not None and capture.closing is not None:
+    if leg == "approach" and scenario.closing is not None:
         left.append("the gripper's closing")
-        if capture.measured is not None:
+        if scenario.measured is not None:
             left.append("the target's estimate")
     alone = ", the servicer alone" if leg == "approach" else ""
     return f"moving as planned, without {', '.join(left[:-1])} and {left[-1]}{alone}"
@@ -97,7 +96,7 @@ def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> 
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
-    if scenario.capture is None:
+    if not scenario.grasps:
         return LinearVerdict(legs=(_leg(scenario, "motion", linearizer),))
     approach = (_leg(scenario, "approach", None),) if scenario.grasp_time > 0.0 else ()
     return LinearVerdict(legs=(*approach, _leg(scenario, "stop", linearizer)))

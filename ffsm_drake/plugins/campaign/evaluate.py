@@ -25,11 +25,11 @@ from ffsm_drake.plugins.campaign.cases import Case, scenario_of
 from ffsm_drake.plugins.campaign.prediction import predict
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
-from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
@@ -65,12 +65,17 @@ DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
 NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot be linearised
 
 
+def texts_of(spec: Spec) -> tuple[str, ...]:
+    """The columns of a campaign that hold text of a run's limits: those of a capture."""
+    return (FIRST_LIMIT,) if spec.scenario.grasps else ()
+
+
 def metrics_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that a run's metrics fill."""
     metrics = (metric for part in parts_of_campaign(spec) for metric in part.metrics())
     return (
         *METRICS,
-        *(OF_CAPTURE if spec.scenario.capture else ()),
+        *(OF_CAPTURE if texts_of(spec) else ()),
         *(metric.column_name for metric in metrics if metric.column_name),
         *(name for part in frame_parts(spec) for name in OF_FRAME[part]),
         *(OF_DRIFT[group] for group in spec.scenario.undriven),
@@ -91,7 +96,7 @@ def frame_parts(spec: Spec) -> tuple[str, ...]:
 
 def predictions_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign's predictions; all below 1: the run is predicted to settle."""
-    load = (LOAD,) if spec.scenario.capture else ()
+    load = (LOAD,) if texts_of(spec) else ()
     return (*PREDICTIONS, *load, *((DIVERGENCE,) if is_rehearsed(spec.scenario) else ()))
 
 
@@ -243,7 +248,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}
     values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}
     text = {"outcome": outcome, "message": message}
-    if spec.scenario.capture:
+    if texts_of(spec):
         near = distances_in(log)
         left, closest = limits_left(log, near), float(near[1].min(initial=np.inf))
         values["closest_distance"] = closest if math.isfinite(closest) else None

@@ -41,8 +41,8 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
         starting, expected = found = _radii(linearizer)
-        if scenario.capture is not None:
-            found.append(predicted_load(linearizer))
+        if (load := predicted_load(linearizer)) is not None:
+            found.append(load)
         if is_rehearsed(scenario):
             stable = max(starting, expected) < 1.0
             found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)

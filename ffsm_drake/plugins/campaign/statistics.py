@@ -20,6 +20,7 @@ from ffsm_drake.plugins.campaign.evaluate import (
     PREDICTIONS,
     metrics_of,
     predictions_of,
+    texts_of,
 )
 from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.plugins.campaign.spec import Spec
@@ -82,7 +83,7 @@ def read_table(store: Store) -> Table:
                 for name, cell in zip(columns, cells[2:], strict=True)
             },
         )
-        if store.spec.scenario.capture:
+        if texts_of(store.spec):
             limits = store.query(
                 f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY "
                 "case_index",

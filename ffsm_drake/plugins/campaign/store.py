@@ -31,6 +31,7 @@ from ffsm_drake.plugins.campaign.evaluate import (
     Row,
     metrics_of,
     predictions_of,
+    texts_of,
 )
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 
@@ -536,9 +537,17 @@ def _one_line_errors(path: Path) -> Iterator[None]:
 
 def result_columns(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign's results, in their order."""
-    text = (FIRST_LIMIT,) if spec.scenario.capture else ()
     numbers = (*metrics_of(spec), *predictions_of(spec))
-    return ("outcome", "outcome_time", "message", *text, *numbers, "wall_time", "worker", "rss_mib")
+    return (
+        "outcome",
+        "outcome_time",
+        "message",
+        *texts_of(spec),
+        *numbers,
+        "wall_time",
+        "worker",
+        "rss_mib",
+    )
 
 
 def _to_column(value: Any) -> Any:

@@ -24,8 +24,8 @@ from ffsm_drake.plugins.policy.policy import (
     observation,
     observation_names,
 )
-from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw

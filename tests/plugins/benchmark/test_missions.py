@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ffsm_drake.plugins.benchmark.missions import bounds_of, load_mission
-from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.metrics import base_drift
+from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers.laws.torque_against_momentum import angular_momentum
