@@ -107,7 +107,7 @@ class ClosingRun(Mission):
     def first(self, loop: Rollout, scenarios: Sequence[Scenario] | None) -> Phase:
         """The approach, on the loop of such without closing, which a measured target replaces."""
         if self._measured:
-            loop, scenarios = self._loop(self.followed(self.blocks)), None
+            loop, scenarios = self._apart(self.followed(self.blocks)), None
         return Phase(
             loop=loop,
             names=(("approach", self.handover.sample - self._samples),),
@@ -116,10 +116,9 @@ class ClosingRun(Mission):
             next=self._close,
         )
 
-    def _loop(self, blocks: dict[str, Factory], joint_force: np.ndarray | None = None) -> Rollout:
+    def _apart(self, blocks: dict[str, Factory], joint_force: np.ndarray | None = None) -> Rollout:
         """A loop with the target apart."""
-        alone = without_target(self.scenario)
-        return Rollout(alone, blocks=blocks, joint_force=joint_force)
+        return self._loop(without_target(self.scenario), blocks=blocks, joint_force=joint_force)
 
     def _stop(self) -> Phase:
         """The stop with the target in the gripper, at rest there, planned from the state that the
@@ -149,7 +148,8 @@ class ClosingRun(Mission):
         handover.sample, handover.path = self.sample, self._motion[: self.sample]
         handover.find_target(self._motion[self.sample])
         self.handovers = [handover]
-        loop = Rollout(scenario, blocks=self.followed(self.blocks, follows=False, sees=False))
+        blocks = self.followed(self.blocks, follows=False, sees=False)
+        loop = self._loop(scenario, blocks=blocks)
         self.meet(loop.loop)
         return Phase(loop=loop, names=(("stop", None),), begin=self.grasp)
 
@@ -183,7 +183,9 @@ class ClosingRun(Mission):
         blocks = self._supervised({**self.blocks, GRIPPER: part}, waits=True)
         limp = self._closing.joints == "limp"
         applied = self.logs[0][-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
-        loop = self._loop(self.followed(blocks, sees=False), applied.mean(axis=0) if limp else None)
+        loop = self._apart(
+            self.followed(blocks, sees=False), applied.mean(axis=0) if limp else None
+        )
 
         def begin(loop: ClosedLoop, root_context: Context) -> None:
             self._go_on(loop, root_context)
@@ -304,7 +306,7 @@ class ClosingRun(Mission):
                 block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
 
         return Phase(
-            loop=self._loop(self.followed(self.blocks, follows=again is not None)),
+            loop=self._apart(self.followed(self.blocks, follows=again is not None)),
             names=names,
             begin=go_on,
             next=next,

@@ -7,6 +7,7 @@ until which sample, and what follows. Runs side by side go through the same phas
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context
@@ -59,6 +60,7 @@ class Mission:
         self.failed: dict[int, Outcome] = {}  # of the runs that did not capture their target
         self.ended: set[int] = set()
         self._lost: set[int] = set()  # those without a log
+        self._own: list[Rollout] = []  # loops of this mission alone
 
     def run(self, phase: Phase | None) -> list[RunLog | None]:
         """Run through a phase and those that follow: a log of each run; None of one to run alone.
@@ -74,8 +76,16 @@ class Mission:
                 self._note(phase, [error.log])
                 error.log = self._joined(0)
             raise
+        finally:
+            for loop in self._own:
+                loop.release()
         copies = range(len(self.logs))
         return [None if copy in self._lost else self._joined(copy) for copy in copies]
+
+    def _loop(self, scenario: Scenario, **how: Any) -> Rollout:
+        """A loop that is released at the end of the run; arguments as for ``Rollout``."""
+        self._own.append(Rollout(scenario, **how))
+        return self._own[-1]
 
     def put_at_start(self, loop: ClosedLoop, root_context: Context) -> None:
         """Put the servicers where their approaches start."""

@@ -1,5 +1,6 @@
 """Runs whose gripper closes over a time: outcomes, and what follows a target that gets away."""
 
+import gc
 import importlib.util
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from ffsm_drake.runs.closing import ClosingRun
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.spacecraft.capture import coast
 from ffsm_drake.spacecraft.free_body import Target
+from ffsm_drake.systems.gripper import GripperForce
 from ffsm_drake.systems.supervisor import Mode
 
 # From a posture near that at the grasp, so that two seconds are enough.
@@ -82,6 +84,18 @@ def test_a_missed_target_is_left_at_once():
     assert record.outcome.status == "missed"
     assert record.outcome.time == record.dataset["time"].values[-1] == 0.99
     assert record.metrics["gripper"] == {"closings": 0, "peak_force": 0.0, "peak_torque": 0.0}
+
+
+def test_the_loops_of_a_run_are_freed():
+    def alive():
+        gc.collect()
+        return sum(isinstance(each, GripperForce) for each in gc.get_objects())
+
+    before = alive()
+    retreat = "capture.retreat={tries: 1, duration: 1, distance: 0.05}"
+    record = closed("capture.envelope.position=0.01", retreat)
+    assert list(phases_of(record.dataset)) == ["approach", "retreat"]
+    assert alive() == before
 
 
 @pytest.mark.long
