@@ -240,7 +240,7 @@ def test_faults_with_a_supervisor(name, unit, kind):
     record = simulate(load_scenario(name, ["duration=9", faults]))
     assert record.dataset["time"][-1] > 8.99
     found = record.metrics["faults"]["noticed"]
-    remarks = [remark for remark in run_remarks(record) if "noticed" in remark]
+    remarks = [remark for remark in run_remarks(record) if "detected" in remark]
     if unit is None:
         assert (found, remarks) == (None, [])
         return
