@@ -15,7 +15,14 @@ _SUBJECTS = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
 
 
 def analyze(record: RunRecord) -> Analysis:
-    """Evaluate every finding on a run, completed or not; inapplicable ones give their reason."""
+    """Evaluate every finding on a run, completed or not; inapplicable ones give their reason.
+
+    Example:
+      >>> from ffsm_drake import analyze, load_scenario, simulate
+      >>> record = simulate(load_scenario("postcapture", ["duration=0.5"]))
+      >>> [each.key for each in analyze(record).findings if "momentum" in each.key]
+      ['momentum_balance']
+    """
     run = Evidence(record)
     found = {finding.key: finding for subject in _SUBJECTS for finding in subject.findings(run)}
     return Analysis(findings=tuple(found[key] for key in TITLES), series=run.dataset())

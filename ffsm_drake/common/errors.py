@@ -12,7 +12,16 @@ _MAX_LENGTH = 1500  # characters of an error text
 
 
 class FfsmError(Exception):
-    """Base of every error caused by bad input; its text is one line, shortened if long."""
+    """Base of every error caused by bad input; its text is one line, shortened if long.
+
+    Example:
+      >>> from ffsm_drake import FfsmError, load_scenario
+      >>> try:
+      ...     load_scenario("postcapture", ["payload.truth.mass=-1"])
+      ... except FfsmError as error:
+      ...     print(type(error).__name__)
+      ScenarioError
+    """
 
     def __init__(self, text: str) -> None:
         line = " ".join(text.splitlines())
@@ -24,7 +33,16 @@ class FfsmError(Exception):
 
 
 class ScenarioError(FfsmError):
-    """A scenario file, key or override that cannot be used."""
+    """A scenario file, key or override that cannot be used.
+
+    Example:
+      >>> from ffsm_drake import ScenarioError, load_scenario
+      >>> try:
+      ...     load_scenario("postcapture", ["duraton=3"])
+      ... except ScenarioError as error:
+      ...     print("did you mean 'duration'" in str(error))
+      True
+    """
 
     def __init__(self, key: str, problem: str, *, source: str = "") -> None:
         self.key = key
@@ -49,7 +67,17 @@ class LimitError(ScenarioError):
 
 
 class ModelError(FfsmError):
-    """A URDF or model directive that does not describe a usable spacecraft."""
+    """A URDF or model directive that does not describe a usable spacecraft.
+
+    Example:
+      >>> from ffsm_drake import ModelError, load_scenario, make_true_plant
+      >>> scenario = load_scenario("postcapture", ["payload.body=debris::nobody"])
+      >>> try:
+      ...     make_true_plant(scenario)
+      ... except ModelError as error:
+      ...     print("nobody" in str(error))
+      True
+    """
 
 
 class BlockError(FfsmError):
@@ -57,6 +85,15 @@ class BlockError(FfsmError):
 
     After a failure in a run, ``log`` (of ``Rollout.run``) and ``record`` (of ``simulate``) hold the
     samples before it; otherwise they are None.
+
+    Example:
+      >>> from ffsm_drake import BlockError, load_scenario, simulate
+      >>> scenario = load_scenario("postcapture", ["controller=nowhere:Law"])
+      >>> try:
+      ...     simulate(scenario)
+      ... except BlockError as error:
+      ...     print("nowhere" in str(error))
+      True
     """
 
     log: Any = None
@@ -64,7 +101,16 @@ class BlockError(FfsmError):
 
 
 class RecordError(FfsmError):
-    """A run directory that cannot be written or read."""
+    """A run directory that cannot be written or read.
+
+    Example:
+      >>> from ffsm_drake import RecordError, RunRecord
+      >>> try:
+      ...     RunRecord.load("no_such_folder")
+      ... except RecordError as error:
+      ...     print("no_such_folder" in str(error))
+      True
+    """
 
 
 class CampaignError(FfsmError):

@@ -92,6 +92,15 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
       unit: unit, such as "N m or N"; empty for a text, or a number without unit.
       meaning: meaning, one line.
       limits: further fields of ``Setting``; ``size`` may be one number, for an exact size.
+
+    Example:
+      >>> from dataclasses import dataclass
+      >>> from ffsm_drake import Part, setting
+      >>> @dataclass(frozen=True, kw_only=True)
+      ... class Camera(Part):
+      ...     period: float = setting(0.1, "s", "between images", above=0)
+      >>> Camera().period
+      0.1
     """
     if isinstance(size := limits.get("size"), int):
         limits["size"] = (size, size)

@@ -78,6 +78,14 @@ class ClosedLoop:
 
     A loop with several copies of the spacecraft, each with its own scenario, has the same ports,
     with the values of copy after copy.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, make_closed_loop
+      >>> loop = make_closed_loop(load_scenario("postcapture"))
+      >>> list(loop.blocks)
+      ['reference', 'sensing', 'controller', 'forces.disturbance']
+      >>> loop.diagram.num_input_ports()
+      0
     """
 
     scenario: Scenario  # scenario of the first copy
@@ -298,6 +306,15 @@ def add_closed_loop(
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
       BlockError: a user-supplied block cannot be loaded, built or wired; its subclass NotAlike: the
         blocks of several scenarios cannot be placed side by side.
+
+    Example:
+      >>> from pydrake.systems.framework import DiagramBuilder
+      >>> from ffsm_drake import add_closed_loop, load_scenario
+      >>> builder = DiagramBuilder()
+      >>> loop = add_closed_loop(builder, load_scenario("postcapture"))
+      >>> diagram = builder.Build()
+      >>> loop.plant.num_velocities()
+      11
     """
     scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
     first = scenarios[0]
@@ -354,6 +371,12 @@ def make_closed_loop(
 ) -> ClosedLoop:
     """The closed loop of a scenario as a diagram of its own. Arguments and errors: see
     ``add_closed_loop``.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, make_closed_loop
+      >>> loop = make_closed_loop(load_scenario("postcapture"))
+      >>> loop.diagram.GetGraphvizString(max_depth=1).startswith("digraph")
+      True
     """
     builder = DiagramBuilder()
     return build_closed_loop(builder, add_closed_loop(builder, scenario, blocks=blocks))

@@ -58,6 +58,12 @@ def simulate(
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run; the original
         exception is its cause, and its ``record`` holds the samples before it, if there are any.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate
+      >>> record = simulate(load_scenario("postcapture", ["duration=0.5"]))
+      >>> record.outcome.status, record.dataset["error"].dims
+      ('completed', ('time', 'coordinate'))
     """
     start = time.perf_counter()
     rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
@@ -142,6 +148,12 @@ def compare(
 
     Raises:
       ModelError, ScenarioError, BlockError: see ``simulate``.
+
+    Example:
+      >>> from ffsm_drake import compare, load_scenario
+      >>> records = compare(load_scenario("postcapture", ["duration=0.1"]), ["tdc", "asmc"])
+      >>> [record.scenario.controller for record in records]
+      ['tdc', 'asmc']
     """
     chosen = [dataclasses.replace(scenario, controller=name) for name in controllers]
     return [simulate(each, progress=progress) for each in chosen]
@@ -166,6 +178,13 @@ def simulate_many(
 
     Raises: the errors of ``simulate``, for the first failed scenario, after all have run; nothing
     with ``keep_errors``.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate_many
+      >>> given = ("duration=0.1", "random_seed=1"), ("duration=0.1", "random_seed=2")
+      >>> records = simulate_many([load_scenario("postcapture", each) for each in given])
+      >>> [record.scenario.random_seed for record in records]
+      [1, 2]
     """
     start = time.perf_counter()
     results: list[Any] = [None] * len(scenarios)

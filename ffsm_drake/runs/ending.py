@@ -34,7 +34,14 @@ _NOTABLE = 0.3  # share of the tolerance; below it a rising peak is no growth
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Cause of the end of a run."""
+    """Cause of the end of a run.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate
+      >>> outcome = simulate(load_scenario("postcapture", ["duration=0.1"])).outcome
+      >>> outcome.status, round(outcome.time, 6)
+      ('completed', 0.1)
+    """
 
     status: str  # one of OUTCOMES
     time: float  # s, end of the record
@@ -48,7 +55,14 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Ending:
-    """The ending of a run, from its errors and their tolerances."""
+    """The ending of a run, from its errors and their tolerances.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate
+      >>> ending = simulate(load_scenario("postcapture", ["duration=1"])).ending
+      >>> ending.status, ending.is_settled, ending.is_failure
+      ('not settled', False, False)
+    """
 
     status: str  # one of ENDINGS
     sentence: str  # the errors and their sizes

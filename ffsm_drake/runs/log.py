@@ -122,6 +122,13 @@ class RunLog:
     ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
     optional outputs and, with flexible parts, ``hidden_state``, each (n, its width):
     the value at sample k was used or produced by sample k.
+
+    Example:
+      >>> from ffsm_drake import Rollout, load_scenario
+      >>> scenario = load_scenario("postcapture", ["duration=0.1"])
+      >>> log = Rollout(scenario).run(scenario)
+      >>> log.time.shape, log.series["applied_force"].shape
+      ((11,), (11, 11))
     """
 
     scenario: Scenario

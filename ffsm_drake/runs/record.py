@@ -69,6 +69,13 @@ class RunRecord:
     (generalized velocities by name, with ``group`` and ``unit``), ``position_name`` (generalized
     positions by name) and ``axis`` (x, y, z; world frame). Its variables carry their units and
     meaning as attributes; ``list(record.dataset)`` names them.
+
+    Example:
+      >>> from ffsm_drake import RunRecord, load_scenario, simulate
+      >>> record = simulate(load_scenario("postcapture", ["duration=0.1"]))
+      >>> _ = record.save("out/short")
+      >>> RunRecord.load("out/short").dataset.sizes["time"]
+      11
     """
 
     scenario: Scenario

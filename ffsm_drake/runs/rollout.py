@@ -63,6 +63,14 @@ class Rollout:
     alone.
 
     Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
+
+    Example:
+      >>> from ffsm_drake import Rollout, load_scenario, override_scenario
+      >>> scenario = load_scenario("postcapture", ["duration=0.1"])
+      >>> rollout = Rollout(scenario)
+      >>> logs = [rollout.run(override_scenario(scenario, [f"random_seed={k}"])) for k in range(3)]
+      >>> [log.outcome.status for log in logs]
+      ['completed', 'completed', 'completed']
     """
 
     @guarded

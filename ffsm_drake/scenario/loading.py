@@ -34,6 +34,12 @@ def load_scenario(name_or_path: str | Path, overrides: Iterable[Override] = ()) 
     Raises:
       ScenarioError: the file, a key or a value cannot be used; the message gives the place and
         a valid choice.
+
+    Example:
+      >>> from ffsm_drake import load_scenario
+      >>> scenario = load_scenario("postcapture", ["duration=5", {"reference": {"duration": 4}}])
+      >>> scenario.duration, scenario.reference.duration
+      (5.0, 4.0)
     """
     path = find_scenario(str(name_or_path))
     return scenario_from_yaml(read_text(path), overrides, source=str(path))
@@ -97,7 +103,14 @@ def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, Any]:
 
 
 def override_scenario(scenario: Scenario, overrides: Iterable[Override]) -> Scenario:
-    """A new scenario with overrides applied; the given one does not change."""
+    """A new scenario with overrides applied; the given one does not change.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, override_scenario
+      >>> scenario = load_scenario("postcapture")
+      >>> override_scenario(scenario, ["random_seed=7"]).random_seed, scenario.random_seed
+      (7, 0)
+    """
     return scenario_from_dict(scenario_to_dict(scenario), overrides)
 
 

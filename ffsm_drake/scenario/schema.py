@@ -43,7 +43,14 @@ _BYTES_PER_SAMPLE = 4000  # size of a run's logs and record, for the estimate in
 
 @dataclass(repr=False)
 class Scenario:
-    """Everything that defines one run."""
+    """Everything that defines one run.
+
+    Example:
+      >>> from ffsm_drake import load_scenario
+      >>> scenario = load_scenario("postcapture")
+      >>> scenario.duration, scenario.controller, scenario.payload.truth.mass
+      (20.0, 'tde_aismc', 100.0)
+    """
 
     description: str = unitless("", "title of plots and records")
     random_seed: int = unitless(

@@ -32,6 +32,13 @@ def write_outputs(
 
     Raises:
       RecordError: a file cannot be written.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate, write_outputs
+      >>> record = simulate(load_scenario("postcapture", ["duration=0.1"]))
+      >>> files = write_outputs([record], "out/short", figures=False, recording=False)
+      >>> [file.name for file in files]
+      ['report.html']
     """
     # Here, because they are slow to import and not always needed.
     from ffsm_drake.show.figures.run import save_figures

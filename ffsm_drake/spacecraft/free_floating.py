@@ -41,6 +41,14 @@ class FreeFloating:
     """An underactuated spacecraft in one configuration or many (...).
 
     ``free_floating`` makes it from a plant. Results are cached.
+
+    Example:
+      >>> import numpy as np
+      >>> from ffsm_drake import free_floating, load_scenario, make_true_plant
+      >>> model = make_true_plant(load_scenario("postcapture"))
+      >>> q = np.array([1.0, *np.zeros(11)])
+      >>> free_floating(model, q).momentum_map.shape
+      (6, 11)
     """
 
     mass_matrix: np.ndarray  # H (..., nv, nv)
@@ -207,6 +215,14 @@ def free_floating(
     Raises:
       ScenarioError: a name is unknown.
       ValueError: the plant has flexible parts, or q is not finite.
+
+    Example:
+      >>> import numpy as np
+      >>> from ffsm_drake import free_floating, load_scenario, make_true_plant
+      >>> model = make_true_plant(load_scenario("postcapture"))
+      >>> floating = free_floating(model, np.array([1.0, *np.zeros(11)]), driven=("joints",))
+      >>> floating.driven.tolist()
+      [6, 7, 8, 9, 10]
     """
     if model.split.names:
         raise ValueError("the plant has flexible parts, moved by springs; use a plant without")

@@ -54,6 +54,14 @@ class PlantModel:
     """A plant with a payload, for computations outside any simulation.
 
     ``context`` is a scratch context owned by this object; every method sets its own inputs.
+
+    Example:
+      >>> import numpy as np
+      >>> from ffsm_drake import load_scenario, make_nominal_plant
+      >>> model = make_nominal_plant(load_scenario("postcapture"))
+      >>> mass = model.calc_mass_matrix(np.array([1.0, *np.zeros(11)]))
+      >>> mass.shape, bool(np.allclose(mass, mass.T))
+      ((11, 11), True)
     """
 
     plant: MultibodyPlant
@@ -178,12 +186,27 @@ def damping_of(plant: MultibodyPlant) -> np.ndarray:
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the nominal payload (``payload.nominal``), whose mass matrix is Hhat."""
+    """The plant with the nominal payload (``payload.nominal``), whose mass matrix is Hhat.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, make_nominal_plant
+      >>> make_nominal_plant(load_scenario("postcapture")).coordinates.joints
+      ('joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5')
+    """
     return _make(scenario, scenario.payload.nominal, nominal=True)
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the true payload (``payload.truth``), flexible parts locked."""
+    """The plant with the true payload (``payload.truth``), flexible parts locked.
+
+    Example:
+      >>> import numpy as np
+      >>> from ffsm_drake import load_scenario, make_true_plant
+      >>> model = make_true_plant(load_scenario("postcapture"))
+      >>> q = np.array([1.0, *np.zeros(11)])
+      >>> round(float(model.calc_mass_matrix(q)[3, 3]), 6)  # kg, base, arm and target
+      526.0
+    """
     return _make(scenario, scenario.payload.truth)
 
 

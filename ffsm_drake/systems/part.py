@@ -75,7 +75,14 @@ class View(Protocol):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Signal:
-    """An output port of a part: a variable of the record, and a panel of the report."""
+    """An output port of a part: a variable of the record, and a panel of the report.
+
+    Example:
+      >>> from ffsm_drake import Signal
+      >>> dipole = Signal(name="dipole", unit="A m^2", meaning="coils", components=("x", "y"))
+      >>> dipole.dims, dipole.size
+      (('time', 'dipole_component'), 2)
+    """
 
     name: str  # name of the port and of the variable
     unit: str
@@ -160,6 +167,14 @@ class Metric(_Named):
     """A figure of merit: an entry of ``metrics.json``, a row of tables, a column of campaigns.
 
     It gives a number, or numbers by name, which have no column.
+
+    Example:
+      >>> import numpy as np
+      >>> from ffsm_drake import Metric
+      >>> size = lambda run: np.abs(run["force"]).max()
+      >>> force = Metric(key="coils.force", unit="N", label="Force", of=size)
+      >>> force.column_name
+      'coils_force'
     """
 
     of: Callable[[View], Any]
@@ -346,7 +361,29 @@ def _checked_items(part: type, name: str) -> Callable[..., tuple[Any, ...]]:
 
 
 class Part:
-    """Contents of a block; derive a frozen, keyword-only dataclass from it."""
+    """Contents of a block; derive a frozen, keyword-only dataclass from it.
+
+    Example:
+      >>> from dataclasses import dataclass
+      >>> from pydrake.systems.framework import DiagramBuilder
+      >>> from pydrake.systems.primitives import ConstantVectorSource
+      >>> from ffsm_drake import Part, load_scenario, setting, simulate
+      >>> @dataclass(frozen=True, kw_only=True)
+      ... class Push(Part):
+      ...     force: float = setting(0.1, "N", "on the base along x", above=0)
+      ...     def build(self, setup):
+      ...         force = {"base_position_x": self.force}
+      ...         push = setup.coordinates.vector(force, key="force", default=0.0)
+      ...         builder = DiagramBuilder()
+      ...         source = builder.AddSystem(ConstantVectorSource(push))
+      ...         builder.ExportOutput(source.get_output_port(), "generalized_force")
+      ...         return builder.Build()
+      >>> scenario = load_scenario("postcapture", ["duration=0.1"])
+      >>> blocks = {"forces.push": Push(force=0.2)}
+      >>> record = simulate(scenario, blocks=blocks, check_stability=False)
+      >>> record.outcome.status
+      'completed'
+    """
 
     def __init_subclass__(cls) -> None:
         """Wrap a user-supplied part's methods to check their results."""

@@ -38,6 +38,15 @@ class BlockSetup:
 
     A controller's factory may return a control law instead. A controller works with ``nominal``
     only; ``true`` is for blocks of the world around it, such as sensors and forces.
+
+    Example:
+      >>> from ffsm_drake import BlockSetup, load_scenario, make_nominal_plant
+      >>> scenario = load_scenario("postcapture")
+      >>> nominal = make_nominal_plant(scenario)
+      >>> given = {"scenario": scenario, "nominal": nominal, "settings": {"gain": 2.0}}
+      >>> setup = BlockSetup(name="drag", **given)
+      >>> setup.settings["gain"], setup.sample_time, len(setup.coordinates.names)
+      (2.0, 0.01, 11)
     """
 
     name: str  # the system's name in the diagram

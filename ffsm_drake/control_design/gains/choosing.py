@@ -186,6 +186,13 @@ def design(
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller
         tracks a frame.
+
+    Example:
+      >>> from ffsm_drake import design, load_scenario
+      >>> scenario = load_scenario("flight_sensors", ["controller=tdc"])
+      >>> found = design(scenario, time_limit=1.0)
+      >>> found.ended_by
+      'the time limit'
     """
     end = math.inf if time_limit is None else time.monotonic() + time_limit
     search = _Search(

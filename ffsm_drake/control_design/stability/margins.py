@@ -223,6 +223,12 @@ def stability(
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, stability
+      >>> margins = stability(load_scenario("postcapture", ["controller=tdc"]), postures=3)
+      >>> margins.verdict, margins.is_stable
+      ('stable', True)
     """
     if linearizer is None:
         scenario = checked(scenario)

@@ -142,6 +142,22 @@ def run_campaign(
     Raises:
       CampaignError, ScenarioError, ModelError, BlockError: a value cannot be used, or the database
         cannot be made.
+
+    Example:
+      >>> from pathlib import Path
+      >>> from ffsm_drake import run_campaign
+      >>> from ffsm_drake.plugins.campaign import open_store
+      >>> _ = Path("spec.yaml").write_text('''
+      ... scenario: postcapture
+      ... controllers: [tdc]
+      ... cases: 2
+      ... overrides: {duration: 0.1}
+      ... settled: {hold: 0.1}
+      ... parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}
+      ... ''')
+      >>> with open_store(run_campaign("spec.yaml", "runs.db", workers=1)) as store:
+      ...     list(store.query("SELECT count(*) FROM runs"))
+      [(2,)]
     """
     loaded = spec if isinstance(spec, Spec) else load_spec(spec)
     with local_workers(workers or os.cpu_count() or 1) as crew:

@@ -37,7 +37,19 @@ State = Mapping[str, np.ndarray]
 # a NamedTuple, since it is built in every control update: a frozen dataclass takes five times as
 # long
 class Sample(NamedTuple):
-    """Inputs of a law at t_k; world axes, v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N."""
+    """Inputs of a law at t_k; world axes, v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N.
+
+    Example:
+      >>> from ffsm_drake import ControlLaw, load_scenario, simulate
+      >>> class Watcher(ControlLaw):
+      ...     def step(self, sample, state):
+      ...         print(sample.is_first, sample.e.shape)
+      ...         return 0.0 * sample.e, state
+      >>> scenario = load_scenario("postcapture", ["duration=0.01"])
+      >>> _ = simulate(scenario, blocks={"controller": Watcher}, check_stability=False)
+      True (11,)
+      False (11,)
+    """
 
     q: np.ndarray  # (..., nq) measured configuration
     v: np.ndarray  # (..., nv) measured velocity
@@ -77,7 +89,19 @@ def gain(
     bound: bool = False,
     feedback: bool = True,
 ) -> Any:
-    """A field of a law for a gain in scenarios, >= 0 by default, > 0 if ``positive``; see Gain."""
+    """A field of a law for a gain in scenarios, >= 0 by default, > 0 if ``positive``; see Gain.
+
+    Example:
+      >>> from dataclasses import dataclass, fields
+      >>> from ffsm_drake import ControlLaw, gain
+      >>> @dataclass(frozen=True, kw_only=True)
+      ... class Spring(ControlLaw):
+      ...     k: float = gain(3.0, "N m/rad", "stiffness")
+      ...     def step(self, sample, state):
+      ...         return self.k * sample.e, state
+      >>> [field.name for field in fields(Spring)]
+      ['k']
+    """
     declared = Gain(
         default=default,
         unit=unit,
@@ -126,6 +150,21 @@ class ControlLaw(abc.ABC):
     """Base of every control law; a subclass is a frozen dataclass with a ``step``.
 
     Arrays have the shape (..., nv): one run, or several at once.
+
+    Example:
+      >>> from dataclasses import dataclass
+      >>> from ffsm_drake import ControlLaw, gain, load_scenario, simulate
+      >>> @dataclass(frozen=True, kw_only=True)
+      ... class Damper(ControlLaw):
+      ...     damping: float = gain(20.0, "N m s/rad", "times the error's rate")
+      ...     def initial_state(self):
+      ...         return {}
+      ...     def step(self, sample, state):
+      ...         return self.damping * sample.e_dot, state
+      >>> scenario = load_scenario("postcapture", ["duration=0.1"])
+      >>> record = simulate(scenario, blocks={"controller": Damper}, check_stability=False)
+      >>> record.outcome.status
+      'completed'
     """
 
     # True if it tracks a frame: it gets ``desired_frame``, and is evaluated by the frame's pose.

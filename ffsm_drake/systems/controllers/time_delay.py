@@ -32,7 +32,21 @@ from ffsm_drake.systems.setup import BlockSetup
 
 
 class InjectedDynamics(abc.ABC):
-    """Base of laws with time-delay estimation; a subclass is a frozen dataclass with a ``step``."""
+    """Base of laws with time-delay estimation; a subclass is a frozen dataclass with a ``step``.
+
+    Example:
+      >>> from dataclasses import dataclass
+      >>> from ffsm_drake import InjectedDynamics, gain, load_scenario, simulate
+      >>> @dataclass(frozen=True, kw_only=True)
+      ... class Pd(InjectedDynamics):
+      ...     k_p: float = gain(25.0, "1/s^2")
+      ...     k_d: float = gain(10.0, "1/s")
+      ...     def step(self, e, e_dot, a_d, state):
+      ...         return a_d + self.k_d * e_dot + self.k_p * e, state
+      >>> scenario = load_scenario("postcapture", ["duration=0.1"])
+      >>> simulate(scenario, blocks={"controller": Pd}, check_stability=False).outcome.status
+      'completed'
+    """
 
     # Whether it treats every coordinate by itself and is linear while ``held`` is held:
     # ``ffsm stability`` then gives limits by coordinate.
