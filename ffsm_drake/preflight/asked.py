@@ -64,7 +64,7 @@ class Asked:
 
     @property
     def is_paper(self) -> bool:
-        """Whether nothing is asked for that the paper's mission does not have."""
+        """Whether the request is for the paper's mission alone."""
         return self == Asked()
 
     @property

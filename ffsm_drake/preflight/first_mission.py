@@ -51,7 +51,7 @@ _PULSES, _WHEEL = 0.4, (0.05, 5.0)  # of the thrusters' torque, that wheels give
 _OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
 _SHRINK, _TRIES = 0.7, 8
 _NOISES = 3.0  # standard deviations of the noise, times I omega^2, that the actuators give
-_K_S, _SWITCHING = 0.1, 2e-4  # of omega; bound of G
+_K_S, _SWITCHING = 0.1, 2e-4  # K_s as a share of omega; bound of G
 # Panels: of the base's inertia; m; Hz.
 _PANEL_SHARE, _PANEL_LENGTH, _PANEL_FREQUENCY = 0.3, (0.3, 3.0), 0.25
 _PANEL_SIDES = ([0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
@@ -290,7 +290,7 @@ class Draft:
             wheels["assist_above"] = 1.0
 
     def _torque(self, actuation: dict[str, Any]) -> float:
-        """What the base's actuators of a section give in any direction, N m."""
+        """Torque of the base's actuators of a section, available in any direction, N m."""
         scenario = self._scenario(actuation=actuation)
         return float(actuation_limit(scenario, self.coordinates).upper[0])
 

@@ -37,8 +37,8 @@ from ffsm_drake.systems.registry import SHIPPED
 
 _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
-_PAYLOAD_SHARE = 0.25  # of the base's mass
-_NOMINAL_SHARE = 0.8  # of the payload's true mass and inertia
+_PAYLOAD_SHARE = 0.25  # share of the base's mass
+_NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class NewScenario:
     scenario_file: Path
     scenario: Scenario
     peak_force: Mapping[str, float]  # by coordinate, of perfect tracking of the motion, N m or N
-    margins: Mapping[str, Margins]  # of the paper's mission, by controller
+    margins: Mapping[str, Margins]  # stability margins of the paper's mission, by controller
     remarks: tuple[str, ...]
 
     @property

@@ -1,7 +1,7 @@
 """Runs whose gripper closes over a time (``capture.closing``), up to the grasp: approach and
 closing; then, with the target apart, retreat and the next try.
 
-Each phase has a loop of its own; plant and blocks go on from phase to phase as they are.
+Each phase has a loop of its own; plant and blocks keep their states from phase to phase.
 """
 
 import dataclasses
@@ -52,7 +52,7 @@ _EVERY = 0.5  # s; between the instants at which a further try may meet the targ
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
 _CANDIDATES = 30  # meetings looked at, those with the shortest ways
 _INSTANTS = 15  # at which the clearance of each is looked at
-_PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # of a stop, that may keep clear
+_PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # tried, times a stop's
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
 
@@ -72,7 +72,7 @@ class ClosingRun(Mission):
         blocks: Mapping[str, Factory] | None,
         progress: Progress | None,
     ) -> None:
-        """Args: that of its first try; as for ``Rollout``; as for ``Mission``."""
+        """Args: scenario of the first try; blocks and viewer, see ``Rollout``; see ``Mission``."""
         super().__init__([handover], progress)
         self._chosen = self.scenario = scenario = handover.scenario
         self.blocks = dict(blocks or {})
@@ -101,7 +101,7 @@ class ClosingRun(Mission):
 
     @property
     def handover(self) -> Handover:
-        """That of the last try."""
+        """Handover of the last try."""
         return self.handovers[0]
 
     def first(self, loop: Rollout, scenarios: Sequence[Scenario] | None) -> Phase:
@@ -319,9 +319,9 @@ class ClosingRun(Mission):
         return found
 
     def _away(self, retreat: Retreat) -> Move:
-        """From the measured state to rest away from the target, at a pace that the limits and the
-        end of the run allow: straight away from it, or in the nearest other direction, to a face,
-        an edge or a corner of a cube, in which it keeps clear.
+        """Motion from the measured state to rest away from the target, within the limits and the
+        time of the run: straight away from it, or in the nearest clear direction to a face, an edge or a
+        corner of a cube.
         """
         scenario, coordinates = self._chosen, self.before.coordinates
         q, v = np.split(self._estimated, [len(coordinates.position_names)])
@@ -369,8 +369,8 @@ class ClosingRun(Mission):
     def followed(
         self, blocks: dict[str, Factory], *, follows: bool = True, sees: bool = True
     ) -> dict[str, Factory]:
-        """Blocks with a reference that follows the target's estimate, if that is measured, or only
-        estimates it; ``sees``: whether there are images.
+        """Blocks with a reference that follows the estimate of a measured target, or only estimates
+        it; ``sees``: whether there are images.
         """
         if not self._measured:
             return blocks
@@ -464,8 +464,7 @@ class ClosingRun(Mission):
         """
         chosen = self._chosen
         w, v_P = np.split(motion[7:], 2)
-        # the capture's velocity is that of the true centre of mass, which is nowhere used but to
-        # find v_P again
+        # ``capture.velocity`` refers to the true centre of mass; used only to recover v_P
         arm = matrix_of(motion[:4]) @ self._true_arm
         posture = _placed(approach_posture(chosen), X_WS)
         capture = dataclasses.replace(
@@ -510,9 +509,10 @@ def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:
 
 
 def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
-    """The scenario with a stop that keeps clear: from a tumbling target a slow one swings far. Its
-    duration is the first of ``reference.duration``, a little less, a little more, and so on, whose
-    plan keeps the scenario's clearance and the limits of force; that of the scenario if none does.
+    """The scenario with a stop that keeps clear (a slow stop of a tumbling target swings far).
+
+    Its duration is the nearest to ``reference.duration`` with a plan within clearance and limits of
+    force; the scenario's own without one.
     """
     duration = scenario.reference.duration
     if duration is None or scenario.reference.kind == "optimal":

@@ -194,7 +194,7 @@ def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.
 
 
 def _growing(size: np.ndarray, time: np.ndarray, *, begin: float, notable: float) -> np.ndarray:
-    """Mask (k) of the columns that grow at the end of a leg, which began at a given time."""
+    """Mask (k) of the columns growing at the end of a leg with a given start time."""
     end = float(time[-1])
     length = min(SETTLED_OVER, (end - begin) / (_WINDOWS + 1))
     if not length > 0.0:

@@ -20,7 +20,7 @@ from ffsm_drake.systems.part import STORED_MOMENTUM
 class Handover:
     """Takes a run from the loop before the grasp to the one after it."""
 
-    log: GraspLog | None = None  # of the grasp, once it is made
+    log: GraspLog | None = None  # log of the grasp, once it is made
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self.payload = scenario, scenario.payload.truth  # as it lies in the gripper

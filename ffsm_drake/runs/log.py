@@ -138,7 +138,7 @@ class RunLog:
     series: Mapping[str, np.ndarray]
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
-    grasp: GraspLog | None = None  # of a run with a capture, unless it ended before
+    grasp: GraspLog | None = None  # a run with a capture, unless it ended before
     parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
     # whether the controller tracks a frame, and coordinates only in its null space
     tracks_frame: bool = False

@@ -23,7 +23,7 @@ from ffsm_drake.systems.registry import Factory
 
 
 class MissionRollout:
-    """As ``Rollout``, for a scenario with a capture, or several that grasp at the same sample."""
+    """A ``Rollout`` of a scenario with a capture, or several with the same sample of the grasp."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class MissionRollout:
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
-        """Args and errors as for ``Rollout``."""
+        """Arguments and errors: see ``Rollout``."""
         self._blocks = blocks
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
         self._scenarios = _as_tuple(scenario)
@@ -78,7 +78,7 @@ class MissionRollout:
         if self._approach is None:
             return grasped_at_start(self._stop.run(scenario, progress=progress))
         (log,) = self._through(self._approach, None if scenario is None else [scenario], progress)
-        assert log is not None  # what fails alone is raised
+        assert log is not None  # failures of a run alone are raised
         return log
 
     def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
@@ -111,6 +111,6 @@ def make_rollout(
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
 ) -> Rollout | MissionRollout:
-    """The rollout of a scenario, or of several; arguments and errors as for ``Rollout``."""
+    """The rollout of a scenario, or of several; arguments and errors: see ``Rollout``."""
     kind = MissionRollout if _as_tuple(scenario)[0].grasps else Rollout
     return kind(scenario, blocks=blocks, meshcat=meshcat)

@@ -1,4 +1,4 @@
-"""The phases of a mission, as data, and what goes through them with one log.
+"""Phases of a mission as data, and the runner that goes through them with one log.
 
 A phase says which loop runs (its reference, what the gripper holds, the law), from which state on,
 until which sample, and what follows. Runs side by side go through the same phases.
@@ -31,11 +31,11 @@ class Phase:
     """A part of a mission that one loop runs through."""
 
     loop: Rollout
-    # what the record calls its samples, in turn, and the sample before which each name ends; None:
-    # the end of the run
+    # names of its samples in the record, in turn, with the sample before which each ends; None: the
+    # end of the run
     names: tuple[tuple[str, int | None], ...]
     begin: Begin  # sets the initialized loop to where the phase begins
-    scenarios: Sequence[Scenario] | None = None  # of the loop; None: those it was built for
+    scenarios: Sequence[Scenario] | None = None  # scenarios of the loop; None: those of its build
     next: Callable[[], "Phase | None"] = lambda: None  # called where not all runs have ended
 
 
@@ -48,22 +48,22 @@ class Mission:
 
     before: ClosedLoop
     context: Context
-    afresh: tuple[str, ...] = ()  # the blocks that start afresh with the target held
+    afresh: tuple[str, ...] = ()  # blocks that start afresh with the target held
 
     def __init__(self, handovers: Sequence[Handover], progress: Progress | None = None) -> None:
-        """Args: of each run; as for ``Rollout.run``."""
+        """Args: handover of each run; progress, see ``Rollout.run``."""
         self.handovers, self._progress = list(handovers), progress
         self._scenarios = [each.scenario for each in handovers]
         self._start, self.sample = time.perf_counter(), 0
-        self._names: list[tuple[str, int]] = []  # of the samples before the grasp
+        self._names: list[tuple[str, int]] = []  # phases before the grasp, with their samples
         self.logs: list[list[RunLog]] = [[] for _ in handovers]
-        self.failed: dict[int, Outcome] = {}  # of the runs that did not capture their target
+        self.failed: dict[int, Outcome] = {}  # outcomes of the runs without a capture
         self.ended: set[int] = set()
-        self._lost: set[int] = set()  # those without a log
+        self._lost: set[int] = set()  # runs without a log
         self._own: list[Rollout] = []  # loops of this mission alone
 
     def run(self, phase: Phase | None) -> list[RunLog | None]:
-        """Run through a phase and those that follow: a log of each run; None of one to run alone.
+        """Run through a phase and its successors: a log for each run, None for one to run alone.
 
         Errors as ``Rollout.run`` and ``Rollout.run_all`` raise them.
         """
@@ -83,7 +83,7 @@ class Mission:
         return [None if copy in self._lost else self._joined(copy) for copy in copies]
 
     def _loop(self, scenario: Scenario, **how: Any) -> Rollout:
-        """A loop that is released at the end of the run; arguments as for ``Rollout``."""
+        """A loop, released at the end of the run; arguments: see ``Rollout``."""
         self._own.append(Rollout(scenario, **how))
         return self._own[-1]
 
@@ -192,7 +192,7 @@ class ApproachAndStop(Mission):
         alone: Sequence[Scenario] | None,
         given: Sequence[Scenario] | None,
     ) -> Phase:
-        """The approach. Args: the loops without and with the targets, and what each runs."""
+        """The approach. Args: loops without and with the targets, and the scenarios of each."""
 
         def hold() -> Phase | None:
             self.meet(stop.loop)
@@ -218,7 +218,7 @@ class ApproachAndStop(Mission):
 
 
 def given_up(approach: RunLog) -> str:
-    """How an approach ended from which the supervisor retreats; empty of any other."""
+    """Ending of an approach given up by the supervisor; empty for any other."""
     modes = approach.series.get("mode", np.zeros(1)).ravel()
     if modes[-1] == Mode.APPROACH:
         return ""
@@ -227,7 +227,7 @@ def given_up(approach: RunLog) -> str:
 
 
 def _without_contact(log: RunLog) -> RunLog:
-    """A phase's log whose external force is that on servicer and target together."""
+    """A phase's log with the external force on servicer and target together."""
     series = dict(log.series)
     contact = series.pop(f"force_{GRIPPER.partition('.')[2]}", None)
     if contact is not None:

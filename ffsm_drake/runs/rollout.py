@@ -58,9 +58,8 @@ class Leg:
 
 
 class Rollout:
-    """A closed loop that is built once and run many times; every run equals that of a new build,
-    bit for bit. One of several scenarios runs them side by side, each with the bits that it has
-    alone.
+    """A closed loop, built once and run many times; every run equals that of a new build, bit for
+    bit. Several scenarios run side by side, each with the bits of its run alone.
 
     Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
 
@@ -90,7 +89,7 @@ class Rollout:
           blocks: factories that replace its blocks, see ``add_closed_loop``.
           meshcat: shows the motion.
           target: pose of a free target to show (n, 7; quaternion, position) at the control samples.
-          joint_force: as for ``add_closed_loop``.
+          joint_force: see ``add_closed_loop``.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -152,11 +151,11 @@ class Rollout:
     ) -> RunLog:
         """Run from the start, with the built scenario or one that ``accepts`` takes.
 
-        A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is
-        interrupted from the keyboard ends early with the log up to then; its outcome says so.
+        On divergence (a velocity beyond ``divergence_speed``, or not finite) or an interrupt from
+        the keyboard the run ends early with the log up to then; the outcome gives the reason.
 
         Args:
-          scenario: what to run; None for the built one.
+          scenario: the scenario to run; None for the built one.
           progress: called with (simulated time, duration) in s, once per simulated second.
           leg: the part of the run; None for all of it.
 
@@ -210,21 +209,21 @@ class Rollout:
         leg: Leg | None = None,
         without: Collection[int] = (),
     ) -> list[RunLog | None]:
-        """Run the scenarios side by side, with the built ones or such that ``accepts`` takes, all
-        for the same number of control samples.
+        """Run scenarios side by side, the built ones or others taken by ``accepts``, all with the
+        same number of control samples.
 
         Args:
-          scenarios: what to run; None for the built ones.
+          scenarios: the scenarios to run; None for the built ones.
           leg: the part of the runs; None for all of them.
-          without: copies of the spacecraft that are put aside, as those that diverge are.
+          without: copies of the spacecraft put aside, like diverging ones.
 
-        Returns: the log of each, as ``run`` gives it for the scenario alone; None of one that was
-        put aside, or fails, or diverges at a step that is not in the log: it is to be run alone.
+        Returns: the log of each, equal to that of ``run``; None for one put aside, failing, or
+        diverging at a step outside the log: run it alone.
 
         Raises:
           ScenarioError: the scenarios need another build.
           KeyboardInterrupt: interrupted from the keyboard.
-          Exception: whatever fails in one of the runs; which is it, they tell alone.
+          Exception: any failure of one of the runs; run them alone to find it.
         """
         start, loop, leg = time.perf_counter(), self.loop, leg or Leg()
         if scenarios is not None:
@@ -259,7 +258,7 @@ class Rollout:
         return logs
 
     def _wall_time(self, start: float, advance_time: float) -> dict[str, float]:
-        """Of a run that began at ``start``, s."""
+        """Wall time of a run with a given start, s."""
         total = time.perf_counter() - start
         return {"build": self._build_time, "advance_to": advance_time, "total": total}
 
@@ -390,7 +389,7 @@ class Rollout:
         Args:
           unfinished: the run may have ended before the update of its last sample.
           copy: the copy of the spacecraft.
-          last: the sample at which the run diverged, which is its last; None: the log's.
+          last: the run's last sample, of its divergence; None: the log's.
         """
         loop, context = self.loop, self._simulator.get_context()
         held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
@@ -436,7 +435,7 @@ def _make_log(
     series: Mapping[str, np.ndarray],
     wall_time: dict[str, float],
 ) -> RunLog:
-    """What a run of the loop's scenario gives."""
+    """Log of a run of the loop's scenario."""
     return RunLog(
         scenario=loop.scenario,
         outcome=outcome,

@@ -37,7 +37,7 @@ from ffsm_drake.scenario.target_sensing import Measured
 
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # no error estimate
 MAX_SAMPLES = 10_000_000
-MAX_STEPS = 1_000_000_000  # of the integrator; hours
+MAX_STEPS = 1_000_000_000  # integrator steps; hours
 _BYTES_PER_SAMPLE = 4000  # size of a run's logs and record, for the estimate in an error
 
 

@@ -23,14 +23,15 @@ from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 
 _LENGTHS = (0.3, 0.6, 1.0)  # m; from the base at the grasp
 _INSTANTS, _CLOSER = 40, 200
-_GROWTH, _LONGEST = 1.15, 300.0  # of a duration, s
-# Of the limits of force at most; the first that takes little and is wide of the target is taken.
+_GROWTH, _LONGEST = 1.15, 300.0  # growth factor of a tried duration; longest, s
+# Largest shares of the limits of force; the first candidate below the small one and wide of the
+# target is taken.
 _MOST, _LITTLE, _WIDE = 0.5, 0.2, 0.05  # the last in m
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Margins:
-    """What a planned approach to a free target leaves."""
+    """Margins of a planned approach to a free target."""
 
     distance: float  # m; smallest distance of parts
     share: float  # largest share of the limits of force, with an empty gripper
@@ -50,7 +51,7 @@ def given_approach(scenario: Scenario) -> Approach:
     assert approach is not None
     if approach.start == "given":
         return approach
-    # what the plan depends on: the laws of a campaign share it
+    # inputs of the plan: the laws of a campaign share it
     posture = _clear_start(
         dataclasses.replace(
             Scenario(),

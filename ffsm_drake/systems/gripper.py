@@ -32,12 +32,12 @@ AXES = ("rotation_x", "rotation_y", "rotation_z", "position_x", "position_y", "p
 # Discrete state of the contact: its groups and their sizes.
 _MEMORY = {
     "target": 21,  # ``Target.as_row``
-    "slid": 6,  # of the jaws
+    "slid": 6,  # slip between jaws and target
     "gripper_offset": 6,
     "contact_force": 6,
     "wrench": 6,  # on the target, about its centre of mass, world axes
     "start": 6,  # the offset at the first contact
-    "times": 3,  # of the first contact; of this state; when the target left, or infinite, s
+    "times": 3,  # times, s: first contact; this state; the target's leaving, or infinite
 }
 
 
@@ -45,7 +45,7 @@ _MEMORY = {
 class Met:
     """A free target at an instant, and how it lies in the gripper."""
 
-    X_WP: RigidTransform  # of the target's frame
+    X_WP: RigidTransform  # pose of the target's frame
     twist: np.ndarray  # (6) [w_WP; v_WP], world axes
     offset: np.ndarray  # (6) of the target's grasp frame from the gripper, gripper axes
     rate: np.ndarray  # (6) of the offset
@@ -64,7 +64,7 @@ class Gripper(Part):
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Gripper | None":
-        """That of a run with an approach and ``capture.closing``."""
+        """The gripper of a run with an approach and ``capture.closing``."""
         return None if scenario.closing is None else cls()
 
     def build(self, setup: BlockSetup) -> LeafSystem:
@@ -181,7 +181,7 @@ class GripperForce(LeafSystem):
                 partial(weak_callback(self._calc), index, entries),
                 {self.discrete_state_ticket(index)},
             )
-        self.motions: list[np.ndarray] = []  # of the target at the samples since ``begin``
+        self.motions: list[np.ndarray] = []  # motion of the target at the samples since ``begin``
         self._split = split
         if closes is not None:
             period = scenario.sample_time / math.ceil(scenario.sample_time / STEP - 1e-9)

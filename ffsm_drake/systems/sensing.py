@@ -170,9 +170,9 @@ class Sampling(LeafSystem):
 class Row:
     """The ports of stages of sensing that are wired in a row."""
 
-    inputs: tuple[InputPort, ...]  # of the true state
+    inputs: tuple[InputPort, ...]  # ports of the true state
     estimated_state: OutputPort
-    measurement_is_new: OutputPort | None  # of the last stage that has one
+    measurement_is_new: OutputPort | None  # port of the last stage with one
 
 
 def wire_stages(builder: DiagramBuilder, stages: Sequence[System]) -> Row:

@@ -28,15 +28,15 @@ from ffsm_drake.systems.retreat import RetreatReference
 from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.target_filter import Estimate, Path, TargetFilter, observed
 
-_SHOWN = 12  # of the estimate's errors: rotation, rate, position, velocity
+_SHOWN = 12  # groups of the estimate's errors: rotation, rate, position, velocity
 _NAMES = tuple(
     f"{name}_{axis}" for name in ("rotation", "rate", "position", "velocity") for axis in "xyz"
 )
 _UNITS = [unit for unit in ("rad", "rad/s", "m", "m/s") for _ in "xyz"]
 _SIGMAS = 3.0
-# What a gripper that touched the target may have changed: rad, rad/s, m, m/s.
+# Largest changes of the target by the gripper's touch: rad, rad/s, m, m/s.
 _TOUCH = np.repeat([0.1, 0.1, 0.1, 0.1, 0.0, 0.0], [3, 3, 3, 3, 3, 5])
-_ROW = 21  # of ``Target.as_row``
+_ROW = 21  # columns of ``Target.as_row``
 _SIZES = {
     "target_estimate": 13,
     "target_error": _SHOWN,
@@ -47,7 +47,7 @@ _SIZES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Approached:
-    """What a leg's approach is planned for."""
+    """Goal of a leg's approach."""
 
     begin: float  # s; of the approach, from which on it follows the estimate
     contact: float  # s; when the gripper closes
@@ -214,7 +214,7 @@ class TrackedReference(LeafSystem):
         untie(self)
 
     def estimate(self, context: Context) -> Estimate | None:
-        """What is known of the target; None before the first pose."""
+        """Estimate of the target; None before the first pose."""
         row = context.get_discrete_state(self._estimate).value()
         if not row[1]:
             return None
@@ -312,7 +312,7 @@ class TrackedReference(LeafSystem):
         return Target.from_motion(self._part.path[sample], self._scenario.payload.truth)
 
     def _compared(self, found: Estimate, image: int) -> np.ndarray:
-        """What is shown of an estimate."""
+        """Signals of an estimate."""
         error = found.target.error(self._true(image))
         nees = error @ np.linalg.solve(found.covariance, error)
         shown = found.target.motion, error[:_SHOWN], found.deviation[:_SHOWN], [nees]

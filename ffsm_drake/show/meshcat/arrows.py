@@ -24,7 +24,7 @@ class ArrowKind:
     """The vector shown by an arrow."""
 
     label: str
-    variable: str  # of the record's dataset
+    variable: str  # names in the record's dataset
     coordinates: str  # base_position: the force, base_rotation: the torque about the base's origin
     unit: str
     color_name: str

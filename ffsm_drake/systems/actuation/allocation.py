@@ -21,7 +21,7 @@ from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from ffsm_drake.common.products import times
 
-_SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
+_SMALLEST = 1e-9  # least determinant of a basis relative to the lengths of its columns
 _SLACK = 1e-9  # relative; tolerance of a bound
 # Relative perturbation of the costs, to select one of equally cheap forces.
 _DISTINCT = 1e-7

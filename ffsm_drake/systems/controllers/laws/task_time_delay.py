@@ -50,7 +50,7 @@ class TaskTimeDelay(AccelerationLaw):
     """
 
     model: PlantModel  # reduced to H* where the spacecraft is underactuated
-    estimator: Estimator  # of the frame's m rows if it is ``by_axis``, else of the coordinates
+    estimator: Estimator  # for the frame's m rows if ``by_axis``, else for the coordinates
     k_p_rotation: float = gain(
         100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True
     )
