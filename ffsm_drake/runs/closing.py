@@ -320,8 +320,8 @@ class ClosingRun(Mission):
 
     def _away(self, retreat: Retreat) -> Move:
         """Motion from the measured state to rest away from the target, within the limits and the
-        time of the run: straight away from it, or in the nearest clear direction to a face, an edge or a
-        corner of a cube.
+        time of the run: straight away from it, or in the nearest clear direction to a face, an edge
+        or a corner of a cube.
         """
         scenario, coordinates = self._chosen, self.before.coordinates
         q, v = np.split(self._estimated, [len(coordinates.position_names)])
