@@ -1,4 +1,4 @@
-"""What an audit says: checks with their verdicts, and the verdict of all."""
+"""Results of an audit: checks with their verdicts, and the overall verdict."""
 
 import dataclasses
 from typing import Literal
@@ -11,7 +11,7 @@ class Check:
     name: str
     statement: str
     verdict: Literal["holds", "measured", "not tested", "cannot tell", "does not hold"] = "holds"
-    cause: str = ""  # of what does not hold or cannot be told: one word for one mistake
+    cause: str = ""  # one word for the mistake or doubt; empty if there is none
 
 
 def fault(name: str, cause: str, statement: str) -> Check:
@@ -20,7 +20,7 @@ def fault(name: str, cause: str, statement: str) -> Check:
 
 
 def undecided(name: str, cause: str, statement: str) -> Check:
-    """A check that cannot be told."""
+    """A check that cannot be decided."""
     return Check(name=name, statement=statement, verdict="cannot tell", cause=cause)
 
 
@@ -32,7 +32,7 @@ class Audit:
 
     @property
     def verdict(self) -> Literal["yes", "no", "cannot tell"]:
-        """Whether the log is physics."""
+        """Overall verdict: whether the log is physically consistent."""
         return "no" if self.causes else "cannot tell" if self.doubts else "yes"
 
     @property
@@ -42,12 +42,12 @@ class Audit:
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """The mistakes that were named."""
+        """Causes of the checks that do not hold."""
         return self._causes("does not hold")
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What keeps checks from a verdict."""
+        """Causes of the checks that cannot be decided."""
         return self._causes("cannot tell")
 
     def _causes(self, verdict: str) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.plant import base_body, coordinates_of
 
 MOST = 4000  # samples at which the plant is evaluated
-_STEP = 1e-4  # rad or m of a numerical derivative
+_STEP = 1e-4  # rad or m; step of a numerical derivative
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,8 +26,9 @@ class Bodies:
     inertia: Array  # (n, bodies, 3, 3) about the centres of mass
 
     def momenta(self, log: Log) -> tuple[Array, Array]:
-        """Momenta of every body (n, bodies, 6) if the base moves as in a log: of its mass, and of
-        its rotation about its own centre of mass; [angular; linear] about the origin, world axes.
+        """Momenta of every body (n, bodies, 6) with the base's motion from a log: the part of its
+        mass, and the part of its rotation about its own centre of mass; [angular; linear] about the
+        origin, world axes.
         """
         turn, angular, linear, position = log.turns, log.angular, log.linear, log.position
         w = np.einsum("nji,nj->ni", turn, angular)[:, None]
@@ -63,7 +64,7 @@ class Dynamics:
         )
 
     def bodies_of(self, log: Log) -> Bodies:
-        """How the bodies move relative to the base."""
+        """Motion of the bodies relative to the base."""
         shape = len(log.time), len(self.bodies), 3
         turns, origins = np.zeros((*shape, 3)), np.zeros(shape)
         spins, velocities = np.zeros(shape), np.zeros(shape)
@@ -87,7 +88,7 @@ class Dynamics:
         )
 
     def points(self, log: Log) -> dict[str, tuple[Array, Array]]:
-        """Points that are mistaken for the base's origin: their places from it (n, 3), m, and their
+        """Points likely to be mistaken for the base's origin: positions from it (n, 3), m, and
         velocities relative to it (n, 3), m/s, world axes.
         """
         turn = log.turns

@@ -1,4 +1,4 @@
-"""Whether each joint's momentum follows the logged effort, and the mistake with which it would."""
+"""Check that each joint's momentum follows the logged effort, and the explaining mistake."""
 
 import dataclasses
 import functools
@@ -24,14 +24,14 @@ from ffsm_drake.plugins.audit.misfit import (
 )  # fmt: skip
 from ffsm_drake.plugins.audit.momentum import Momentum
 
-_PARTS = 4  # of a long log
-_LEAST = 1e-2  # of the largest joint's momentum: less counts as this
+_PARTS = 4  # number of stretches checked in a long log
+_LEAST = 1e-2  # lower bound of a joint's momentum, as a share of the largest joint's
 _WORST = ("does not hold", "cannot tell", "not tested", "holds", "measured")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Work:
-    """What changes the momentum of one joint (n, 1)."""
+    """Contributions to the momentum of one joint (n, 1)."""
 
     time: np.ndarray
     momentum: np.ndarray
@@ -39,7 +39,7 @@ class _Work:
     effort: np.ndarray
 
     def motion(self) -> Motion:
-        """What the momentum changes by beside what the other bodies give, and the effort."""
+        """Change of momentum without the contribution of the other bodies, and the effort."""
         moved = np.diff(self.momentum, axis=0) - areas(self.time, self.rate)
         return Motion(time=self.time, rate=self.effort, moved=moved)
 
@@ -138,13 +138,13 @@ def _sign(check: Check, name: str) -> Check:
 
 
 def _is_odd(joint: Followed, factor: Estimate, tolerance: float) -> bool:
-    """Whether an effort that is small beside what else moves the joint has another scale."""
+    """Whether a small effort, hidden by other loads on the joint, has another scale."""
     off = abs(factor.sizes[0]) > max(tolerance, 3.0 * factor.errors[0])
     return bool(off and factor.left < NAMED * joint.left)
 
 
 def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) -> Iterator[Mistake]:
-    """Mistakes of one joint's effort: what its momentum changes by in each period."""
+    """Mistakes of one joint's effort; the columns are changes of momentum in each period."""
     expected, period = joints[j].expected, np.diff(log.time)[:, None]
     moved, rate = np.diff(log.angles[:, [j]], axis=0), log.rates[:, [j]]
     from_start = log.angles[:, [j]] - log.angles[0, j]

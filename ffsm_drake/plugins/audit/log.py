@@ -1,4 +1,4 @@
-"""A log of a spacecraft's motion as arrays, and what its digits and its sampling leave open."""
+"""A log of a spacecraft's motion as arrays, with the uncertainty of its digits and sampling."""
 
 import dataclasses
 import math
@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.common.so3 import in_body_axes
 
 Array = np.ndarray
-RATES = ("angular", "linear", "rates")  # which a log of poses alone lacks
-_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
+RATES = ("angular", "linear", "rates")  # absent from a log of poses alone
+_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # inverts a quaternion
 _Samples = TypeVar("_Samples")
 
 
@@ -21,7 +21,7 @@ _Samples = TypeVar("_Samples")
 class Log:
     """Samples of a spacecraft's motion as a log gives them, in whatever axes and units.
 
-    What is not logged is zero; a missing rate is differentiated.
+    Arrays that are not logged are zero; a missing rate is differentiated.
     """
 
     time: Array  # (n), s
@@ -55,12 +55,12 @@ class Log:
         return found
 
     def resampled(self) -> "Log":
-        """The log as every second of the values that were interpolated or differentiated says."""
+        """The log with arrays interpolated or differentiated from every second value."""
         changed = {what: getattr(self, what) + change for what, change in self.unsure.items()}
         return self.replace(**changed)
 
     def shaken(self) -> "Log":
-        """The log with half of a last digit more or less, drawn anew wherever a number changes."""
+        """The log with half a last digit added or subtracted at random, held for equal values."""
         draw, changes = np.random.default_rng(0), {}
         for what, digit in self.digits.items():
             values = getattr(self, what)
@@ -77,7 +77,7 @@ def attitudes(quaternions: Array) -> Rotation:
 
 
 def in_world_axes(quaternions: Array, vectors: Array) -> Array:
-    """Vectors in body axes (n, 3) in those of the world, for attitudes (w, x, y, z) (n, 4)."""
+    """Vectors (n, 3) from body axes to world axes, for attitudes (n, 4), w first."""
     return in_body_axes(quaternions * _INVERSE, vectors)
 
 
@@ -96,7 +96,7 @@ def only(samples: _Samples, kept: Array | slice) -> _Samples:
 
 
 def every(count: int, *, most: int) -> Array:
-    """Indices of so many of ``count`` samples at most, evenly spread, with the first."""
+    """Indices of at most ``most`` of ``count`` samples, evenly spread, with the first."""
     return np.arange(0, count, -(-count // most))
 
 
@@ -152,8 +152,8 @@ def with_rates(log: Log) -> Log:
 def interpolated(
     time: Array, values: Array, wanted: Array, *, smooth: bool, step: int = 1
 ) -> Array:
-    """Columns (n, k) with blank cells at the times wanted (m, k), from every so many values of each
-    column: by cubic splines if they are smooth, else linearly; NaN outside of their times.
+    """Columns (n, k) with blank cells, interpolated to the times ``wanted`` (m, k) from every
+    ``step``-th value: by cubic splines if smooth, else linearly; NaN outside their times.
     """
     found = np.full((len(wanted), values.shape[1]), math.nan)
     for i, column in enumerate(values.T):

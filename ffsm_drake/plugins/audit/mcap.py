@@ -18,7 +18,7 @@ import pandas as pd  # type: ignore[import-untyped]
 
 from ffsm_drake.common.errors import FfsmError, one_line
 
-_MODULES = {  # encoding of messages -> what decodes it, its package, our extra
+_MODULES = {  # encoding of messages -> decoder, its package, our extra
     "protobuf": ("mcap_protobuf.decoder", "mcap-protobuf-support", "mcap"),
     "cdr": ("mcap_ros2.decoder", "mcap-ros2-support", "ros2"),
 }
@@ -26,11 +26,11 @@ _MAX_UNPACKED = 8_000_000_000  # bytes
 
 
 class _Key(NamedTuple):
-    """What a series is of."""
+    """Source of a series."""
 
     kind: str  # "pose", "odometry", "joint", "wrench" or "json"
-    name: str  # of the frame, joint or field
-    parent: str = ""  # of a pose or odometry: the frame that it is in
+    name: str  # name of the frame, joint or field
+    parent: str = ""  # reference frame of a pose or odometry
 
 
 _Series = dict[_Key, pd.DataFrame]  # values (n, k) by their times, ns
@@ -44,18 +44,18 @@ _COLUMNS = {
 
 
 def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str, dict[str, str]]:
-    """Read a log; times are the headers', or the log's where a header's never advances.
+    """Read a log; times are the headers', or the log's if a header's never advances.
 
     Args:
-      base: the base's frame, with or without what precedes "::" or "/".
+      base: the base's frame, with or without a prefix that ends in "::" or "/".
 
     Returns: columns by this package's names and, as TOPIC.FIELD, the numbers of JSON topics, with
-    blank cells where something has other times; what was done to them; the axes that the messages
-    define.
+    blank cells for series with other times; a note on the changes made; the axes defined by the
+    messages.
 
     Raises:
       FfsmError: a library is missing.
-      ValueError: it cannot be read, or tells nothing of the base.
+      ValueError: the log cannot be read, or no single frame matches the base.
     """
     series, logged = _read(path)
     frames = {key.name: key for kind in ("odometry", "pose") for key in series if key.kind == kind}
@@ -121,7 +121,7 @@ def _read(path: Path) -> tuple[_Series, bool]:
                         rows.setdefault(key, []).append(row)
     except (OSError, FfsmError):
         raise
-    except Exception as error:  # of many kinds, by what decompresses and decodes
+    except Exception as error:  # the decompressors and decoders raise many kinds
         raise ValueError(one_line(error)) from error
     times = {key: np.array(pairs) for key, pairs in stamps.items()}
     stopped = [not np.ptp(pair[:, 0]) and np.ptp(pair[:, 1]) > 0 for pair in times.values()]
@@ -130,8 +130,8 @@ def _read(path: Path) -> tuple[_Series, bool]:
 
 
 def _check_unpacked(stream: BinaryIO) -> None:
-    """Raise ValueError for a file that says of its chunks, or whose chunks say, that they are too
-    much when unpacked; of lz4 they are at most 255 times the file.
+    """Raise ValueError for a file whose chunks are too large when unpacked, by the size stated in
+    the file or in the chunks; lz4 expands a file at most 255 times.
     """
     reader: Any = importlib.import_module("mcap.stream_reader")
     total = 0

@@ -1,8 +1,8 @@
-"""How far a path is from the integral of its rate, and the mistake with which it would not be.
+"""Residual between a path and the integral of its rate, and the mistake that explains it.
 
 The paths are attitudes, positions and joints' angles with their rates, and joints' momenta with
-their efforts. A mistake is a column with a size: what it would change. Least squares find the size,
-and its standard error by leaving parts of the log out.
+their efforts. A mistake is a column (its effect on the residual) with a size. Least squares find
+the size; leaving out parts of the log gives its standard error.
 """
 
 import dataclasses
@@ -17,10 +17,10 @@ import numpy as np
 from ffsm_drake.plugins.audit.checks import Check, fault, undecided
 from ffsm_drake.plugins.audit.log import Array, every, only
 
-NAMED = 0.15  # share of what is missed that may remain with the mistake that is named
-SURE = 0.03  # the same, where less could be the doubt of sampling, digits or noise
-_CLEAR = 0.01  # the same, from which on fewer sizes are better than less that remains
-TRIMMED = 0.9  # share of the periods that a fit is about: jumps are found apart
+NAMED = 0.15  # largest share of the residual that a named mistake may leave
+SURE = 0.03  # the same, for residuals within the doubt of sampling, digits or noise
+_CLEAR = 0.01  # the same, below which fewer sizes are preferred to a smaller remainder
+TRIMMED = 0.9  # share of the periods used in a fit; jumps are found separately
 STILL = 1e-9  # rad or m
 _FOLDS = 8  # parts of a log that are left out in turn, for standard errors
 _MOST = 2000  # samples of a fit
@@ -34,28 +34,28 @@ DOUBTS = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Mistake:
-    """A mistake that may explain what is missed."""
+    """A mistake that may explain the residual."""
 
     cause: str
     text: str  # {0} stands for its sizes with their errors, {1} for the first, {2}, ...
-    columns: Sequence[Array]  # of what is missed, for a size of 1 each
-    changes: Sequence[Array] = ()  # of the logged rate, which mend it, for a size of 1 each
+    columns: Sequence[Array]  # changes of the residual, each for a size of 1
+    changes: Sequence[Array] = ()  # corrections of the logged rate, each for size 1
     unit: str = ""
-    factor: float = 1.0  # what is said is offset + factor * size
+    factor: float = 1.0  # the number in the text is offset + factor * size
     offset: float = 0.0
-    least: float = -math.inf  # of the first size
+    least: float = -math.inf  # limits of the first size
     most: float = math.inf
-    more: int = 0  # sizes beside those of the columns
+    more: int = 0  # number of sizes beside those of the columns
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Sizes of a mistake, and what is missed with it."""
+    """Sizes of a mistake, and the residual that remains with it."""
 
     mistake: Mistake
     sizes: Array
     errors: Array  # standard errors
-    left: float  # the largest that is still missed
+    left: float  # largest remaining residual
 
     @property
     def is_possible(self) -> bool:
@@ -71,12 +71,12 @@ class Estimate:
 
 
 def swing(path: Array) -> float:
-    """The farthest of a path (n, k) from its mean."""
+    """Largest distance of a path (n, k) from its mean."""
     return float(np.linalg.norm(path - path.mean(axis=0), axis=1).max(initial=0.0))
 
 
 def since_start(parts: Array) -> Array:
-    """Sum since the start (n, k) of what each period gives (n - 1, k)."""
+    """Sum since the start (n, k) of contributions of each period (n - 1, k)."""
     return np.concatenate([np.zeros_like(parts[:1]), np.cumsum(parts, axis=0)])
 
 
@@ -87,7 +87,7 @@ def means(values: Array) -> Array:
 
 
 def slopes(time: Array, rate: Array) -> Array:
-    """What a smooth rate (n, k) makes of its integral over each period beside the trapezoids."""
+    """Correction (n - 1, k) of the trapezoidal rule over each period for a smooth rate (n, k)."""
     slope = np.gradient(rate, time, axis=0, edge_order=2)
     found: Array = -(np.diff(time)[:, None] ** 2) / 12.0 * np.diff(slope, axis=0)
     return found
@@ -106,8 +106,8 @@ def about(values: Array, errors: Array | None, unit: str) -> str:
 
 
 def estimate(missed: Array, mistake: Mistake, lag: Array) -> Estimate:
-    """Least squares for sizes of columns (n, k), and of a lag within half a period, which an
-    integrator or a hold makes. Standard errors are a jackknife's: parts of the log are left out.
+    """Fit the sizes of columns (n, k), and a lag within half a period (from an integrator or a
+    hold), by least squares. Standard errors are a jackknife's: parts of the log are left out.
     """
     count = len(mistake.columns)
     table = np.stack([*mistake.columns, lag], axis=2)
@@ -151,8 +151,8 @@ def named(
     *,
     share: float = NAMED,
 ) -> Estimate | None:
-    """The mistake with the fewest sizes that explains what is missed about as well as the best
-    does, if any: but for a share of it, and nearly all where it may be mere doubt.
+    """The mistake with the fewest sizes among those about as good as the best; None if none
+    explains the residual up to a share of it, or nearly all of a residual within the doubt.
     """
     before = estimate(missed, _NONE, lag).left
     tried = [estimate(missed, each, lag) for each in mistakes]
@@ -168,14 +168,14 @@ def named(
 
 
 def noise(values: Array) -> float:
-    """Bound of what jumps from sample to sample in values (n, k)."""
+    """Bound of the noise from sample to sample in values (n, k)."""
     third = np.diff(values, n=3, axis=0)
     return 4.0 * float(np.linalg.norm(np.sqrt((third**2).mean(axis=0) / 20.0)))
 
 
 def open_by_steps(paths: Sequence[Array]) -> float:
-    """Bound of the error of a path by quadrature, from those with each, every second and every
-    fourth sample, by Richardson's extrapolation with what the steps were seen to gain.
+    """Bound of the quadrature error of a path, from the paths with each, every second and every
+    fourth sample, by Richardson's extrapolation with the observed gain of the steps.
     """
     first, second = (
         swing(coarse - fine[::2][: len(coarse)]) for fine, coarse in itertools.pairwise(paths)
@@ -192,16 +192,16 @@ def greatest(doubts: dict[str, float]) -> tuple[float, str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """What each period brings of a path, beside its rate."""
+    """Displacements of a path in each period, beside its rate."""
 
     time: Array  # (n), s
     rate: Array  # (n, k)
     moved: Array  # (n - 1, k)
-    beside: float | Array = 0.0  # what is expected beside the rate's integral
+    beside: float | Array = 0.0  # expected displacement beside the rate's integral
 
     @property
     def slope(self) -> Array:
-        """What a smooth rate makes of its integral beside the trapezoids."""
+        """Correction of the trapezoidal rule for a smooth rate (n - 1, k)."""
         return slopes(self.time, self.rate)
 
     @property
@@ -211,20 +211,20 @@ class Motion:
 
     @property
     def lag(self) -> Array:
-        """What is missed if the rates are those of one period later."""
+        """Residual (n - 1, k) if the rates are those of one period later."""
         found: Array = np.diff(self.time)[:, None] * np.diff(self.rate, axis=0)
         return found
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """How a path follows its rate, jumps apart."""
+    """Comparison of a path with its rate, without jumps."""
 
     samples: Any  # a dataclass of arrays with a time
     motion: Callable[[Any], Motion]
-    others: Mapping[str, Callable[[], Any]]  # by doubts: with other digits, interpolations
-    size: float = 0.0  # what is missed is a share of this; 0: of the motion
-    drifts: Callable[[], bool] = lambda: False  # whether an integrator's drift may explain it
+    others: Mapping[str, Callable[[], Any]]  # doubt -> samples with other digits or interpolation
+    size: float = 0.0  # residuals are shares of this size; 0: the motion's own
+    drifts: Callable[[], bool] = lambda: False  # True: integrator drift may explain it
 
     @functools.cached_property
     def parts(self) -> Motion:
@@ -236,12 +236,12 @@ class Followed:
 
     @functools.cached_property
     def beyond(self) -> Array:
-        """What is missed in each period (n - 1, k)."""
+        """Residual in each period (n - 1, k)."""
         return self.parts.moved - self.expected
 
     @functools.cached_property
     def jumps(self) -> Array:
-        """Periods (n - 1) in which what is missed is far beyond that of others."""
+        """Periods (n - 1) whose residual is far larger than in the others."""
         parts, missed = self.parts, np.linalg.norm(self.beyond, axis=1)
         most = np.maximum(*(np.linalg.norm(x, axis=1) for x in (parts.moved, self.expected)))
         usual = np.linalg.norm(np.abs(parts.lag) + 3.0 * np.abs(parts.slope), axis=1)
@@ -252,11 +252,11 @@ class Followed:
 
     @property
     def jumped(self) -> float:
-        """How far the jumps go."""
+        """Size of the jumps."""
         return swing(since_start(self.beyond * self.jumps[:, None]))
 
     def path(self, parts: Array) -> Array:
-        """Some of the path (n, k) since the start without jumps of what periods (n - 1, k) give."""
+        """Sum since the start, jumps left out, of contributions (n - 1, k): some samples (m, k)."""
         rows = every(len(parts) + 1, most=_MOST)
         return since_start(parts * ~self.jumps[:, None])[rows]
 
@@ -266,7 +266,7 @@ class Followed:
 
     @functools.cached_property
     def missed(self) -> Array:
-        """What is missed (n, k), of a smooth rate, or one under efforts that are held: straight."""
+        """Smaller residual (m, k) of a smooth rate and a piecewise linear one (held efforts)."""
         both = (self.beyond, self.beyond + self.parts.slope)
         return min((self.path(x) for x in both), key=lambda x: estimate(x, _NONE, self.lag).left)
 
@@ -276,7 +276,7 @@ class Followed:
 
     @functools.cached_property
     def left(self) -> float:
-        """The largest that is missed but for a lag within half a period."""
+        """Largest residual after a fitted lag within half a period."""
         return estimate(self.missed, _NONE, self.lag).left
 
     @property
@@ -285,7 +285,7 @@ class Followed:
 
     @functools.cached_property
     def doubt(self) -> tuple[float, str]:
-        """How far the path can be off, and why: the steps, the digits, noise, or an integrator."""
+        """Bound of the path's error, and its reason: sampling, digits, noise or an integrator."""
 
         def path(samples: Any, step: int = 1) -> Array:
             whole = len(samples.time) - (len(samples.time) - 1) % step
@@ -305,24 +305,24 @@ class Followed:
         return (math.inf, "integrator") if drifts else greatest(doubts)
 
     def named(self, mistakes: Iterable[Mistake]) -> Estimate | None:
-        """The mistake that explains what is missed, its columns those of periods."""
+        """The mistake that explains the residual; the columns are per period (n - 1, k)."""
         return named(self.missed, self.lag, map(self._along, mistakes), self.doubt[0])
 
     def _along(self, mistake: Mistake) -> Mistake:
         return dataclasses.replace(mistake, columns=[self.path(x) for x in mistake.columns])
 
     def factor(self) -> Estimate:
-        """By how much the motion differs from a multiple of what is expected."""
+        """Fit of the factor between the motion and the expected motion; size 0: they agree."""
         scale = Mistake(cause="scale", text="", columns=[self.expected])
         return estimate(self.missed, self._along(scale), self.lag)
 
     def judged(
         self, name: str, said: str, mistakes: Iterable[Mistake], tolerance: float, cause: str
     ) -> tuple[Check, Estimate | None]:
-        """The check of what is missed beyond the tolerance, and its mistake if one explains it.
+        """Check of a residual beyond the tolerance, and the mistake that explains it, if any.
 
         Args:
-          cause: of what no mistake explains, nor any doubt.
+          cause: cause of the fault if neither a mistake nor a doubt explains the residual.
         """
         if found := self.named(mistakes):
             return fault(name, found.mistake.cause, f"{said} {found}"), found
@@ -333,7 +333,7 @@ class Followed:
 
 
 def common_factor(factors: Sequence[float], errors: Sequence[float] | float) -> float | None:
-    """A factor that all have within a tenth of what it differs from 1, or their errors."""
+    """Median factor if all agree within 5 % of its distance from 1 and three standard errors."""
     values = np.array(factors)
     found = float(np.median(values)) if len(values) > 1 else 1.0
     unlike = np.abs(values - found) > 0.05 * abs(found - 1.0) + 3.0 * np.array(errors)

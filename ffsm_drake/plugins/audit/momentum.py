@@ -1,6 +1,4 @@
-"""Whether momentum is conserved but for the forces that are logged, and the mistake without which
-it would be.
-"""
+"""Check of momentum conservation apart from logged forces, and the mistake behind a residual."""
 
 import dataclasses
 import functools
@@ -33,7 +31,7 @@ from ffsm_drake.plugins.audit.misfit import (
 from ffsm_drake.plugins.audit.motions import turned
 
 _GROUPS = 60  # places of the log at which momentum is compared, of four samples each
-_DRIFTED = 0.2  # share of what is missed that may remain with an integrator's drift
+_DRIFTED = 0.2  # largest share of the residual that an integrator's drift may leave
 _DEGREE = np.pi / 180.0
 
 
@@ -44,8 +42,9 @@ def _integral(time: Array, rate: Array) -> Array:
 
 
 def _impulses(log: Log) -> list[Array]:
-    """Impulse (n, 6) of the forces on the base since the start, as momenta: a force may be that of
-    its samples, held from each sample on, or held up to it; a disturbance is smooth.
+    """Impulse (n, 6) of the forces on the base since the start, as momenta, for three
+    conventions: a force sampled, held from each sample on, or held up to it; a disturbance is
+    smooth.
     """
     place, period = log.position - log.position[0], np.diff(log.time)[:, None]
     moment, push = log.disturbance[:, :3], log.disturbance[:, 3:6]
@@ -63,7 +62,7 @@ def _impulses(log: Log) -> list[Array]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Momentum:
-    """The momenta at some samples of a log, and the share of them that changes."""
+    """Momenta at some samples of a log, and the share by which the total changes."""
 
     log: Log  # mended: rates in world axes
     dynamics: Dynamics
@@ -85,7 +84,7 @@ class Momentum:
 
     @functools.cached_property
     def scale(self) -> Array:
-        """What the bodies exchange (6), N m s and N s; of one body, what it has."""
+        """Momentum exchanged by the bodies (6), N m s and N s; a single body's own momentum."""
         whole = np.sum(self.momenta, axis=0)
         shares = (self.dynamics.masses / self.dynamics.mass)[:, None]
         drift = whole[..., 3:].sum(axis=1, keepdims=True) * shares
@@ -98,30 +97,30 @@ class Momentum:
 
     @functools.cached_property
     def impulse(self) -> Array:
-        """That of the logged forces (n, 6), as they conserve momentum best."""
+        """Impulse of the logged forces (n, 6), in the convention that conserves momentum best."""
         total = self.total(self.some, bodies=self.bodies)
         each = [impulse[self.kept] for impulse in _impulses(self.log)]
         return min(each, key=lambda impulse: swing(total - impulse / self.scale))
 
     @functools.cached_property
     def missed(self) -> Array:
-        """Total momentum (n, 6) without the impulse of the logged forces, by the scale."""
+        """Total momentum (n, 6) minus the impulse of the logged forces, divided by ``scale``."""
         return self.total(self.some, bodies=self.bodies) - self.impulse / self.scale
 
     def total(self, log: Log, *, bodies: Bodies | None = None) -> Array:
-        """Total momentum (n, 6) of samples, by the scale."""
+        """Total momentum (n, 6) of samples, divided by ``scale``."""
         momenta = (bodies or self.dynamics.bodies_of(log)).momenta(log)
         found: Array = np.sum(momenta, axis=(0, 2)) / self.scale
         return found
 
     @functools.cached_property
     def share(self) -> float:
-        """How far a component of the total is from its mean."""
+        """Largest deviation of a component of ``missed`` from its mean."""
         return float(np.abs(self.missed - self.missed.mean(axis=0)).max())
 
     @functools.cached_property
     def doubt(self) -> tuple[float, str]:
-        """How far it can be off, and why."""
+        """Bound of the error of the momentum, and its reason."""
         groups = np.split(self.missed, np.flatnonzero(np.diff(self.kept) > 1) + 1)
         total = self.total(self.some, bodies=self.bodies)
         fine, coarse = (_impulses(only(self.log, slice(None, None, k)))[0] for k in (1, 2))
@@ -137,25 +136,25 @@ class Momentum:
         return greatest(doubts)
 
     def named(self, mistakes: Iterator[Mistake], *, share: float = SURE) -> Estimate | None:
-        """The mistake with which momentum is conserved."""
+        """The mistake that explains the residual; None if none does."""
         return named(self.missed, np.zeros_like(self.missed), mistakes, self.doubt[0], share=share)
 
     @functools.cached_property
     def drift(self) -> tuple[float, float] | None:
-        """The step of a first-order integrator whose drift explains what is missed, s, and what is
-        then missed.
+        """Step (s) of a first-order integrator whose drift explains the residual, and the remaining
+        residual; None if none does.
         """
         found = self.named(_of_integrator(self), share=_DRIFTED)
         return (float(found.sizes[0]), found.left) if found else None
 
     @property
     def excuses_efforts(self) -> bool:
-        """Whether an integrator's drift, or doubt, is all that is missed."""
+        """Whether an integrator's drift, or doubt, explains the whole residual."""
         return self.share <= self.doubt[0] or self.drift is not None
 
 
 def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Check, Momentum]:
-    """The check of momentum; its shares are of what the bodies exchange."""
+    """Check of momentum, in shares of the momentum exchanged by the bodies."""
     size, name = len(log.time), "momentum"
     starts = np.linspace(0, size - 4, min(_GROUPS, size // 4)).astype(int)
     kept = np.unique(starts[:, None] + np.arange(4))
@@ -193,7 +192,7 @@ def _mistakes(found: Momentum) -> Iterator[Mistake]:
 
 
 def _instead(found: Momentum, cause: str, words: str, log: Log, *, more: int = 0) -> Mistake:
-    """Other samples in place of those that are logged: all of the change, or nothing of it."""
+    """Mistake that replaces the logged samples by ``log``; its size is near 1 if it applies."""
     change = found.missed + found.impulse / found.scale - found.total(log)
     return Mistake(cause=cause, text=words, columns=[change], more=more, least=0.9, most=1.1)
 
@@ -245,8 +244,8 @@ def _of_forces(found: Momentum) -> Iterator[Mistake]:
 
 
 def _of_frames(found: Momentum) -> Iterator[Mistake]:
-    """Constant rotations of the base's axes, or of the world in which its attitude is; a log in a
-    frame that turns.
+    """Constant rotations of the base's axes or of the attitude's world axes, and a log in a turning
+    frame.
     """
     some, since = found.some, (found.some.time - found.some.time[0])[:, None]
     attitude, place = attitudes(some.quaternion), some.position + found.log.position[0]
@@ -316,8 +315,8 @@ def _joints(log: Log, order: list[int], factor: float | Array) -> Log:
 
 
 def _of_integrator(found: Momentum) -> Iterator[Mistake]:
-    """The drift of first-order integrators: a step h changes momentum by h^2 times what a trial
-    step does.
+    """The drift of first-order integrators: the change of momentum scales with the square of
+    the step.
     """
     log, period = found.log, np.diff(found.log.time)
     near = every(len(period), most=1000)

@@ -1,4 +1,4 @@
-"""The motions of a log: attitude, position and joints, their rates, and what may be wrong there."""
+"""The motions of a log: attitude, position and joints, their rates and possible mistakes."""
 
 import dataclasses
 import math
@@ -22,16 +22,16 @@ def turned(log: Log) -> Array:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A motion, and how its rates may be wrong."""
+    """A motion, and the possible mistakes of its rates."""
 
     name: str
-    path: str  # the array of a log that moves, and that of its rates
-    rate: str
-    cause: str  # of rates that belong to nothing
+    path: str  # name of the log's array of positions
+    rate: str  # name of the log's array of rates
+    cause: str  # cause of a fault if no mistake explains the rates
     mistakes: Callable[[Log], Iterator[Mistake]]
 
     def motion(self, log: Log) -> Motion:
-        """The motion, of the attitude in world axes."""
+        """The motion; the attitude's is in world axes."""
         rate, beside = getattr(log, self.rate), np.zeros(1)
         moved = (
             turned(log) if self.path == "quaternion" else np.diff(getattr(log, self.path), axis=0)
@@ -46,7 +46,7 @@ _Row = tuple[str, str, Sequence[Array], float, str]
 
 def _mistakes(log: Log, rate: str, *table: _Row) -> Iterator[Mistake]:
     """Mistakes of a rate: a scale, a delay, and those of a table: cause, text, changes of the rate
-    (n, k) for sizes of 1, factor of the sizes that are said, and their unit.
+    (n, k) for sizes of 1, factor of the sizes in the text, and their unit.
     """
     values = getattr(log, rate)
     yield Mistake(
@@ -86,8 +86,8 @@ def _constant(log: Log, axes: Array) -> list[Array]:
 
 
 def realigned(log: Log) -> tuple[str, Array]:
-    """Angular velocities whose axes are turned against the base's so that they agree best with the
-    attitude, and how they are turned.
+    """Description of the constant rotation of axes with which the angular velocities agree best
+    with the attitude, and the rotated angular velocities (n, 3), world axes, rad/s.
     """
     q, local = log.quaternion, in_body_axes(log.quaternion, log.angular)
     expected = means(local) * np.diff(log.time)[:, None]

@@ -1,5 +1,5 @@
-"""Whether the logged rates are those of the attitude, the position and the joints: in which axes,
-in which unit, of which point, and with which mistake.
+"""Checks of the logged rates against the attitude, the position and the joints: their axes, unit,
+reference point and mistakes.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ from ffsm_drake.plugins.audit.motions import (
 
 _FITS = 0.1  # share of a motion within which axes and units of its rates are recognised
 _DEGREES = 180.0 / math.pi
-_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
+_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # inverts a quaternion
 _FACTORS = (
     (1.0 / _DEGREES, "degrees", "the rates are in degrees per second"),
     (_DEGREES, "degrees", "the positions are in degrees, the rates in radians per second"),
@@ -54,7 +54,7 @@ _SAID = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Reading:
-    """A log with its rates as they may be meant, and what is wrong if they are."""
+    """A log with one interpretation of its rates, and the faults that it implies."""
 
     kind: Kind
     said: str
@@ -62,14 +62,14 @@ class _Reading:
     faults: Sequence[Check] = ()
 
     def followed(self) -> Followed:
-        """The motion; of many samples it takes much memory, and is not kept."""
+        """The motion; not cached, because long logs need much memory."""
         others = {"digits": self.log.shaken, "sampling": self.log.resampled}
         return Followed(samples=self.log, motion=self.kind.motion, others=others)
 
     @functools.cached_property
     def fit(self) -> tuple[float, float]:
-        """The factor by which the path changes more than the rates say, and the share of the path
-        that is missed with it.
+        """Ratio of the path's changes to the integrated rates, and the share of the path that
+        remains unexplained with it.
         """
         found = self.followed()
         if found.scale < STILL:
@@ -88,22 +88,22 @@ class _Reading:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Outcome:
-    """What is found of one motion."""
+    """Result for one motion."""
 
     checks: Sequence[Check]
     log: Log  # mended
-    missed: float = 0.0  # share of the motion, with the mistake mended
+    missed: float = 0.0  # residual as a share of the motion, with the mistake mended
     is_explained: bool = True
-    factor: float | None = None  # by which it moves more than its rates say; None: not known
+    factor: float | None = None  # ratio of motion to integrated rate; None: unknown
     jumps: Array | None = None  # periods (n - 1)
 
 
 def _read(usual: Sequence[_Reading], others: Sequence[_Reading], tolerance: float) -> _Outcome:
-    """The reading of the rates that agrees with the motion, and the mistake that remains.
+    """Find the reading of the rates that agrees with the motion, and the remaining mistake.
 
     Args:
-      usual: readings that are right; the first two are in world and in body axes.
-      others: readings that are mistakes, the likelier ones first.
+      usual: correct readings; the first two are in world and in body axes.
+      others: mistaken readings, the likelier ones first.
     """
     kind, read = usual[0].kind, sorted(usual, key=lambda each: each.missed)
     best, forward = read[0], min((x.missed for x in read if x.factor > 0.0), default=math.inf)
@@ -174,7 +174,7 @@ def _followed(reading: _Reading, tolerance: float) -> _Outcome:
 
 
 def _attitude(log: Log, tolerance: float) -> _Outcome:
-    """Which way the quaternion turns, the axes of the angular velocity, and its mistakes."""
+    """Direction of the quaternion, axes of the angular velocity, and its mistakes."""
 
     def both(log: Log, faults: Sequence[Check] = ()) -> list[_Reading]:
         body = log.replace(angular=in_world_axes(log.quaternion, log.angular))
@@ -207,7 +207,7 @@ def _attitude(log: Log, tolerance: float) -> _Outcome:
 
 
 def _base_velocity(log: Log, dynamics: Dynamics, tolerance: float) -> _Outcome:
-    """Axes of the base's velocity, the point that it is of, and its mistakes."""
+    """Axes and reference point of the base's velocity, and its mistakes."""
     axes = {
         "in world axes": log.linear,
         "in body axes": in_world_axes(log.quaternion, log.linear),
@@ -223,7 +223,7 @@ def _base_velocity(log: Log, dynamics: Dynamics, tolerance: float) -> _Outcome:
 
 
 def _joint_rates(log: Log, names: Sequence[str], tolerance: float) -> tuple[list[_Outcome], Log]:
-    """Whether each joint's rate is that of its own position."""
+    """Check each joint's rate against its position; return the outcomes and the mended log."""
     outcomes = []
     for i, name in enumerate(names):
         kind = of_joint(name)
@@ -251,7 +251,7 @@ def _joint_rates(log: Log, names: Sequence[str], tolerance: float) -> tuple[list
 
 
 def check_rates(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[list[Check], Log]:
-    """Checks of all rates that are logged, and the log with rates in world axes, mended."""
+    """Checks of all logged rates, and the log with mended rates in world axes."""
     outcomes = []
     if "angular" not in log.missing:
         outcomes.append(_attitude(log, tolerance))
@@ -276,7 +276,7 @@ def check_rates(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[list[Ch
 def _time_scale(
     checks: list[Check], log: Log, outcomes: Sequence[_Outcome]
 ) -> tuple[list[Check], Log]:
-    """One mistake where every position changes by the same factor times what its rate says."""
+    """Replace equal rate factors of every position by one mistake: the scale of time."""
     found = [outcome for outcome in outcomes if outcome.factor is not None]
     factor = common_factor([outcome.factor or 1.0 for outcome in found], 0.0)
     if not factor:
@@ -293,7 +293,7 @@ def _time_scale(
 
 
 def _jumps(log: Log, jumps: Array) -> Check:
-    """What jumps are: samples that were dropped or repeated, or the motion itself."""
+    """Check of the jumps: dropped samples, repeated samples, or jumps of the motion itself."""
     paths = np.diff(np.hstack([log.position, log.angles]), axis=0)
     moved = np.hstack([turned(log), paths])
     expected = means(np.hstack([log.angular, log.linear, log.rates])) * np.diff(log.time)[:, None]
@@ -302,7 +302,7 @@ def _jumps(log: Log, jumps: Array) -> Check:
     beside = np.linalg.norm(moved - ratio[:, None] * expected, axis=1)
     lost = (ratio > 1.3) & (beside < 0.3 * np.linalg.norm(expected, axis=1))
     stale = np.abs(ratio) < 0.3
-    if lost.sum() > 2 * stale.sum():  # what follows a repeated sample jumps too
+    if lost.sum() > 2 * stale.sum():  # the period after a repeated sample jumps too
         missing = int(np.maximum(1, np.round(ratio[lost] - 1.0)).sum())
         said = (
             f"about {missing} samples were dropped and the time renumbered: the motion jumps in "

@@ -29,8 +29,8 @@ _LEAST = 10  # samples
 _LARGEST = 1e50  # a number whose square is one
 _SHORTEST = 1e-9  # s
 _TIME = ("time", "t")
-# What a column is -> names that it may have; {} stands for w, x, y, z or the joint's name. A name
-# with a point is a variable of a netCDF file and a label along its second dimension.
+# Quantity -> possible column names; {} stands for w, x, y, z or the joint's name. A name with a
+# point is a variable of a netCDF file and a label along its second dimension.
 _NAMES = {
     "quaternion": (
         "base_quaternion_{}", "quaternion_{}", "quat_{}", "q{}", "position.base_quaternion_{}",
@@ -53,7 +53,7 @@ _NAMES = {
     "force": ("base_force_{}", "applied_force.base_position_{}"),
     "disturbance": ("disturbance_force.{}",),
 }  # fmt: skip
-_MEANT = {  # what a log lacks, in words
+_MEANT = {  # quantities, in words
     "quaternion": "the base's attitude",
     "position": "the base's position",
     "angular": "the base's angular velocity",
@@ -66,14 +66,14 @@ _MEANT = {  # what a log lacks, in words
     "disturbance": "the disturbance",
 }
 _BASE = [f"base_{what}_{x}" for what in ("rotation", "position") for x in "xyz"]
-# Basilisk's names, and how users number what they are of: the label; from 0; from 1. Joints count
-# from base to end.
+# Basilisk's names, and the usual numbering of their components: the label; from 0; from 1. Joints
+# count from base to end.
 _BASILISK = {
     "mrp": "sigma_BN", "position": "r_BN_N", "angular": "omega_BN_B", "linear": "v_BN_N",
     "angles": "theta", "rates": "thetaDot", "efforts": "motorTorque",
 }  # fmt: skip
 _NUMBERED = ("{}_{}", "{}[{}]", "{}.{}", "{}{}")
-_AXES = {"omega_BN_B": "body axes", "v_BN_N": "world axes"}  # that a name states
+_AXES = {"omega_BN_B": "body axes", "v_BN_N": "world axes"}  # axes implied by a column's name
 _NEEDED = ("quaternion", "position", "angles")
 
 
@@ -135,18 +135,18 @@ class _Columns:
 def read_log(
     path: Path, joints: Sequence[str], *, base: str = "", columns: Mapping[str, str] | None = None
 ) -> Log:
-    """Read a log with a column for every coordinate, and for its rate where that is logged.
+    """Read a log with a column for every coordinate, and optionally for its rate.
 
     Args:
       path: CSV with a first line of names, netCDF, MATLAB's .mat or MCAP; further columns are
-        ignored. Blank cells are read as messages that came at other times.
+        ignored. Blank cells mean that a message came at another time.
       joints: the joints' names, from base to end.
       base: in MCAP, the base's frame.
-      columns: other names: of what this package calls ``base_quaternion_w``, ``joint_1``,
-        ``joint_1_rate`` and so on -> the log's name; ``base`` -> its frame.
+      columns: this package's names (``base_quaternion_w``, ``joint_1``, ``joint_1_rate``, ...) ->
+        the log's names; ``base`` -> its frame.
 
     Raises:
-      RecordError: it cannot be read, a column is missing, or a value is not a finite number.
+      RecordError: the log cannot be read, a column is missing, or a value is not finite.
       FfsmError: a library is missing.
     """
     given = dict(columns or {})
@@ -183,7 +183,7 @@ def read_log(
 def _read(
     path: Path, given: Mapping[str, str], base: str
 ) -> tuple[dict[str, Array], str, dict[str, str]]:
-    """The columns of a file, a note on them, and axes that they are stated to be in."""
+    """The columns of a file, a note on them, and their stated axes."""
     kind = path.suffix.lower()
     if kind not in (*_READERS, ".mcap"):
         hint = _CONVERTED.get(kind, f"convert it to {', '.join((*_READERS, '.mcap'))}")
@@ -198,7 +198,7 @@ def _read(
 
 
 def _other_attitude(file: _Columns) -> tuple[dict[str, float | None], str]:
-    """Add the quaternion's columns from MRPs, or from roll, pitch, yaw: the digits of these; a
+    """Add the quaternion's columns from MRPs, or from roll, pitch, yaw; return their digits, and a
     note.
     """
     rows, note = file.table("mrp", "xyz"), ""
@@ -219,7 +219,7 @@ def _other_attitude(file: _Columns) -> tuple[dict[str, float | None], str]:
 
 
 def _at_poses(path: Path, log: Log) -> Log:
-    """What a log holds at the times of its poses: blank cells are interpolated."""
+    """The log at the times of its poses, with blank cells interpolated."""
     timed = only(log, np.isfinite(log.time))
     posed = np.isfinite(np.hstack([timed.quaternion, timed.position])).all(axis=1)
     found, unsure, whole = only(timed, posed), {}, np.full(posed.sum(), True)

@@ -1,9 +1,9 @@
-"""Is a log physics? Checks of another simulator's log of a free-flying spacecraft against a URDF:
-frames and units of its velocities, then momentum and the joints' efforts with this package's plant.
+"""Audit of another simulator's log of a free-flying spacecraft against a URDF: frames and units of
+its velocities, then momentum and the joints' efforts with this package's plant.
 
-Every check is a fit. Displacements must be the integrals of the logged rates, momenta those of the
-logged forces. What is missed is compared with the tolerance, and with what the sampling and the
-digits leave open; beyond these, the mistake is named with which nothing is missed.
+Every check is a fit. Displacements must be the integrals of the logged rates, and momenta the
+integrals of the logged forces. The residual is compared with the tolerance, and with the error
+bound from sampling and digits; beyond both, the mistake that explains the residual is named.
 """
 
 import warnings
@@ -24,8 +24,8 @@ from ffsm_drake.plugins.audit.reading import read_log
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import base_body, make_plant
 
-TOLERANCE = 1e-3  # share that a motion may miss of its rates, a momentum of what bodies exchange
-_EVEN = 0.8  # share of equal periods from which on a log is sampled evenly
+TOLERANCE = 1e-3  # largest residual, as a share of the motion or of the exchanged momentum
+_EVEN = 0.8  # least share of equal periods in an evenly sampled log
 _FARTHEST = 2.8  # rad between samples, nearly half a turn
 _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _MEANT = {
@@ -46,8 +46,8 @@ def audit(
 
     Args:
       columns: other names of columns; see ``read_log``.
-      tolerance: share that a displacement may miss of the integral of its rates, a momentum of
-        what the bodies exchange, and a joint's momentum of that of its effort.
+      tolerance: largest residual, as a share: of a displacement, of the momentum exchanged by the
+        bodies, and of a joint's momentum.
 
     Raises:
       ModelError, RecordError: a file cannot be used.
@@ -89,7 +89,7 @@ def _checks(log: Log, dynamics: Dynamics, tolerance: float) -> list[Check]:
 
 
 def _time(log: Log) -> tuple[list[Check], Log]:
-    """Samples in order, none missing; those out of order are left out from here on."""
+    """Check the order and gaps of the samples; the returned log has only samples in order."""
     steps, digit = np.diff(log.time), log.digits.get("time", 0.0)
     if (back := np.flatnonzero(steps <= 0.0)).size:
         kept = log.time > np.maximum.accumulate(np.concatenate([[-np.inf], log.time[:-1]]))
@@ -119,7 +119,7 @@ def _time(log: Log) -> tuple[list[Check], Log]:
 
 
 def _quaternion(log: Log) -> tuple[list[Check], Log]:
-    """Quaternions of norm 1, which they have from here on."""
+    """Check the norm of the quaternions; the returned log has norm 1."""
     largest = np.abs(log.quaternion).max(axis=1, keepdims=True)
     size = np.linalg.norm(log.quaternion / largest, axis=1, keepdims=True)
     whole = log.replace(quaternion=log.quaternion / largest / size)
@@ -132,7 +132,7 @@ def _quaternion(log: Log) -> tuple[list[Check], Log]:
 
 
 def _time_unit(log: Log) -> tuple[list[Check], Log]:
-    """A unit of time in which joints and base go as far as their rates say; s if there is none."""
+    """Find the unit of time in which joints and base follow their rates; default: s."""
     period, ratios = np.diff(log.time), []
     for position, rate in ((log.angles, log.rates), (log.position, log.linear)):
         moved = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()
@@ -147,7 +147,7 @@ def _time_unit(log: Log) -> tuple[list[Check], Log]:
 
 
 def _turn(log: Log) -> tuple[list[Check], Log]:
-    """Attitudes not too far apart."""
+    """Check that successive attitudes are less than about half a turn apart."""
     turn = float(np.linalg.norm(turned(log), axis=1).max())
     if turn > 0.5:
         speed = means(np.linalg.norm(log.angular, axis=1))

@@ -26,15 +26,13 @@ from ffsm_drake.spacecraft.plant import base_body
 from ffsm_drake.systems.actuation.thrusters import ThrusterSet
 from ffsm_drake.systems.actuation.wheels import WheelSet
 
-_CORNERS = (
-    16  # units of which every combination is looked at; of more the sum of their sizes counts
-)
-_DIRECTIONS = 2000  # along which momentum is compared, beside its own
+_CORNERS = 16  # most units with every combination tried; above, their sizes are summed
+_DIRECTIONS = 2000  # number of directions for comparing momentum, beside its own
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LeastTimes:
-    """Least times, s; 0 where nothing is to be taken out, or where nothing limits that."""
+    """Least times, s; 0 without momentum to remove, or without a limit on its removal."""
 
     bound: float
     held: float
@@ -48,15 +46,15 @@ class _Units:
 
     wrenches: np.ndarray
     least: np.ndarray
-    turn_with_base: bool  # their axes; otherwise those are the world's
+    turn_with_base: bool  # True: axes fixed in the base; False: in the world
 
 
 def least_times(
     scenario: Scenario, model: PlantModel, q: np.ndarray, *, spin: np.ndarray, linear: np.ndarray
 ) -> LeastTimes:
-    """The least times from a configuration q (nq) with angular momentum ``spin`` (3; about the
-    centre of mass, N m s) and ``linear`` momentum (3; N s), world axes, as far as the base's
-    actuators are driven.
+    """Least times from a configuration q (nq) with angular momentum ``spin`` (3; about the centre
+    of mass, N m s) and ``linear`` momentum (3; N s), world axes; only the driven coordinates of the
+    base count.
 
     Raises ScenarioError: errors of the actuators.
     """

@@ -73,7 +73,7 @@ class Published:
     figure: str  # column of a campaign's results, angular_momentum or planned_time
     value: float
     source: str
-    controller: str = ""  # of a column
+    controller: str = ""  # controller of a campaign's column
     within: float = 0.0  # share of the value
     at_most: bool = False  # the figure may be anything below
 
@@ -113,7 +113,7 @@ class Standing:
 
     @property
     def ended_early(self) -> Mapping[str, int]:
-        """How often by outcome."""
+        """Number of runs by outcome, completed runs left out."""
         return collections.Counter(name for name in self.outcomes if name not in COMPLETED)
 
 
@@ -240,7 +240,7 @@ def run_mission(
 
 
 def _figures_of(mission: Mission, name: str, folder: Path) -> Path:
-    """Where the ``law_figures`` of a law on a mission are kept."""
+    """Path of the file with the ``law_figures`` of a law on a mission."""
     return folder / f"{mission.name}-{_spec(mission.scenario, [name]).fingerprint[:12]}.json"
 
 
@@ -408,9 +408,9 @@ def _at_start(scenario: Scenario) -> _Start:
 
 
 def least_propellant(scenario: Scenario) -> float | None:
-    """The least propellant, kg, with which thrusters take a mission's momentum out: each from the
-    best of all directions, about the centre of mass where it stands at the start; wheels take the
-    angular momentum for nothing. None without thrusters or momentum.
+    """Lower bound of the propellant, kg, for thrusters to remove a mission's momentum, each in its
+    best direction, about the centre of mass at the start; wheels take the angular momentum at no
+    cost. None without thrusters or momentum.
     """
     settings = scenario.actuation.thrusters
     if settings is None:

@@ -81,8 +81,8 @@ class Settled:
     rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
     def time(self, time: np.ndarray, tracked: "Tracked", *, velocity: np.ndarray) -> float | None:
-        """The time (s) from which error and velocity stay within these bounds; None for a run that
-        is not settled.
+        """First time (s) from which error and velocity stay within these bounds; None: not
+        settled.
 
         Args:
           time: control samples (n,), s.

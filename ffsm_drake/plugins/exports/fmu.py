@@ -55,7 +55,7 @@ from ffsm_drake.plugins.exports.fmu import {base}
 class {name}({base}, Fmi3Slave):
     pass
 """
-# what the law reads: its name in a Sample, that of the variables
+# inputs of the law: name in a Sample -> name of the variables
 _POSITIONS = {"q": "measured_position", "q_d": "desired_position"}
 _VELOCITIES = {
     "v": "measured_velocity",
@@ -134,11 +134,11 @@ class _Slave(Fmi3Slave):
 
     @abc.abstractmethod
     def advance(self) -> bool:
-        """One control sample. False where the run ended."""
+        """Advance by one control sample; False if the run ended."""
 
     def do_step(self, current_time: float, step_size: float) -> Any:
-        """One control sample, from where the last ended; any other is an error, and changes
-        nothing.
+        """Advance by one control sample from the end of the last; any other step is an error
+        without effect.
         """
         try:
             self._check_step(current_time, step_size)

@@ -43,7 +43,7 @@ from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.setup import BlockSetup
 
 WORLD = "world"
-_PLAIN = Rgba(0.7, 0.7, 0.72, 1.0)  # of shapes without a colour
+_PLAIN = Rgba(0.7, 0.7, 0.72, 1.0)  # colour of shapes without one
 _MEDIA = {".obj": "model/obj", ".gltf": "model/gltf+json", ".glb": "model/gltf-binary"}
 _MEDIA |= {".stl": "model/stl"}
 _ANY: dict[str, str] = {"type": "object"}  # schema of the JSON topics
@@ -80,11 +80,11 @@ def watch(
     """Run a scenario at real time, or its ``target_realtime_rate``, and serve ``/tf`` and
     ``/scene`` to Foxglove on 127.0.0.1 meanwhile.
 
-    The library's server obeys every page, so it is behind a door (``common.door``): who connects
-    must know the address that is told, which ends in a secret.
+    The library's server obeys every page, so it is behind a proxy (``common.door``): clients must
+    know the printed address, with a secret at its end.
 
-    Args: the scenario; the port, 0: any; called with a line that says where; called to let wall
-    time pass, with seconds.
+    Args: the scenario; the port, 0: any; a function called with the line for the terminal; a
+    function called with seconds, to let wall time pass.
 
     Returns: the record of ``simulate``.
 
@@ -111,7 +111,7 @@ def watch(
 
 def _started(foxglove: Any, context: Any) -> tuple[Any, str]:
     """A server and its address: any of this machine, 127.0.0.1 where the system has no other."""
-    # pages that go are not the terminal's business
+    # Disconnected pages are not reported in the terminal.
     logging.getLogger("foxglove").setLevel(logging.CRITICAL)
     for host in (random_loopback(), HOST):
         with suppress(OSError, RuntimeError):
@@ -121,7 +121,7 @@ def _started(foxglove: Any, context: Any) -> tuple[Any, str]:
 
 
 class FoxgloveDoor(Door):
-    """The door before a Foxglove server; ``url`` is the address to tell."""
+    """The proxy in front of a Foxglove server; ``url`` is the proxy's address."""
 
     largest = 2**20
     subprotocol = "foxglove.sdk.v1"
@@ -133,12 +133,12 @@ class FoxgloveDoor(Door):
         self.url = f"ws://{HOST}:{self.port}{self._path}"
 
     def refusal(self, request: Request, host: str) -> str | None:
-        """Foxglove's own pages have many origins, so the path counts, which only the user knows."""
+        """Check the secret path, not the origin: Foxglove's own pages have many origins."""
         known = secrets.compare_digest(request.path.encode(), self._path.encode())
         return None if known else "the address is not the one that was told\n"
 
     def passed(self, frame: str | bytes) -> str | None:
-        """Which topics a page wants; it can ask for nothing else."""
+        """Pass a page's subscriptions; drop all other requests."""
         try:
             message = json.loads(frame) if isinstance(frame, str) else None
         except (ValueError, RecursionError) as error:
@@ -192,7 +192,7 @@ class Bodies:
         self.base = str(base_body(plant).scoped_name().get_full())
 
     def pictures(self) -> Iterator[tuple[str, list[tuple[Shape, RigidTransform, Rgba]]]]:
-        """Of each body the shapes that are drawn, their poses in it and their colours."""
+        """Shapes of each body, with their poses in its frame and their colours."""
         look = self._inspector
         for name, body in self._bodies.items():
             frame = self._plant.GetBodyFrameIdOrThrow(body.index())
@@ -319,7 +319,7 @@ class _Scene:
 
 
 class _Live:
-    """A run as it goes: it is paced, and its bodies are shown."""
+    """A live run: sets its pace and shows its bodies."""
 
     def __init__(self, scene: _Scene, scenario: Scenario, wait: Callable[[float], None]) -> None:
         self._scene, self._wait = scene, wait
@@ -329,7 +329,7 @@ class _Live:
         self._due, self._shown, self._seen = 0.0, -np.inf, -np.inf
 
     def make(self, setup: BlockSetup) -> Diagram:
-        """The scenario's disturbance, which is asked for at each sample."""
+        """The scenario's disturbance, polled at each sample."""
         return make_operated_disturbance(setup, initial=_AS_IT_IS, poll=self._poll)
 
     def _poll(self, now: float, q: np.ndarray) -> np.ndarray:
@@ -339,7 +339,7 @@ class _Live:
             self._wait(left)
         if wall - self._shown >= _PICTURE:
             self._shown, stamp = wall, round(now * 1e9)
-            if wall - self._seen >= _SHAPES:  # for those who have come meanwhile
+            if wall - self._seen >= _SHAPES:  # for pages that connected meanwhile
                 self._seen = wall
                 self._scene.write_shapes(stamp)
             self._scene.write_poses(stamp, q)

@@ -13,11 +13,11 @@ from ffsm_drake.runs.record import RunRecord
 
 
 def export(record: RunRecord, path: Path, *, ros2: bool = False) -> None:
-    """Write a run's series to a file, whose ending is that of an exporter (entry point group
-    ``ffsm_drake.exporters``); an .mcap with messages of ROS 2, if asked for.
+    """Write a run's series to a file; its ending selects the exporter (entry point group
+    ``ffsm_drake.exporters``). With ``ros2``, an .mcap file holds ROS 2 messages.
 
-    Raises: FfsmError, if the ending is another, its library is missing, or the run does not have
-    what it holds.
+    Raises: FfsmError, if the ending is unknown, a library is missing, or the run lacks a series
+    that the file needs.
     """
     known = [f".{name}" for name in offered(EXPORTERS)]
     if path.suffix not in known:

@@ -1,6 +1,6 @@
 """A mission as an environment of Gymnasium: one step is one control sample, or several.
 
-The run is that of ``simulate``: a thread runs it, and its control law asks for an action at each
+The run is that of ``simulate``: a thread runs it, and its control law requests an action at each
 step.
 """
 
@@ -36,32 +36,32 @@ from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
 WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
-_UNLIMITED = 100.0  # N m or N; where the scenario limits no force
+_UNLIMITED = 100.0  # N m or N; replaces a missing force limit
 
 
 class Exchange:
-    """Where the run's law and the environment, in two threads, meet at every step."""
+    """Exchange between the run's law and the environment, in two threads, at every step."""
 
     def __init__(self, samples_per_step: int) -> None:
         self._every = samples_per_step
         self.begin()
 
     def begin(self) -> None:
-        """Of another run."""
+        """Prepare for another run."""
         self.run = Aside()
-        self.sample: Sample | None = None  # what the law sees
-        # of several copies of the spacecraft: those that begin anew, and those whose episode lasts
+        self.sample: Sample | None = None  # input of the law
+        # With several copies of the spacecraft: copies that restart, and copies in an episode.
         self.fresh: np.ndarray | None = None
         self.lasts: np.ndarray | None = None
-        # of each copy that an action which is no number ended: the sample, and the coordinate in v
+        # Copies ended by a NaN action -> the sample, and the coordinate in v.
         self.lost = dict[int, tuple[int, int]]()
         self.first: State = {}  # the law's memory at the start
         self._count, self._action = 0, np.zeros(0)
-        self._since = list[tuple[Any, ...]]()  # what was told since the last step
+        self._since = list[tuple[Any, ...]]()  # rows since the last step
 
     def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
-        """The action at a sample, of which a law sees this; zero for a copy of the spacecraft whose
-        action is no number. Raises StoppedError.
+        """The action at a sample, given the law's view ``seen``; NaN actions of copies of the
+        spacecraft become zero. Raises StoppedError.
         """
         if self._count % self._every == 0:
             self.sample = sample
@@ -70,8 +70,8 @@ class Exchange:
         return self._action if self.lasts is None else np.nan_to_num(self._action)
 
     def told(self, error: np.ndarray, force: np.ndarray, acts: np.ndarray) -> None:
-        """Keep what the law saw and commanded at a sample; ``acts`` are the actions' indices. A
-        copy ends whose action is no number.
+        """Keep the law's error and force at a sample; ``acts`` are the actions' indices. A NaN
+        action ends its copy.
         """
         if self.lasts is None:
             self._since.append((error, force, np.ones((), bool)))
@@ -105,7 +105,7 @@ class _Steered(ActingLaw):
     def inner_step(
         self, inner: ControlLaw, sample: Sample, state: State
     ) -> tuple[np.ndarray, State]:
-        """That of a law that begins anew with a copy of the spacecraft that does."""
+        """Step of the inner law; it restarts with each restarting copy of the spacecraft."""
         exchange, fresh = self.exchange, self.exchange.fresh
         if sample.is_first:
             exchange.first = {name: np.array(values) for name, values in state.items()}
@@ -121,16 +121,16 @@ class _Steered(ActingLaw):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Steering:
-    """How actions become the law of a run; without the environment, which may end before it."""
+    """Maker of a run's law from actions; holds no environment, which may end before the run."""
 
     kind: str  # one of ACTIONS
-    law: str  # that actions change
+    law: str  # the law modified by the actions
     acts: np.ndarray  # (na) indices in v
     scale: np.ndarray  # (na)
     tracks_frame: bool
 
     def __call__(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
-        """The law of a run, which takes its actions there; of several runs if not ``alone``."""
+        """The law of a run (several runs if not ``alone``), with actions from ``exchange``."""
         inner = None if self.kind == "force" else inner_law(self.law, setup)
         if not (inner is None or alone or is_wide(inner)):
             raise BlockError(f"{self.law}: is no wide law; vectorization_mode must be sync")
@@ -145,16 +145,16 @@ class Steering:
 
 
 class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """A scenario whose control law is the agent, or a law that the agent corrects.
+    """A scenario controlled by the agent, or by a law with the agent's corrections.
 
-    Observations are, by ``observation_names``: errors e and their rates (nv each; rad, m;
-    what the law sees; those of a frame too where the law tracks one), measured positions q (nq) and
-    velocities v (nv). Actions lie between -1 and 1, one for each driven coordinate
-    (``action_names``). ``sample`` is all that a law sees at the step, as a law gets it.
+    Observations are, by ``observation_names``: errors e and their rates (nv each; rad, m; as seen
+    by the law; a tracked frame adds its own), measured positions q (nq) and velocities v (nv).
+    Actions lie between -1 and 1, one for each driven coordinate (``action_names``). ``sample`` is
+    the complete input of a law at the step.
 
-    ``info`` has ``reward_terms``; at the end ``ending`` (as a run's last line says it) and
-    ``is_success`` (settled). An episode is terminated where the run diverges or misses its target,
-    truncated where the run's time is over.
+    ``info`` has ``reward_terms``; at the end ``ending`` (the last line of a run's summary) and
+    ``is_success`` (settled). An episode is terminated when the run diverges or misses its target,
+    and truncated at the end of the run's time.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
@@ -173,16 +173,16 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         """Args:
           scenario: a shipped name, a file, or a Scenario.
-          overrides: as for ``load_scenario``.
+          overrides: see ``load_scenario``.
           action: "force", the generalized force; "residual", a force on top of a law's;
             "setpoint", an offset of the desired positions of a law.
-          law: of the last two; default: the scenario's.
-          samples_per_step: control samples in which an action is held.
-          scale: of actions by coordinate or group; default: forces by the limits (100 N m or N
-            where there is none), a tenth of them for residuals, set-points by 0.1 rad or m.
-          weights: of the reward's terms, see ``WEIGHTS``.
-          dtype: of observations and actions. In float64, with a ``scale`` of a power of two, a
-            force keeps its bits on its way through an action.
+          law: the law of "residual" and "setpoint"; default: the scenario's.
+          samples_per_step: number of control samples for which an action is held.
+          scale: scale of actions by coordinate or group; default: the force limits (100 N m or N
+            where there is none), a tenth of them for residuals, 0.1 rad or m for set-points.
+          weights: weights of the reward's terms, see ``WEIGHTS``.
+          dtype: type of observations and actions. In float64, with a ``scale`` of a power of two,
+            a force keeps its bits on its way through an action.
 
         Raises ScenarioError, BlockError, ModelError as ``simulate``; FfsmError for an unknown
         action or weight.
@@ -222,7 +222,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
         self._exchange: Exchange | None = None
         self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
-        self.log: RunLog | None = None  # of the last complete episode
+        self.log: RunLog | None = None  # log of the last complete episode
 
     def _scales(self, given: Mapping[str, float] | float | None, action: str) -> np.ndarray:
         if given is not None:
@@ -234,11 +234,11 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     @property
     def sample(self) -> Sample | None:
-        """What a law sees at this step; None before the first."""
+        """Input of a law at this step; None before the first."""
         return None if self._exchange is None else self._exchange.sample
 
     def policy_metadata(self) -> dict[str, str]:
-        """What an ONNX file of a policy for this environment says in its metadata, to be a control
+        """Metadata that an ONNX file of a policy for this environment needs to be used as a control
         law (``controller: policy:FILE``).
         """
         return {
@@ -284,7 +284,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._seen.copy(), reward, ended and not completed, completed, info
 
     def reward_terms(self, spent: list[np.ndarray]) -> dict[str, Any]:
-        """Of a step, from ``Exchange.spent``: of one run numbers, of several (B)."""
+        """Reward terms of a step, from ``Exchange.spent``: numbers, or (B) with several runs."""
         if not spent:
             return {"tracking": 0.0, "effort": 0.0}
         errors, forces, lasts = spent
@@ -300,7 +300,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         }
 
     def reward_of(self, terms: Mapping[str, Any]) -> Any:
-        """Their weighted sum."""
+        """Weighted sum of reward terms."""
         return sum(self._weights[name] * value for name, value in terms.items())
 
     def close(self) -> None:
@@ -310,7 +310,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._exchange = None
 
     def _take(self) -> tuple[RunLog | None, list[np.ndarray]]:
-        """Wait for the run's next step, or its end; keep what it sees."""
+        """Wait for the run's next step, or its end; keep the observation."""
         assert self._exchange is not None
         exchange = self._exchange
         try:
@@ -326,7 +326,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def _finite(limit: np.ndarray) -> np.ndarray:
-    """Limits (nv), where there is none 100 N m or N."""
+    """Limits (nv); 100 N m or N where there is none."""
     return np.where(np.isfinite(limit) & (limit > 0.0), limit, _UNLIMITED)
 
 

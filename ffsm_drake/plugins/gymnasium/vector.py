@@ -1,8 +1,9 @@
-"""A mission of several spacecraft as a VectorEnv: one plant that holds a copy for each.
+"""A mission of several spacecraft as a VectorEnv: one plant with a copy for each.
 
-All copies share the clock of the mission. A run begins with all of them at the scenario's start; a
-copy whose episode ends begins its next one, with a law without memory, on the planned motion where
-that then is. When the mission's time is over all are truncated, and begin again at its start.
+All copies share the clock of the mission. A run begins with all of them at the scenario's start.
+After the end of its episode, a copy begins the next one at the current point of the planned motion,
+with a law in its initial state. At the end of the mission's time all are truncated, and begin again
+at its start.
 """
 
 import dataclasses
@@ -85,7 +86,7 @@ class _Flight:
         )
 
     def fly(self) -> list[np.ndarray]:
-        """What was spent since the last step, at the end of the mission's time."""
+        """Simulate to the end of the mission's time; ``Exchange.spent`` since the last step."""
         loop, exchange, scenario = self.loop, self.exchange, self.loop.scenario
         assert exchange.lasts is not None
         simulator = Simulator(loop.diagram)
@@ -102,8 +103,8 @@ class _Flight:
         return exchange.spent()
 
     def _look(self, context: Context, sample: int) -> None:
-        """Keep what the endings follow from, and put copies that diverge, or begin anew, on the
-        planned motion.
+        """Keep the series for the endings, and put diverging or restarting copies on the planned
+        motion.
         """
         loop, exchange = self.loop, self.exchange
         assert loop.copies is not None
@@ -138,7 +139,7 @@ class _Flight:
         for name in self._names:
             if name in ("state", "hidden_state"):
                 now = loop.diagram.GetOutputPort(name).Eval(context).reshape(len(placed), -1)
-                # an episode that diverges ends with what it came to
+                # A diverging episode ends with its own last values.
                 began = placed & (self.began == sample)
                 self._series[name][-1] = np.where(began[:, None], now, rows[name])
         for name, block in loop.blocks.items():
@@ -148,16 +149,16 @@ class _Flight:
 
 
 def _but_one(coordinates: Coordinates, index: int) -> np.ndarray:
-    """Forces (nv), of which one is no number."""
+    """Forces (nv), zero except for one NaN."""
     return np.where(np.arange(len(coordinates.names)) == index, np.nan, 0.0)
 
 
 class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """``num_envs`` copies of a mission in one diagram; spaces, rewards and ``info`` as MissionEnv.
 
-    The first episode of each copy after a ``reset``, and each that begins with the mission, has the
-    bits of a MissionEnv with the same seed (rewards to rounding). Seeds count up from that of the
-    first. At the step after its last, a copy begins anew and its action is ignored.
+    The first episode of each copy after a ``reset``, and each one from the mission's start, has the
+    bits of a MissionEnv with the same seed (rewards to rounding). Seeds count up from the first
+    copy's. At the step after its last, a copy restarts and its action is ignored.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
@@ -166,9 +167,10 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     }
 
     def __init__(self, num_envs: int, *args: Any, **settings: Any) -> None:
-        """Args: how many; the others as for ``MissionEnv``.
+        """Args: the number of copies; then the arguments of ``MissionEnv``.
 
-        Raises FfsmError: the mission's runs cannot go side by side; others as ``MissionEnv``.
+        Raises FfsmError if the mission's runs cannot go side by side, and the errors of
+        ``MissionEnv``.
         """
         self._one = one = MissionEnv(*args, **settings)
         scenario = one.scenario
@@ -198,7 +200,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """New runs of all; of a number, the seeds are it and those after it."""
+        """New runs of all copies; a single seed counts up from copy to copy."""
         given = range(seed, seed + self.num_envs) if isinstance(seed, int) else seed
         if given is not None:
             self._draws = [seeding.np_random(each)[0] for each in given]
@@ -208,7 +210,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """As Gymnasium's. A copy ends whose action is no number, as a MissionEnv does."""
+        """As Gymnasium's. A NaN action ends its copy, as in MissionEnv."""
         given = clipped(actions, self.action_space.shape)
         anew, none = self._ended, np.zeros(self.num_envs, bool)
         if anew.all():  # the mission's time was over
@@ -222,7 +224,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         before, (spent, over) = self._seen, self._take()
         assert exchange.lasts is not None
         terminated = ~exchange.lasts & ~anew
-        self._seen[terminated] = before[terminated]  # the last that its law saw
+        self._seen[terminated] = before[terminated]  # the law's last input
         truncated = ~terminated & over
         found = self._one.reward_terms(spent)
         terms = {name: np.where(anew, 0.0, value) for name, value in found.items()}
@@ -270,7 +272,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return make_closed_loop(scenarios, blocks={"controller": law})
 
     def _take(self) -> tuple[list[np.ndarray], bool]:
-        """What was spent in a step, and whether the run is over; keep what it sees."""
+        """``Exchange.spent`` of a step, and whether the run is over; keep the observation."""
         run = self._exchange.run
         try:
             found = run.take()

@@ -28,7 +28,7 @@ _DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # whatev
 
 
 def page_event(frame: str | bytes) -> bytes | None:
-    """The click or slider value in a page's frame, encoded anew; None for one of no interest.
+    """Click or slider value in a page's frame, re-encoded; None for other known messages.
 
     Raises BadFrame for anything else.
     """
@@ -51,7 +51,7 @@ def page_event(frame: str | bytes) -> bytes | None:
 
 
 class MeshcatDoor(Door):
-    """The door before a Meshcat server; ``url`` is where pages find it."""
+    """The proxy in front of a Meshcat server; ``url`` is the address of its page."""
 
     def __init__(self, meshcat: Meshcat) -> None:
         """Raises FfsmError if no port is free."""
@@ -90,12 +90,12 @@ def keep_for_ever(meshcat: Meshcat) -> None:
 @contextmanager
 def live_server(meshcat: Meshcat | None) -> Iterator[tuple[Meshcat, str]]:
     """A Meshcat server and the address of its page: the given one with its own address, or a new
-    one behind a door, whose address is printed.
+    one behind a proxy, with the proxy's address printed.
     """
     if meshcat is not None:
         yield meshcat, meshcat.web_url()
         return
-    with quiet_drake():  # nobody is to go around the door
+    with quiet_drake():  # keeps the server's own address off the terminal
         meshcat = start_meshcat()
     door = MeshcatDoor(meshcat)
     print(f"Meshcat listening for connections at {door.url}", file=sys.stderr)

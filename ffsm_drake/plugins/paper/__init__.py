@@ -28,8 +28,8 @@ def reproduce(
     Args:
       what: one of ``PARTS``.
       seeds: number of noise seeds, from 0 on; more give a better mean and spread in Table 2.
-      overrides: ``key=value`` for every run, as for ``load_scenario``; the page lists them.
-      workers, progress: as for ``ffsm_drake.common.workers.map_tasks``.
+      overrides: ``key=value`` for every run (see ``load_scenario``); the page lists them.
+      workers, progress: see ``ffsm_drake.common.workers.map_tasks``.
 
     Raises:
       FfsmError: an unknown part, no seeds or workers, or an unusable override.

@@ -59,7 +59,7 @@ class MinorStepRun:
     held: bool
     diverged: float | None  # time of divergence, s
     itae: float  # infinite when it diverged
-    isv: float  # of the force at the major steps; infinite when it diverged
+    isv: float  # ISV of the force at the major steps; infinite when it diverged
     largest_k_s: float  # 1/s
 
     @property

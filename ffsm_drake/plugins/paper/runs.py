@@ -169,7 +169,7 @@ class Results:
         ]
 
     def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
-        """Times at which runs of a controller diverged, s; ``which`` as for ``runs_of``."""
+        """Times of divergence of a controller's runs, s; ``which``: see ``runs_of``."""
         runs = self.runs_of(setting, controller, **which).values()
         return [run.outcome.time for run in runs if not run.outcome.completed]
 
@@ -254,8 +254,8 @@ def run_cases(
     """Simulate the cases.
 
     Args:
-      overrides: ``key=value`` for every run, as for ``load_scenario``.
-      workers, progress: as for ``map_tasks``.
+      overrides: ``key=value`` for every run; see ``load_scenario``.
+      workers, progress: see ``map_tasks``.
 
     Raises:
       FfsmError: an override that cannot be used.
