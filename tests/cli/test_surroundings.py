@@ -62,6 +62,7 @@ def test_few_open_files_are_enough_or_one_line(number):
 )
 def test_a_step_without_a_scheduler_ends_in_time(content, tmp_path, monkeypatch, capsys):
     """It says what it waits for, and what did not come."""
+    pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)
     for name, value in {"NTASKS": "4", "PROCID": "2", "JOB_ID": "7"}.items():
         monkeypatch.setenv(f"SLURM_{name}", value)
