@@ -95,14 +95,27 @@ _LAWS = {
 }
 
 
-def _always(scenario):
+# Joint angles, rad, from which and towards which own spacecraft move: free of contact, the base's
+# wheels as strong as the motion asks.
+_ARM = (1.135, 0.056, 1.888, -1.909, 1.502, -1.907)
+_POSTURES = {
+    "own servicer": ((1.731, 0.266, 1.668, -1.665, 1.987, -1.694), _ARM),
+    "own servicer and target": ((1.362, 0.475, 1.611, -2.181, 1.731, -1.342), _ARM),
+    "generated servicer": (
+        (1.14, -0.081, -0.354, -2.11, -1.075, 1.658, -0.787),
+        (0.658, 0.426, 0.033, -1.818, -1.641, 1.113, -1.141),
+    ),
+}
+
+
+def _always(row, scenario):
     """What every mission has: a short motion nearby, gains that suit all sensors."""
     at_origin = {"base_position": [0.0, 0.0, 0.0], "base_rpy": [0.0, 0.0, 0.0]}
     return {
         "duration": MOTION + HOLD,
         "tolerance": {"all": 0.03},
-        "initial_posture": at_origin,
-        "target_posture": {**at_origin, "joints": _on_the_way(scenario, 0.15)},
+        "initial_posture": {**at_origin, "joints": _on_the_way(row, scenario, 0.0)},
+        "target_posture": {**at_origin, "joints": _on_the_way(row, scenario, 0.15)},
         "reference": {"duration": MOTION, "base_rotation": "eigenaxis"},
         "disturbance": {"amplitude_scale": 0.2},
         "python_path": [str(ROOT / "examples"), str(ROOT / "tests"), str(Path(__file__).parent)],
@@ -116,9 +129,11 @@ def _always(scenario):
     }  # fmt: skip
 
 
-def _on_the_way(scenario, furthest):
-    """Joint angles on the scenario's own motion, which is free of contact."""
+def _on_the_way(row, scenario, furthest):
+    """Joint angles on a motion that is free of contact, of a shipped scenario its own."""
     start, end = scenario.initial_posture.joints, scenario.target_posture.joints
+    if postures := _POSTURES.get(row["spacecraft"]):
+        start, end = (dict(zip(start, each, strict=True)) for each in postures)
     share = furthest / max(abs(end[name] - start[name]) for name in start)
     return {name: angle + share * (end[name] - angle) for name, angle in start.items()}
 
@@ -164,7 +179,7 @@ _DRIVEN = {"base rotation and joints": ["base_rotation", "joints"], "joints": ["
 
 def overrides_of(row, scenario, plan):
     """The mission of a row, as overrides of its spacecraft's scenario and a plan's file."""
-    parts = [_always(scenario), {"controller": _LAWS[row["law"]]}, _SENSORS[row["sensors"]]]
+    parts = [_always(row, scenario), {"controller": _LAWS[row["law"]]}, _SENSORS[row["sensors"]]]
     parts += [{"estimator": _estimator(row)}, _BASE_ACTUATORS.get(row["base actuators"], {})]
     parts += [_start(row, scenario), _motion(row, scenario, plan)]
     if row["joint actuators"] == "drives":
@@ -225,7 +240,7 @@ def _start(row, scenario):
     capture = {"rate": rate, "axes": "target", "servicer": "rest"}
     if row["start"] == "capture from the grasp":
         return {"capture": capture}
-    joints = _on_the_way(scenario, 0.25)
+    joints = _on_the_way(row, scenario, 0.25)
     capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
     capture["envelope"] = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     if row["start"] == "measured target":
