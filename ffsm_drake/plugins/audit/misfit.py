@@ -167,10 +167,18 @@ def named(
     )
 
 
-def noise(values: Array) -> float:
-    """Bound of the noise from sample to sample in values (n, k)."""
+def noise(values: Array, parts: Array | None = None) -> float:
+    """Bound of the noise from sample to sample in values (n, k), and of the random walk of the
+    noise in ``parts`` (n - 1, k), which they sum up.
+    """
+    found = 4.0 * _white(values)
+    return found if parts is None else found + 3.0 * math.sqrt(len(parts)) * _white(parts)
+
+
+def _white(values: Array) -> float:
+    """Standard deviation of white noise on smooth values (n, k), the norm of the columns'."""
     third = np.diff(values, n=3, axis=0)
-    return 4.0 * float(np.linalg.norm(np.sqrt((third**2).mean(axis=0) / 20.0)))
+    return float(np.linalg.norm(np.sqrt((third**2).mean(axis=0) / 20.0)))
 
 
 def open_by_steps(paths: Sequence[Array]) -> float:
@@ -297,7 +305,7 @@ class Followed:
         slope = 0.5 * swing(since_start(self.parts.slope * ~self.jumps[:, None]))
         doubts = {
             "sampling": max(open_by_steps(paths), slope),
-            "noise": noise(paths[0]),
+            "noise": noise(paths[0], self.parts.expected),
         }
         for why, other in self.others.items():
             doubts[why] = max(doubts.get(why, 0.0), 2.0 * swing(path(other()) - paths[0]))
