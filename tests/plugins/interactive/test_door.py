@@ -201,9 +201,20 @@ def interrupted(process, told, folder):
     return RunRecord.load(folder)
 
 
+def await_motion(url):
+    """Wait until a body has moved five times: of a run that has not begun there is no record."""
+    moved = collections.Counter()
+    with page_at(url, url) as page:
+        while max(moved.values(), default=0) < 5:
+            message = msgpack.unpackb(page.recv(timeout=60.0))
+            moved[message.get("path")] += message["type"] == "set_transform"
+
+
 def run_watched(tmp_path, count):
     with command("run", "--meshcat", *LONG, str(tmp_path)) as (process, told):
-        arrived = hostile_frames(process, told(ADDRESS)[1], count)
+        url = told(ADDRESS)[1]
+        arrived = hostile_frames(process, url, count)
+        await_motion(url)
         return arrived, interrupted(process, told, tmp_path)
 
 
