@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from random_missions import Mission, Rng, Settings
 
-from ffsm_drake.control_design.stability.planned_dynamics import make_demand
+from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.systems.controllers import complete_gains
 

@@ -40,9 +40,9 @@ import numpy as np
 from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant

@@ -23,10 +23,10 @@ from startup import HERE, processor_time
 
 from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.cli.common import EXIT_UNSTABLE
-from ffsm_drake.control_design.stability.linear_loop import LinearLoop
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.preflight.simulate import simulate
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import shipped_scenarios
 
 

@@ -37,11 +37,11 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import WorkerLost, local_workers, run_tasks, stop_on_signals
-from ffsm_drake.preflight.remarks import plan_remarks
-from ffsm_drake.preflight.simulate import prepare
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.remarks import plan_remarks
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.limits import broken_limits
+from ffsm_drake.runs.simulate import prepare
 
 GOOD, WARNED, UNKNOWN = "stable", "warned", "cannot say"
 KINDS: dict[str, Callable[[np.random.Generator], Mission]] = {

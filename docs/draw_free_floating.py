@@ -16,11 +16,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ffsm_drake
+from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.show.figures.axes import tidy
 from ffsm_drake.show.style import BLUE, VERMILION
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
-from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.reference import make_motion
 
 # What is asked of the end effector, by scenario: the planar arm has three joints, the other five.

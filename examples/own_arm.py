@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import ffsm_drake
-from ffsm_drake.preflight.first_scenario import new_scenario
+from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.show.tables import results_table
 
 LINK = """<link name="{}"><inertial><origin xyz="0 0 {}"/><mass value="{}"/>

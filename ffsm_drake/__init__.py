@@ -12,7 +12,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from ffsm_drake.analysis import analyze
     from ffsm_drake.common.errors import (
         BlockError,
         FfsmError,
@@ -21,14 +20,15 @@ if TYPE_CHECKING:
         ScenarioError,
     )
     from ffsm_drake.common.settings import setting
-    from ffsm_drake.control_design.gains import design
-    from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
-    from ffsm_drake.preflight.simulate import compare, simulate, simulate_many
+    from ffsm_drake.plugins.analysis import analyze
+    from ffsm_drake.plugins.design.gains import design
+    from ffsm_drake.plugins.design.stability import stability
     from ffsm_drake.runs.ending import Ending, Outcome
     from ffsm_drake.runs.log import RunLog
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.runs.rollout import Rollout
+    from ffsm_drake.runs.simulate import compare, simulate, simulate_many
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
-    "analysis": ("analyze",),
+    "plugins.analysis": ("analyze",),
     "common.errors": ("BlockError", "FfsmError", "ModelError", "RecordError", "ScenarioError"),
-    "control_design.gains": ("design",),
-    "control_design.stability": ("stability",),
+    "plugins.design.gains": ("design",),
+    "plugins.design.stability": ("stability",),
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
     "runs.ending": ("Ending", "Outcome"),
     "runs.log": ("RunLog",),
     "runs.record": ("RunRecord",),
     "runs.rollout": ("Rollout",),
-    "preflight.simulate": ("compare", "simulate", "simulate_many"),
+    "runs.simulate": ("compare", "simulate", "simulate_many"),
     "scenario": ("Scenario", "load_scenario", "override_scenario"),
     "show.outputs": ("write_outputs",),
     "spacecraft.free_floating": ("FreeFloating", "free_floating"),

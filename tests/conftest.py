@@ -34,7 +34,7 @@ def pytest_configure(config):
     # Tests run unstable loops on purpose. (Not in pyproject.toml, where it would load NumPy before
     # the lines above.)
     config.addinivalue_line(
-        "filterwarnings", "ignore::ffsm_drake.control_design.stability.StabilityWarning"
+        "filterwarnings", "ignore::ffsm_drake.plugins.design.stability.StabilityWarning"
     )
 
 
@@ -106,14 +106,14 @@ def rough_pictures():
 @pytest.fixture
 def no_remedies(monkeypatch):
     """Leave out the search for what helps a mission that fails; its own tests have it."""
-    monkeypatch.setattr("ffsm_drake.preflight.verdict.remedies", lambda *_, **__: ())
+    monkeypatch.setattr("ffsm_drake.plugins.design.verdict.remedies", lambda *_, **__: ())
 
 
 @pytest.fixture
 def few_delays(monkeypatch):
     """Margins of a delay of at most two further samples: each is of a larger loop."""
     for part in ("stability.boundaries", "gains.requirement"):
-        monkeypatch.setattr(f"ffsm_drake.control_design.{part}.LARGEST_DELAY", 2)
+        monkeypatch.setattr(f"ffsm_drake.plugins.design.{part}.LARGEST_DELAY", 2)
 
 
 @pytest.fixture(autouse=True)

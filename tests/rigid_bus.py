@@ -17,6 +17,9 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder, LogVectorOutput, MatrixGain
 
+from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.row import make_actuation
+from ffsm_drake.plugins.flexible.bodies import add_flexible, set_flexible
 from ffsm_drake.scenario import (
     Actuation,
     Flexible,
@@ -28,11 +31,8 @@ from ffsm_drake.scenario import (
     thruster_layouts,
 )
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.flexible import add_flexible, set_flexible
 from ffsm_drake.spacecraft.mass_properties import set_wheels
 from ffsm_drake.spacecraft.plant import split_of
-from ffsm_drake.systems.actuation import make_actuation
-from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.part import pulses_of
 
 PERIOD, DURATION = 0.01, 20.0  # s

@@ -26,9 +26,9 @@ from scipy.optimize import brentq
 
 from ffsm_drake import FfsmError, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.gains import design
-from ffsm_drake.control_design.gains.axis_search import PRICES
 from ffsm_drake.loop.blocks import BLOCKS
+from ffsm_drake.plugins.design.gains import design
+from ffsm_drake.plugins.design.gains.axis_search import PRICES
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -171,8 +171,8 @@ def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
     stability section have tests of their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
-    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
-    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", PRICES[:1])
     monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 1)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
@@ -216,8 +216,8 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
     stability section and most prices of a design cost seconds and have tests of their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
-    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
-    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", PRICES[:1])
     if page.name == "README.md":  # whose runs are as long as they come
         shortened = lambda name, overrides=(): load_scenario(name, [*overrides, "duration=2"])  # noqa: E731
         monkeypatch.setattr("ffsm_drake.load_scenario", shortened)

@@ -15,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario
-from ffsm_drake.control_design.stability import stability
+from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.mass_properties import set_payload

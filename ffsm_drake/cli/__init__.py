@@ -8,12 +8,12 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.common import ExtensibleGroup
-from ffsm_drake.cli.evaluate import analyze, design, stability
-from ffsm_drake.cli.plan import plan
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
 from ffsm_drake.common.workers import ONE_THREAD
+from ffsm_drake.plugins.design.command import analyze, design, stability
+from ffsm_drake.plugins.planning.command import plan
 
 
 @click.group(

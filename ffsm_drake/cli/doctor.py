@@ -74,7 +74,7 @@ def _models() -> str:
 
 
 def _short_run() -> str:
-    from ffsm_drake.preflight.simulate import simulate
+    from ffsm_drake.runs.simulate import simulate
 
     record = simulate(
         override_scenario(load_scenario("postcapture"), ["duration=0.5"]), check_stability=False

@@ -197,7 +197,7 @@ def _distances(records: Sequence["RunRecord"]) -> list[float]:
     unknown.
     """
     from ffsm_drake.common.errors import FfsmError, one_line
-    from ffsm_drake.control_design.limit import find_limit
+    from ffsm_drake.plugins.design.limit import find_limit
 
     distances, missing = [], dict[str, list[str]]()  # reason -> controllers
     for record in records:
@@ -224,7 +224,7 @@ def _stem_of(scenario: "Scenario") -> str:
 def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
     """Warn if a planned run will replace one with other settings."""
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.preflight.simulate import repeatable_scenario
+    from ffsm_drake.runs.simulate import repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
 
     for folder, scenario in planned:
@@ -291,7 +291,7 @@ def _kept(directory: Path, before: Any) -> Iterator[None]:
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.preflight.simulate import simulate
+    from ffsm_drake.runs.simulate import simulate
 
     progress = RunProgress(scenario.controller)
     record = simulate(scenario, progress=progress)
@@ -322,7 +322,7 @@ def _finish(
 ) -> int:
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.preflight.verdict import helpful_remarks
+    from ffsm_drake.plugins.design.verdict import helpful_remarks
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs

@@ -150,9 +150,9 @@ def new(
       ffsm new mine --urdf my_robot.urdf --package
       my_robot_description=~/ws/src/my_robot_description
     """
-    from ffsm_drake.preflight.asked import Asked
-    from ffsm_drake.preflight.first_scenario import new_scenario
-    from ffsm_drake.preflight.verdict import verdict
+    from ffsm_drake.plugins.design.verdict import verdict
+    from ffsm_drake.plugins.new.asked import Asked
+    from ffsm_drake.plugins.new.first_scenario import new_scenario
     from ffsm_drake.scenario import load_scenario
 
     mass, file = _target(target)
@@ -235,7 +235,7 @@ def validate(
       ffsm validate postcapture --set payload.truth.mass=-5
     """
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.control_design.momentum import momentum_lines
+    from ffsm_drake.plugins.capture.momentum import momentum_lines
     from ffsm_drake.runs.limits import Closest
     from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
@@ -271,10 +271,10 @@ def validate(
 def _validated(name: str, overrides: tuple[str, ...], *, rehearsal: bool) -> dict[str, Any]:
     """The results of ``validate`` for a scenario, as plain data."""
     from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.control_design.momentum import momentum_budget
-    from ffsm_drake.preflight.remarks import plan_clearance, plan_remarks
-    from ffsm_drake.preflight.simulate import prepare
-    from ffsm_drake.preflight.verdict import verdict
+    from ffsm_drake.plugins.capture.momentum import momentum_budget
+    from ffsm_drake.plugins.design.remarks import plan_clearance, plan_remarks
+    from ffsm_drake.plugins.design.verdict import verdict
+    from ffsm_drake.runs.simulate import prepare
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
 

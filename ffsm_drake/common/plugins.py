@@ -4,6 +4,7 @@ Each is imported on first use.
 """
 
 import functools
+import importlib.util
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -21,6 +22,10 @@ EXPORTERS = "ffsm_drake.exporters"
 LIVE = "ffsm_drake.live"
 # Beginning of ``KIND:FILE@LAW`` -> function of the file's Path and ``law``, gives a law's factory.
 CONTROLLER_FILES = "ffsm_drake.controller_files"
+# Section of the scenario (``systems.registry.SECTIONS``) -> the Part that it describes.
+SECTIONS = "ffsm_drake.sections"
+# Name -> function or class that the core uses where it is installed: see the callers.
+SERVICES = "ffsm_drake.services"
 
 
 @functools.cache  # searches the installed packages once per process
@@ -61,3 +66,24 @@ def load(group: str, name: str, place: str) -> Any:
         raise BlockError(
             f"{place}: plug-in {known[name].value} cannot be loaded: {said}"
         ) from error
+
+
+def optional(group: str, name: str) -> Any:
+    """As ``load``; None where no package offers the name, or its plug-in has been deleted."""
+    known = offered(group)
+    if name not in known:
+        return None
+    package = ".".join(known[name].module.split(".")[:3])
+    if is_ours(known[name]) and importlib.util.find_spec(package) is None:
+        return None
+    return load(group, name, name)
+
+
+def service(name: str, place: str) -> Any:
+    """A service that a scenario or a command needs; errors as ``load``."""
+    return load(SERVICES, name, place)
+
+
+def is_ours(entry_point: EntryPoint) -> bool:
+    """Whether an entry point leads into this package."""
+    return entry_point.module.partition(".")[0] == __name__.partition(".")[0]

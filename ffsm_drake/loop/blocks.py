@@ -339,8 +339,10 @@ def _in_order(names: Collection[str]) -> tuple[str, ...]:
         dict.fromkeys(name for name in names if name.startswith(f"{kind}."))
         for kind in ("sensing", "forces")
     )
-    supervisor = ("supervisor",) if "supervisor" in names else ()
-    return ("reference", "sensing", *stages, "controller", *supervisor, "actuation", *forces)
+    supervisor, actuation = (
+        (name,) if name in names else () for name in ("supervisor", "actuation")
+    )
+    return ("reference", "sensing", *stages, "controller", *supervisor, *actuation, *forces)
 
 
 def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:

@@ -15,12 +15,12 @@ from pydrake.systems.framework import Context
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.capture.handover import Handover, stored_at_start
+from ffsm_drake.plugins.capture.supervisor import Mode
 from ffsm_drake.runs.ending import MISSED, Outcome
-from ffsm_drake.runs.handover import Handover, stored_at_start
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.systems.supervisor import Mode
 
 Begin = Callable[[ClosedLoop, Context], None]
 Progress = Callable[[float, float], None]

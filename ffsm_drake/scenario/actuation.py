@@ -2,7 +2,7 @@
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -308,6 +308,11 @@ class Actuation:
     drives: Drives | None = unitless(
         None, "joint drives; null: no rotor inertia, friction or rate limit"
     )
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether forces act as commanded."""
+        return replace(self, driven=["all"]) == Actuation()
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that the driven groups can be driven alone, with matching actuators and target

@@ -41,9 +41,9 @@ def write_outputs(
       ['report.html']
     """
     # Here, because they are slow to import and not always needed.
+    from ffsm_drake.plugins.report import write_report
     from ffsm_drake.show.figures.run import save_figures
     from ffsm_drake.show.meshcat import recording_html
-    from ffsm_drake.show.report import write_report
 
     directory = Path(directory)
     shown = recording_html(records[0], forces=True)

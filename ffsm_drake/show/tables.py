@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.numbers import NONE, number, percent
-from ffsm_drake.control_design.momentum import momentum_lines
+from ffsm_drake.plugins.capture.momentum import momentum_lines
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import Scenario, controller_key
@@ -17,11 +17,11 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Figure
 
 if TYPE_CHECKING:  # slow to import
-    from ffsm_drake.control_design.gains import Design, DesignPoint
-    from ffsm_drake.control_design.planning import PlannedMotionReport
-    from ffsm_drake.control_design.stability.boundaries import Boundaries
-    from ffsm_drake.control_design.stability.disk import DiskMargins
-    from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
+    from ffsm_drake.plugins.design.gains import Design, DesignPoint
+    from ffsm_drake.plugins.design.stability.boundaries import Boundaries
+    from ffsm_drake.plugins.design.stability.disk import DiskMargins
+    from ffsm_drake.plugins.design.stability.margins import AxisMargins, Margins
+    from ffsm_drake.plugins.planning import PlannedMotionReport
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -33,9 +33,9 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import usable
+from ffsm_drake.plugins.flexible.bodies import HIDDEN, flexible_bodies
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import joints_of
-from ffsm_drake.spacecraft.flexible import HIDDEN, flexible_bodies
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     add_combined_plant,

@@ -8,10 +8,10 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.plugins.new.urdf.elements import read_joint
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.plant import coordinates_of, urdfs_of
-from ffsm_drake.spacecraft.urdf.elements import read_joint
 
 SLACK = 1e-9  # relative; a plan may end at a limit
 POSITION, RATE, FORCE = "position", "rate", "force"  # the quantities of coordinates

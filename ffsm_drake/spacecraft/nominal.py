@@ -14,15 +14,15 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.memo import each_once, memoized
 from ffsm_drake.common.products import applied
-from ffsm_drake.scenario import MassProperties, Model, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
-from ffsm_drake.spacecraft.flexible import (
+from ffsm_drake.plugins.flexible.bodies import (
     VibrationMode,
     apparent_mass_matrix,
     modes_of,
     set_flexible,
     take_masses,
 )
+from ffsm_drake.scenario import MassProperties, Model, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
 from ffsm_drake.spacecraft.plant import (
     coordinates_of,

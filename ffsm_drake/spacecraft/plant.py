@@ -17,6 +17,8 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.common.so3 import rpy_of
+from ffsm_drake.plugins.flexible.bodies import HIDDEN, add_flexible, lock_joints
+from ffsm_drake.plugins.flexible.drawing import draw_on_plates
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
@@ -28,9 +30,7 @@ from ffsm_drake.spacecraft.coordinates import (
     StateSplit,
     joints_of,
 )
-from ffsm_drake.spacecraft.flexible import HIDDEN, add_flexible, lock_joints
 from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
-from ffsm_drake.spacecraft.panel_drawing import draw_on_plates
 
 # C++ exceptions as they arrive in Python; a violated condition arrives as SystemExit.
 DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)

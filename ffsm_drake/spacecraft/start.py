@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 

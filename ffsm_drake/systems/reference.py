@@ -22,21 +22,21 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.plugins.capture.approach import planned_approach
+from ffsm_drake.plugins.task_space.free_motion import FreeMotion
+from ffsm_drake.plugins.task_space.resolved_motion import ResolvedMotion
 from ffsm_drake.scenario import Posture, Scenario, planned_part, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import velocity_at_start
-from ffsm_drake.systems.approach import planned_approach
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
-from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import Backwards, InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
-from ffsm_drake.systems.resolved_motion import ResolvedMotion
 from ffsm_drake.systems.setup import BlockSetup
 
 

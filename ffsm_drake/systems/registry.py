@@ -13,51 +13,52 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from ffsm_drake.common import plugins
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes, where
-from ffsm_drake.common.plugins import CONTROLLER_FILES, load
+from ffsm_drake.common.plugins import CONTROLLER_FILES, is_ours, load, optional
 from ffsm_drake.scenario import Scenario, kind_of, policy_parts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
 
-_SYSTEMS = "ffsm_drake.systems"
-_LAWS = f"{_SYSTEMS}.controllers.laws"
-# Block -> name -> address. A new law, or a part of a section of the scenario, is one line here.
+_LAWS = "ffsm_drake.systems.controllers.laws"
+# Block -> name -> address, of the core's own. A new law here is one line.
 SHIPPED: dict[str, dict[str, str]] = {
     "controller": {
         "tdc": f"{_LAWS}.tdc:Tdc",
         "asmc": f"{_LAWS}.asmc:Asmc",
         "aismc": f"{_LAWS}.aismc:Aismc",
         "tde_aismc": f"{_LAWS}.tde_aismc:TdeAismc",
-        "tvlqr": f"{_LAWS}.tvlqr:Tvlqr",
-        "torque_against_momentum": f"{_LAWS}.torque_against_momentum:TorqueAgainstMomentum",
         "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
         "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
-        "resolved_rate": f"{_LAWS}.resolved_rate:ResolvedRate",
-        "task_computed_torque": f"{_LAWS}.task_computed_torque:TaskComputedTorque",
-        "task_time_delay": f"{_LAWS}.task_time_delay:TaskTimeDelay",
     },
-    # Factories of blocks from the scenario's own sections of the same names, and of parts within a
-    # block or beside it.
     "section": {
-        "reference": f"{_SYSTEMS}.reference:PlannedReference",
-        "sensing": f"{_SYSTEMS}.sensing:Sensors",
-        "actuation": f"{_SYSTEMS}.actuation:ActuatorRow",
-        "actuation.thrusters": f"{_SYSTEMS}.actuation.thrusters:FiredThrusters",
-        "actuation.wheels": f"{_SYSTEMS}.actuation.wheels:ReactionWheels",
-        "actuation.drives": f"{_SYSTEMS}.actuation.drives:JointDrives",
-        "flexible": f"{_SYSTEMS}.deflections:Deflections",
-        "supervisor": f"{_SYSTEMS}.supervisor:SupervisorPart",
-        "sensing.faults": f"{_SYSTEMS}.faulty_sensors:FaultySensors",
-        "sensing.detection": f"{_SYSTEMS}.fault_detection:FaultDetection",
-        "forces.disturbance": f"{_SYSTEMS}.disturbance:HarmonicDisturbance",
-        "forces.environment": f"{_SYSTEMS}.environment:OrbitalEnvironment",
-        "forces.gripper": f"{_SYSTEMS}.gripper:Gripper",
-        "forces.jam": f"{_SYSTEMS}.jam:JammedJoints",
-        "forces.plume": f"{_SYSTEMS}.plumes:Plumes",
+        "reference": "ffsm_drake.systems.reference:PlannedReference",
+        "sensing": "ffsm_drake.systems.sensing:Sensors",
+        "forces.disturbance": "ffsm_drake.systems.disturbance:HarmonicDisturbance",
     },
+}
+# Sections of the scenario that a part describes, in the order of the parts, with whether a scenario
+# uses one: a block of the same name, or a part within a block or beside it. A plug-in offers its
+# parts by entry points (``common.plugins.SECTIONS``).
+SECTIONS: dict[str, Callable[[Scenario], Any]] = {
+    "reference": lambda _: True,
+    "sensing": lambda _: True,
+    "actuation": lambda scenario: not scenario.actuation.is_ideal,
+    "actuation.thrusters": lambda scenario: scenario.actuation.thrusters,
+    "actuation.wheels": lambda scenario: scenario.actuation.wheels,
+    "actuation.drives": lambda scenario: scenario.actuation.drives,
+    "flexible": lambda scenario: scenario.model.flexible,
+    "supervisor": lambda scenario: scenario.supervisor,
+    "sensing.faults": lambda scenario: scenario.faults,
+    "sensing.detection": lambda scenario: scenario.faults,
+    "forces.disturbance": lambda _: True,
+    "forces.environment": lambda scenario: scenario.environment,
+    "forces.gripper": lambda scenario: scenario.closing,
+    "forces.jam": lambda scenario: scenario.faults,
+    "forces.plume": lambda _: False,  # a thruster's
 }
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
@@ -74,14 +75,24 @@ ENTRY_POINT_GROUPS = {
 @functools.cache  # searches the installed packages once per process
 def block_names(block: str) -> tuple[str, ...]:
     """Names of the systems that can fill a block: shipped, then installed."""
-    shipped = SHIPPED.get(block, {})
-    installed = sorted(set(entry_points(group=ENTRY_POINT_GROUPS[block]).names) - set(shipped))
-    return (*shipped, *installed)
+    own = SHIPPED.get(block, {})
+    offering = entry_points(group=ENTRY_POINT_GROUPS[block])
+    ours = {each.name for each in offering if is_ours(each)} - {*own}
+    installed = {*offering.names} - {*own} - ours
+    return (*own, *sorted(ours), *sorted(installed))
+
+
+def shipped_names(block: str) -> tuple[str, ...]:
+    """Names of the systems of this package, its plug-ins included, that can fill a block."""
+    ours = {each.name for each in entry_points(group=ENTRY_POINT_GROUPS[block]) if is_ours(each)}
+    return tuple(
+        name for name in block_names(block) if name in SHIPPED.get(block, {}) or name in ours
+    )
 
 
 def is_shipped(block: str, name: str) -> bool:
-    """True if a name stands for a part of this package."""
-    return name in SHIPPED.get(block, {})
+    """True if a name stands for a system of this package."""
+    return name in shipped_names(block)
 
 
 def section_parts(
@@ -93,6 +104,11 @@ def section_parts(
     ``of``: only the parts within one block, such as the actuators of ``actuation``.
     """
     filled = {*scenario.blocks.choices(), *given}
+    for name in set(SECTIONS) - set(section_kinds()):
+        if not filled & {name, kind_of(name)} and SECTIONS[name](scenario):
+            load(
+                plugins.SECTIONS, name, f"the scenario's section '{name}'"
+            )  # it says what is missing
     found = {
         name: kind.of(scenario)
         for name, kind in section_kinds().items()
@@ -108,8 +124,13 @@ def own_actuators(scenario: Scenario) -> list[Part]:
 
 @functools.cache
 def section_kinds() -> dict[str, type[Part]]:
-    """The parts of this package that stand in a section of the scenario, by block and section."""
-    return {name: _load(at, name, ()) for name, at in SHIPPED["section"].items()}
+    """The installed parts that stand in a section of the scenario, by block and section."""
+    own = SHIPPED["section"]
+    kinds = {
+        name: _load(own[name], name, ()) if name in own else optional(plugins.SECTIONS, name)
+        for name in SECTIONS
+    }
+    return {name: kind for name, kind in kinds.items() if kind is not None}
 
 
 def find_factory(

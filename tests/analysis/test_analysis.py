@@ -15,9 +15,9 @@ from children import finished
 from scipy import signal
 
 from ffsm_drake import make_nominal_plant, make_true_plant
-from ffsm_drake.analysis import analyze
-from ffsm_drake.analysis.balances import displacements
-from ffsm_drake.analysis.chattering import (
+from ffsm_drake.plugins.analysis import analyze
+from ffsm_drake.plugins.analysis.balances import displacements
+from ffsm_drake.plugins.analysis.chattering import (
     SEGMENT,
     effort_spectrum,
     reversals,
@@ -25,12 +25,12 @@ from ffsm_drake.analysis.chattering import (
     split_variance,
     total_variation,
 )
-from ffsm_drake.analysis.findings import TITLES
-from ffsm_drake.analysis.inertia import match_inertia
-from ffsm_drake.analysis.lyapunov import lyapunov, outside, ultimate_bound
-from ffsm_drake.analysis.sliding_mode import direct_bound
+from ffsm_drake.plugins.analysis.figure import plot_analysis
+from ffsm_drake.plugins.analysis.findings import TITLES
+from ffsm_drake.plugins.analysis.inertia import match_inertia
+from ffsm_drake.plugins.analysis.lyapunov import lyapunov, outside, ultimate_bound
+from ffsm_drake.plugins.analysis.sliding_mode import direct_bound
 from ffsm_drake.runs.record import to_json
-from ffsm_drake.show.figures.analysis import plot_analysis
 from ffsm_drake.spacecraft.coordinates import position_error
 
 # The published gains warn that the sampled loop may not bear them; here that is the point.
@@ -680,7 +680,7 @@ def test_analysis_stops_at_the_first_number_that_is_not_finite(run, analysis):
 def test_the_package_does_not_load_the_analysis():
     code = (
         "import sys, ffsm_drake; print(*(name for name in sys.modules if "
-        "name.startswith('ffsm_drake.analysis')))"
+        "name.startswith('ffsm_drake.plugins.analysis')))"
     )
     done = finished([sys.executable, "-c", code], check=True)
     assert done.stdout.strip() == ""

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import FfsmError, RunRecord, analyze, load_scenario, simulate
-from ffsm_drake.control_design.limit import find_limit
-from ffsm_drake.control_design.stability.prediction import predict
+from ffsm_drake.plugins.design.limit import find_limit
+from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.show.tables import results_data, results_table
 
 # plain; wheels, and thrusters that open in frames; slow sensors; an undriven base

@@ -30,15 +30,15 @@ from click.testing import CliRunner
 from record_tools import sealed
 
 from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
-from ffsm_drake.analysis import analyze
 from ffsm_drake.cli import main
 from ffsm_drake.common import files
-from ffsm_drake.preflight.verdict import Verdict
+from ffsm_drake.plugins.analysis import analyze
+from ffsm_drake.plugins.analysis.figure import plot_analysis
+from ffsm_drake.plugins.design.verdict import Verdict
+from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.runs.reading import StaleReportWarning
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.show.figures import run as run_figures
-from ffsm_drake.show.figures.analysis import plot_analysis
-from ffsm_drake.show.report.page import render_report
 
 INPUTS = Path(__file__).parent / "inputs"
 URDFS = {name: (INPUTS / name).read_text() for name in ("servicer.urdf", "debris.urdf")}
@@ -610,7 +610,9 @@ def good_run(tmp_path_factory, run):
 def unchecked(monkeypatch):
     """Without the check of stability before a run, which costs more than a short one."""
     nothing = Verdict(linear=None, not_linear="", load=None, noises=None, run=None)
-    monkeypatch.setattr("ffsm_drake.preflight.verdict.verdict", lambda scenario, **options: nothing)
+    monkeypatch.setattr(
+        "ffsm_drake.plugins.design.verdict.verdict", lambda scenario, **options: nothing
+    )
 
 
 def _files(folder: Path) -> set[Path]:
@@ -834,7 +836,7 @@ def test_a_report_of_another_run_is_noticed(tmp_path, run, monkeypatch):
     anew one by one.
     """
     for section in ("analyze", "stability"):  # which cost most of a report
-        monkeypatch.setattr(f"ffsm_drake.show.report.page.{section}", left_out)
+        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{section}", left_out)
     records = [run("postcapture", "duration=0.1", f"controller={name}") for name in ("tdc", "asmc")]
     folders = [record.save(tmp_path / record.scenario.controller) for record in records]
     page = render_report(records[:1])

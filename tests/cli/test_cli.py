@@ -16,8 +16,8 @@ from matplotlib.image import imread
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.cli.common import forgiving_stderr, show_life
-from ffsm_drake.control_design.stability import boundaries
-from ffsm_drake.control_design.stability.boundaries import Boundaries
+from ffsm_drake.plugins.design.stability import boundaries
+from ffsm_drake.plugins.design.stability.boundaries import Boundaries
 from ffsm_drake.scenario import shipped_scenarios
 
 SHORT = ["--set", "duration=0.3"]
@@ -55,7 +55,7 @@ def test_help_needs_no_drake():
 
 def test_run_writes_record_and_report(tmp_path, monkeypatch):
     """A report with its stability section: ``show/test_report.py``."""
-    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
     result = ffsm("run", "postcapture", *SHORT, "--seed", 4, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     record = RunRecord.load(tmp_path)
@@ -103,7 +103,7 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
 
 @pytest.mark.slow
 def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
-    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)  # as above
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)  # as above
     result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     for name in ("tdc", "asmc", "aismc", "tde_aismc"):
@@ -143,7 +143,7 @@ def test_stability(tmp_path, monkeypatch):
 def test_analyze(run, tmp_path, monkeypatch):
     """The picture itself: ``analysis/test_analysis.py``."""
     monkeypatch.setattr(
-        "ffsm_drake.show.figures.analysis.plot_analysis", lambda analysis: Figure(figsize=(1, 1))
+        "ffsm_drake.plugins.analysis.figure.plot_analysis", lambda analysis: Figure(figsize=(1, 1))
     )
     directory = run("postcapture", "duration=2").save(tmp_path / "run")
     result = ffsm("analyze", directory)

@@ -8,10 +8,10 @@ from adapting_laws import SlotineLi
 
 from ffsm_drake import load_scenario
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.control_design.gains import design
-from ffsm_drake.control_design.stability.boundaries import probed_radius, with_gains
-from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.gains import design
+from ffsm_drake.plugins.design.stability.boundaries import probed_radius, with_gains
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.systems.controllers import complete_gains
 
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.gains import INTERRUPT, design
-from ffsm_drake.control_design.gains.requirement import Baseline, DesignPoint, Requirement
-from ffsm_drake.control_design.stability.boundaries import Boundaries
-from ffsm_drake.control_design.stability.prediction import Prediction
+from ffsm_drake.plugins.design.gains import INTERRUPT, design
+from ffsm_drake.plugins.design.gains.requirement import Baseline, DesignPoint, Requirement
+from ffsm_drake.plugins.design.stability.boundaries import Boundaries
+from ffsm_drake.plugins.design.stability.prediction import Prediction
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 SHORT = ("duration=6", "reference.duration=6")

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.control_design.stability import disk
-from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.plugins.design.stability import disk
+from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 
 SCENARIO = load_scenario("postcapture", ["controller=tdc"])
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate, stability
-from ffsm_drake.control_design.stability.boundaries import with_gains
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.moving import MotionStability
-from ffsm_drake.control_design.stability.prediction import predict
+from ffsm_drake.plugins.design.stability.boundaries import with_gains
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.moving import MotionStability
+from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.systems.controllers import complete_gains
 

@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.gains import design
-from ffsm_drake.control_design.limit import find_limit
-from ffsm_drake.control_design.stability import stability
-from ffsm_drake.control_design.stability.planned_dynamics import make_demand
-from ffsm_drake.control_design.stability.prediction import predict
+from ffsm_drake.plugins.design.gains import design
+from ffsm_drake.plugins.design.limit import find_limit
+from ffsm_drake.plugins.design.stability import stability
+from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
+from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.show.results import results_of
 from ffsm_drake.systems.sensing import make_sensing
 
@@ -277,7 +277,7 @@ def test_design_beats_the_hand_made_gains(monkeypatch):
     """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3,
     1e-2.
     """
-    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
+    monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
     hand_made = load_scenario(
         "flight_sensors",
         [
@@ -312,7 +312,7 @@ def test_design_beats_the_hand_made_gains(monkeypatch):
 @pytest.mark.long
 def test_design_from_the_shell(tmp_path, monkeypatch):
     """With one price: the whole front, and the search along it, are looked at above."""
-    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
+    monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", (0.2,))
     arguments = [
         "design",
         "flight_sensors",
@@ -343,7 +343,7 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("few_delays")
 def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     """With one price, the highest: what costs least is what is asked for."""
-    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
+    monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", (0.2,))
     short = ["--set", "duration=6", "--time", "3"]
     arguments = [
         "design",

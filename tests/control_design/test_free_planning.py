@@ -5,8 +5,8 @@ import pytest
 from pydrake.math import RotationMatrix
 
 from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, simulate
-from ffsm_drake.control_design.planning import PlanningError, plan_motion
-from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics, rotation_vector, turned
+from ffsm_drake.plugins.planning import PlanningError, plan_motion
+from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics, rotation_vector, turned
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 

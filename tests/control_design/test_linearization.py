@@ -19,18 +19,18 @@ from pydrake.systems.primitives import Gain, RandomSource
 
 from ffsm_drake import ControlLaw, gain, load_scenario, simulate
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.control_design.stability import stability
-from ffsm_drake.control_design.stability.boundaries import (
+from ffsm_drake.plugins.design.stability import stability
+from ffsm_drake.plugins.design.stability.boundaries import (
     find_boundaries,
     with_delay,
     with_gains,
     with_nominal_payload,
     with_sample_time,
 )
-from ffsm_drake.control_design.stability.linear_settings import NOT_LINEAR
-from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
-from ffsm_drake.control_design.stability.mission import linear_verdict
-from ffsm_drake.control_design.stability.one_axis import axis_loop
+from ffsm_drake.plugins.design.stability.linear_settings import NOT_LINEAR
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.mission import linear_verdict
+from ffsm_drake.plugins.design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.control_design.stability import stability
-from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
-from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
-from ffsm_drake.control_design.stability.moving import motion_stability
+from ffsm_drake.plugins.design.stability import stability
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.mission import LinearVerdict, linear_verdict
+from ffsm_drake.plugins.design.stability.moving import motion_stability
 
 # An actuator's delay with the one-sample estimate; the loop is stable at the starting K_s.
 LATE = ["actuation.delay=2", "estimator.kind=one_sample"]

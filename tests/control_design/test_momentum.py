@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.common.numbers import number
-from ffsm_drake.control_design import momentum
-from ffsm_drake.control_design.momentum import MomentumBudget, momentum_budget, momentum_lines
-from ffsm_drake.preflight.remarks import plan_remarks
+from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.plugins.capture.momentum import MomentumBudget, momentum_budget, momentum_lines
+from ffsm_drake.plugins.design import momentum
+from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.tables import results_table
-from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import models_dir
@@ -168,7 +168,7 @@ def test_wheels_that_are_too_small_are_told_of_and_saturate() -> None:
 def test_what_wheels_hold_is_what_their_directions_say() -> None:
     settings = known(wheels()).wheels
     assert settings is not None
-    from ffsm_drake.systems.actuation.wheels import WheelSet
+    from ffsm_drake.plugins.actuators.wheels import WheelSet
 
     units = WheelSet(settings, sample_time=0.01, alone=True)
     directions = np.random.default_rng(3).normal(size=(4000, 3))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.moving import MotionStability, motion_stability
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.moving import MotionStability, motion_stability
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 
 
 def pd_plus_between_postures(*overrides):

@@ -10,10 +10,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.control_design.stability import stability
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.rehearsal import Rehearsal, rehearse
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.stability import stability
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed

@@ -9,13 +9,13 @@ from scipy.optimize import brentq
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.stability import (
+from ffsm_drake.plugins.design.stability import (
     StabilityWarning,
     adaptation_remark,
     stability,
 )
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.one_axis import (
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.one_axis import (
     axis_loop,
     largest_sample_time,
     largest_stable_k_s,
@@ -23,12 +23,12 @@ from ffsm_drake.control_design.stability.one_axis import (
     tolerated_eta,
     with_sample_time,
 )
-from ffsm_drake.control_design.stability.planned_dynamics import inertia_ratios
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.stability.planned_dynamics import inertia_ratios
+from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.estimators.estimators import KalmanEstimator
+from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
-from ffsm_drake.systems.controllers.estimators import KalmanEstimator
-from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 
 L = 0.01
 
@@ -377,7 +377,7 @@ def test_table_and_picture(tmp_path):
 def test_picture_of_a_controller_without_reaching_gain():
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from ffsm_drake.show.figures.stability import plot_margins
+    from ffsm_drake.plugins.design.stability_figure import plot_margins
 
     figure = plot_margins(stability(load_scenario("postcapture", ["controller=tdc"])))
     assert figure.axes[0].get_ylabel() == "sample time L [ms]"

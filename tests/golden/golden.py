@@ -21,11 +21,11 @@ from click.testing import CliRunner
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main as ffsm
+from ffsm_drake.plugins.report.comparison import table
+from ffsm_drake.plugins.report.part_panels import part_sections, part_views
+from ffsm_drake.plugins.report.time_panels import run_views
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report.comparison import table
-from ffsm_drake.show.report.part_panels import part_sections, part_views
-from ffsm_drake.show.report.time_panels import run_views
 from ffsm_drake.show.results import results_of
 from ffsm_drake.systems.registry import SHIPPED
 

@@ -18,8 +18,8 @@ import pytest
 from numpy.testing import assert_array_less
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.systems.controllers import complete_gains
 

@@ -7,7 +7,7 @@ import numpy as np
 import outside_urdfs
 from outside_urdfs import BOX, joint, link, robot, rod
 
-from ffsm_drake.preflight.first_scenario import new_scenario
+from ffsm_drake.plugins.new.first_scenario import new_scenario
 
 ROOT = Path(__file__).parents[2]
 

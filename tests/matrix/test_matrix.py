@@ -12,8 +12,8 @@ from missions import FACTORS, PLAIN, REFUSED, ROOT, WARNED, overrides_of, spacec
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.planning import plan_motion
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.planning import plan_motion
 from ffsm_drake.runs.limits import CLEARANCE
 from ffsm_drake.scenario import scenario_to_yaml
 
@@ -158,7 +158,7 @@ def test_a_mission_settles_as_predicted(row, workshop, tmp_path, monkeypatch):
     def known(each, **asked):
         return found if scenario_to_yaml(each) == text else verdict(each, **asked)
 
-    monkeypatch.setattr("ffsm_drake.preflight.verdict.verdict", known)
+    monkeypatch.setattr("ffsm_drake.plugins.design.verdict.verdict", known)
     for line in commands(row, file, tmp_path):
         result = ffsm(*line)
         codes = (0, 3) if line[0] == "stability" and found.is_alarm else (0,)

@@ -11,14 +11,14 @@ from outside_urdfs import TURN, joint, link, robot
 
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.stability.rehearsal import is_near_limits
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.capture.supervisor import Mode
+from ffsm_drake.plugins.design.stability.rehearsal import is_near_limits
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.ending import Outcome, ending_of
 from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.supervisor import Mode
 
 # folded through the bus, and held there
 FOLDED = "{joint_1: 0.0, joint_2: 2.6, joint_3: 0.3, joint_4: 0.0, joint_5: 0.0}"

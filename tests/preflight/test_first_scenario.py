@@ -25,13 +25,13 @@ from outside_urdfs import (
 
 from ffsm_drake import load_scenario, make_true_plant
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.stability import stability
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.preflight.first_scenario import new_scenario
+from ffsm_drake.plugins.design.stability import stability
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.plugins.new.urdf import make_bus, read_urdf
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import base_body
-from ffsm_drake.spacecraft.urdf import make_bus, read_urdf
 
 # Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of
 # it). Computed torque and PD+ estimate neither the disturbance nor the payload's deviation, and
@@ -43,7 +43,7 @@ LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 1e-3}
 def few_postures():
     """Two postures of the motion instead of five: what is made here is simulated as well."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffsm_drake.control_design.stability.margins.POSTURES", (0.0, 0.5))
+        patch.setattr("ffsm_drake.plugins.design.stability.margins.POSTURES", (0.0, 0.5))
         yield
 
 

@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, Sine
 
 from ffsm_drake import load_scenario, override_scenario, simulate
-from ffsm_drake.preflight.remarks import plan_remarks
+from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.runs.limits import run_remarks
 
 STEP = 0.01

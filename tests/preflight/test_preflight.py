@@ -8,8 +8,8 @@ from children import finished
 
 import ffsm_drake
 from ffsm_drake import load_scenario
-from ffsm_drake.control_design.stability import StabilityWarning
-from ffsm_drake.preflight.remarks import LimitWarning
+from ffsm_drake.plugins.design.remarks import LimitWarning
+from ffsm_drake.plugins.design.stability import StabilityWarning
 
 SHORT = ["duration=0.105", "sensing.delay=1"]  # no whole number of samples, and unstable
 
@@ -49,7 +49,7 @@ def test_a_rollout_loads_nothing_of_control_design():
     assert not [
         name
         for name in loaded
-        if name.startswith(("ffsm_drake.control_design", "ffsm_drake.preflight"))
+        if name.startswith(("ffsm_drake.plugins.design", "ffsm_drake.preflight"))
     ]
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario
-from ffsm_drake.control_design.stability.mission import linear_verdict
-from ffsm_drake.preflight.remedies import remedies
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.remedies import remedies
+from ffsm_drake.plugins.design.stability.mission import linear_verdict
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.scenario import override_scenario
 
 # base, overrides, a key that is among what helps

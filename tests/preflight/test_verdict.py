@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.verdict import verdict
 
 UNSTABLE_AT_START = ["controllers.tde_aismc.k_s_initial=150", "duration=21"]
 

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
+from ffsm_drake.preflight import verdict as room
 
 from ffsm_drake import load_scenario
-from ffsm_drake.control_design.stability import margins
-from ffsm_drake.preflight import verdict as room
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.stability import margins
+from ffsm_drake.plugins.design.verdict import verdict
 
 SHORT = ["duration=2"]
 

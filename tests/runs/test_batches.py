@@ -26,10 +26,10 @@ from ffsm_drake import (
     simulate_many,
 )
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.preflight.simulate import make_record
+from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.batches import batches_of, usual_batch
-from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.scenario.layers import flatten
 from ffsm_drake.systems.controllers import ControlLaw

@@ -11,18 +11,18 @@ from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import RunRecord, load_scenario, override_scenario, simulate
-from ffsm_drake.analysis import analyze
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.preflight.simulate import make_record
+from ffsm_drake.plugins.analysis import analyze
+from ffsm_drake.plugins.capture.contact import coast, planned_contact
+from ffsm_drake.plugins.capture.handover import seen_from
+from ffsm_drake.plugins.capture.mission import MissionRollout, make_rollout
+from ffsm_drake.plugins.capture.page import grasp_of
 from ffsm_drake.runs.dataset import make_table
-from ffsm_drake.runs.handover import seen_from
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
-from ffsm_drake.runs.mission import MissionRollout, make_rollout
+from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import MassProperties, Payload, Scenario, from_grasp
-from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.results import results_of
-from ffsm_drake.spacecraft.capture import coast, planned_contact
 from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import make_law

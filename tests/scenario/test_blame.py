@@ -25,7 +25,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.settings import Setting, settings_of
-from ffsm_drake.preflight.verdict import verdict
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.scenario.resolving import schema_fields, without_null
 

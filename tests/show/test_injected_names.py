@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.show.meshcat import recording_html
-from ffsm_drake.show.report.page import render_report
 
 campaign_tools = pytest.importorskip("campaign_tools")
 run_here, write_spec = campaign_tools.run_here, campaign_tools.write_spec
@@ -109,7 +109,7 @@ def no_analysis(monkeypatch):
         raise FfsmError("left out")
 
     for name in ("stability", "analyze"):
-        monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", absent)
+        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{name}", absent)
 
 
 @pytest.fixture

@@ -13,13 +13,13 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.runs.mission import make_rollout
+from ffsm_drake.plugins.actuators.meshcat import SwitchedSolids, solids_of
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.show.meshcat import recording_html, start_meshcat, write_recording
-from ffsm_drake.show.meshcat.actuators import SwitchedSolids, solids_of
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import ReplayView
-from ffsm_drake.show.report.page import render_report
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.plan import load_plan
 
@@ -328,7 +328,7 @@ def left_out(_):
 
 def test_the_report_tells_of_the_grasp(captured, monkeypatch):
     for section in ("analyze", "stability"):  # which cost most of a report
-        monkeypatch.setattr(f"ffsm_drake.show.report.page.{section}", left_out)
+        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{section}", left_out)
     page = render_report([captured])
     assert '<section id="grasp">' in page
     assert "Angular momentum about the centre of mass [N m s]" in page

@@ -19,11 +19,11 @@ from children import finished
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.common.numbers import number
+from ffsm_drake.plugins.report import write_report
+from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.runs.log import Outcome
 from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
 from ffsm_drake.show.curves import thinned
-from ffsm_drake.show.report import write_report
-from ffsm_drake.show.report.page import render_report
 from ffsm_drake.show.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
 
@@ -106,13 +106,13 @@ def absent(_):
 @pytest.fixture
 def without_stability(monkeypatch):
     """Leave out the stability map, which costs seconds and is not what the test is about."""
-    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
 
 
 @pytest.fixture
 def plain(monkeypatch, without_stability, no_remedies):
     """Leave out the analysis too."""
-    monkeypatch.setattr("ffsm_drake.show.report.page.analyze", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.analyze", absent)
 
 
 @pytest.fixture(scope="module")
@@ -235,7 +235,7 @@ def test_diverged_runs_rank_last_and_never_best(short, diverged):
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_interrupted_after_few_samples(short, samples, monkeypatch):
     if samples:  # on which stability does not depend
-        monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
+        monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
     page = page_of(shortened(short, samples))
     assert "interrupted" in page.text
     assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[
@@ -282,7 +282,7 @@ def test_failing_sections_leave_the_rest(short, monkeypatch):
         raise FfsmError("controller: has no margins; choose another")
 
     for name in ("analyze", "stability"):
-        monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", fail)
+        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{name}", fail)
     page = page_of(short)
     assert page.text.count("controller: has no margins; choose another.") == 2
     assert "ITAE" in page.text

@@ -11,19 +11,19 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context
 
-from ffsm_drake.analysis.balances import absolute_impulse, energy_residual
 from ffsm_drake.common.errors import ModelError, ScenarioError
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.preflight.simulate import simulate
-from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import Flexible, Model, Scenario, load_scenario
-from ffsm_drake.spacecraft.flexible import (
+from ffsm_drake.plugins.analysis.balances import absolute_impulse, energy_residual
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.flexible.bodies import (
     add_flexible,
     cantilever_modes,
     modes_of,
     set_flexible,
 )
+from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import simulate
+from ffsm_drake.scenario import Flexible, Model, Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, split_of
 

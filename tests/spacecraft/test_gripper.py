@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from ffsm_drake.plugins.capture.contact_force import Jaws
 from ffsm_drake.scenario.capture import Closing, Compliance
-from ffsm_drake.spacecraft.gripper import Jaws
 
 PAD = 0.05  # m, half of a square pad, whose corners touch in MuJoCo
 GRIPPER = 60.0  # kg, with moments of 6 kg m^2

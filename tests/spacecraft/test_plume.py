@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, HalfSpace, Sphere
 
 from ffsm_drake import load_scenario, simulate
+from ffsm_drake.plugins.actuators.plume import PlumeField, allocated, rays_of, returned_shares
+from ffsm_drake.plugins.actuators.rays import first_meeting, reach_of
 from ffsm_drake.scenario import Plume, thrusters_of
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.spacecraft.plume import PlumeField, allocated, rays_of, returned_shares
-from ffsm_drake.spacecraft.rays import first_meeting, reach_of
 
 LAYOUT = "actuation.thrusters.layout=16x22N"
 PLUME = "actuation.thrusters.plume={}"

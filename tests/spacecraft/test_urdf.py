@@ -11,9 +11,9 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import add_combined_plant
-from ffsm_drake.spacecraft.urdf import read_urdf, write_urdf
 
 
 def read(folder, text, **options):

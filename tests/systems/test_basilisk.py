@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rigid_bus as bus
 
-from ffsm_drake.systems.actuation.modulation import SchmittTrigger, pulse_widths
+from ffsm_drake.plugins.actuators.modulation import SchmittTrigger, pulse_widths
 
 SECOND = round(1.0 / bus.PERIOD)  # in samples
 

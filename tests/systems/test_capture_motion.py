@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.so3 import rotation_vector_motion
-from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.plugins.capture.approach import without_target
+from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
-from ffsm_drake.systems.approach import without_target
 from ffsm_drake.systems.reference import make_motion
 
 NQ, NV = 12, 11

@@ -5,7 +5,7 @@ import types
 import numpy as np
 import pytest
 
-from ffsm_drake.systems.deflections import Deflections, first_at_rest
+from ffsm_drake.plugins.flexible.deflections import Deflections, first_at_rest
 from ffsm_drake.systems.part import Part, PlacedPart, figures_of, nested
 
 PERIOD, END = 0.01, 5.0

@@ -11,15 +11,15 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant, simulate
-from ffsm_drake.analysis.balances import energy_residual
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.plugins.actuators.drives import DriveSet
+from ffsm_drake.plugins.analysis.balances import energy_residual
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Drives, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import base_body
-from ffsm_drake.systems.actuation.drives import DriveSet
 
 BASE, LINK = 10.0, 5.0  # kg m^2, about the axis; the link with its payload
 REDUCED = BASE * LINK / (BASE + LINK)

@@ -12,9 +12,10 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import ScenarioError, load_scenario
-from ffsm_drake.analysis.balances import energy_residual
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.runs.mission import make_rollout
+from ffsm_drake.plugins.analysis.balances import energy_residual
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.environment.environment import EnvironmentForce, OrbitalForce
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -22,7 +23,6 @@ from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.orbit import EARTH_GRAVITY, mean_motion
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.environment import EnvironmentForce, OrbitalForce
 
 # D-SPOSE 1.0.0 (github.com/McGill-AML/D-SPOSE), input/ and output/expected-output/: Envisat, TEME
 # axes. kg m^2

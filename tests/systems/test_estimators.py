@@ -10,10 +10,8 @@ from flight_settings import FLIGHT, NO_NOISE
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
-from ffsm_drake.runs.mission import make_rollout
-from ffsm_drake.scenario import ESTIMATOR_KINDS
-from ffsm_drake.systems.controllers import Sample, gain_vectors
-from ffsm_drake.systems.controllers.estimators import (
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.estimators.estimators import (
     KINDS,
     CoupledEstimator,
     KalmanEstimator,
@@ -21,12 +19,14 @@ from ffsm_drake.systems.controllers.estimators import (
     OneSampleEstimator,
     make_estimator,
 )
-from ffsm_drake.systems.controllers.filter_gains import (
+from ffsm_drake.plugins.estimators.filter_gains import (
     SensedAxis,
     coupled_gain,
     kalman_gain,
     late_gains,
 )
+from ffsm_drake.scenario import ESTIMATOR_KINDS
+from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 from ffsm_drake.systems.reference import make_motion
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.estimators.filtering import make_filtered
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.filtering import make_filtered
 from ffsm_drake.systems.controllers.law import ControlLaw
 
 PERIOD = 0.01

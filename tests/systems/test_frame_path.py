@@ -7,7 +7,7 @@ from pydrake.math import RollPitchYaw
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ModelError, ScenarioError, load_scenario
-from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.frame_path import make_frame_path

@@ -183,8 +183,8 @@ def test_bad_input(overrides, problem):
 
 def test_a_motion_that_cannot_be_integrated_is_refused_within_a_bound(monkeypatch):
     """At 1e9 rad an angle's rounding alone is beyond the tolerance."""
-    monkeypatch.setattr("ffsm_drake.systems.free_motion._MOST", 100)
-    monkeypatch.setattr("ffsm_drake.systems.free_motion._MOST_PER_SECOND", 10)
+    monkeypatch.setattr("ffsm_drake.plugins.task_space.free_motion._MOST", 100)
+    monkeypatch.setattr("ffsm_drake.plugins.task_space.free_motion._MOST_PER_SECOND", 10)
     scenario = load_scenario("reaction_null", ["initial_posture.joints.shoulder_roll=1e9"])
     with pytest.raises(ScenarioError, match="cannot be integrated"):
         make_closed_loop(scenario)

@@ -27,13 +27,13 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
+from ffsm_drake.plugins.report import write_report
+from ffsm_drake.plugins.report.comparison import rankings, table
+from ffsm_drake.plugins.report.part_panels import part_views
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report import write_report
-from ffsm_drake.show.report.comparison import rankings, table
-from ffsm_drake.show.report.part_panels import part_views
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, simulate_many
-from ffsm_drake.preflight.remarks import plan_remarks
+from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.blend import quintic_blend

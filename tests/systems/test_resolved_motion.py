@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.preflight.remarks import plan_remarks
-from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.plugins.design.remarks import plan_remarks
+from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.resolved_motion import damped_inverse
 
 ARM_ALONE = ["actuation.driven=[joints]"]
 PLANAR = ["reference={kind: quintic, goal: target_posture, plan: null, duration: 20}"]

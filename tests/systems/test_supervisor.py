@@ -7,10 +7,10 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario
-from ffsm_drake.runs.mission import make_rollout
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.capture.supervisor import Cause, Mode, NewPlan
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.part import figures_of, nested, recorded
-from ffsm_drake.systems.supervisor import Cause, Mode, NewPlan
 
 BEYOND = (  # a target that spins faster than the limits let the law stop it at once
     "capture.approach=null",

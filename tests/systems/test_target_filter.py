@@ -14,6 +14,9 @@ from scipy.stats import chi2
 
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.plugins.capture.contact import coast
+from ffsm_drake.plugins.capture.gripper import GripperForce
+from ffsm_drake.plugins.capture.target_filter import TargetFilter, observed
 from ffsm_drake.scenario import (
     Environment,
     MassProperties,
@@ -23,7 +26,6 @@ from ffsm_drake.scenario import (
     inertia_matrix,
 )
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.spacecraft.capture import coast
 from ffsm_drake.spacecraft.coordinates import StateSplit
 from ffsm_drake.spacecraft.free_body import (
     SIZE,
@@ -32,9 +34,7 @@ from ffsm_drake.spacecraft.free_body import (
     shape_spread,
 )
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.systems.gripper import GripperForce
 from ffsm_drake.systems.setup import BlockSetup
-from ffsm_drake.systems.target_filter import TargetFilter, observed
 
 BODY = MassProperties(
     mass=100.0, center_of_mass=[0.1, -0.05, 0.3], inertia=[20.0, 14.0, 9.0, 1.0, -0.5, 0.8]

@@ -10,12 +10,13 @@ from numpy.testing import assert_allclose
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, load_scenario
-from ffsm_drake.control_design.gains import design
-from ffsm_drake.control_design.stability.boundaries import with_gains
-from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.preflight.simulate import make_record
+from ffsm_drake.plugins.design.gains import design
+from ffsm_drake.plugins.design.stability.boundaries import with_gains
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
@@ -23,7 +24,6 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import complete_gains, controller_setup, make_law
 from ffsm_drake.systems.controllers.law import Sample, is_wide
-from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 LAWS = ("resolved_rate", "task_computed_torque", "task_time_delay")

@@ -20,26 +20,26 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop, simulate
 from ffsm_drake.common.numbers import NONE, number
-from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
-from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report.comparison import rankings, table
-from ffsm_drake.show.report.page import render_report
-from ffsm_drake.show.report.part_panels import part_views
-from ffsm_drake.show.results import results_of
-from ffsm_drake.show.tables import results_table
-from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
-from ffsm_drake.systems.actuation import make_base_actuators
-from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
-from ffsm_drake.systems.actuation.base import attitude_ahead
-from ffsm_drake.systems.actuation.modulation import (
+from ffsm_drake.plugins.actuators.allocation import Allocation, lost_direction
+from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.modulation import (
     SchmittTrigger,
     mean_level,
     pulse_widths,
     whole_frames,
 )
-from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
+from ffsm_drake.plugins.actuators.row import make_base_actuators
+from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
+from ffsm_drake.plugins.report.comparison import rankings, table
+from ffsm_drake.plugins.report.page import render_report
+from ffsm_drake.plugins.report.part_panels import part_views
+from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
+from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.results import results_of
+from ffsm_drake.show.tables import results_table
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.limits import uneven_remarks
 from ffsm_drake.systems.part import pulses_of
@@ -428,7 +428,7 @@ def test_failures_are_known(run):
 
 def test_the_report_draws_every_pulse(run, monkeypatch):
     for section in ("analyze", "stability"):  # which cost most of a report
-        monkeypatch.setattr(f"ffsm_drake.show.report.page.{section}", left_out)
+        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{section}", left_out)
     record = run(*SHORT, "actuation.thrusters.layout=12x5N")
     (view,) = part_views(results_of([record]), Thinning(1000), "Actuators")
     (panel,) = view.panels

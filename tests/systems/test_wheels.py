@@ -15,15 +15,15 @@ from pydrake.systems.analysis import Simulator
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
 from ffsm_drake.common.numbers import number
+from ffsm_drake.plugins.actuators.row import make_base_actuators
+from ffsm_drake.plugins.actuators.wheels import WheelSet
+from ffsm_drake.plugins.report.part_panels import part_tables
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Wheel, Wheels
-from ffsm_drake.show.report.part_panels import part_tables
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
-from ffsm_drake.systems.actuation import make_base_actuators
-from ffsm_drake.systems.actuation.wheels import WheelSet
 from ffsm_drake.systems.limits import uneven_remarks
 
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")

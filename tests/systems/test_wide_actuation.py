@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import Quaternion
 
 from ffsm_drake import load_scenario, make_closed_loop
+from ffsm_drake.plugins.actuators.allocation import Allocation
+from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.row import Actuators
+from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.systems.actuation import Actuators
-from ffsm_drake.systems.actuation.allocation import Allocation
-from ffsm_drake.systems.actuation.base import attitude_ahead
-from ffsm_drake.systems.actuation.thrusters import ThrusterSet
 from ffsm_drake.systems.side_by_side import SideBySide
 
 WHEELS = (

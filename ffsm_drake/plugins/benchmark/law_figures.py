@@ -12,16 +12,16 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.control_design.limit import find_limit
-from ffsm_drake.control_design.stability.boundaries import (
+from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.plugins.campaign.prediction import expected_radius, most_overestimated
+from ffsm_drake.plugins.design.limit import find_limit
+from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_DELAY,
     LARGEST_FACTOR,
     first_unstable_delay,
     largest_payload,
 )
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.plugins.campaign.prediction import expected_radius, most_overestimated
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_yaml
 from ffsm_drake.systems.reference import timed
 

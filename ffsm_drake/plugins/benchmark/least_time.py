@@ -19,12 +19,12 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 
+from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
+from ffsm_drake.plugins.actuators.wheels import WheelSet
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body
-from ffsm_drake.systems.actuation.thrusters import ThrusterSet
-from ffsm_drake.systems.actuation.wheels import WheelSet
 
 _CORNERS = 16  # most units with every combination tried; above, their sizes are summed
 _DIRECTIONS = 2000  # number of directions for comparing momentum, beside its own

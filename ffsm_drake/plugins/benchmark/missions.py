@@ -28,6 +28,7 @@ from ffsm_drake.common.files import check_regular, write_text
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES, law_figures
 from ffsm_drake.plugins.benchmark.least_time import least_times
 from ffsm_drake.plugins.campaign.cases import make_cases
@@ -35,6 +36,7 @@ from ffsm_drake.plugins.campaign.evaluate import COMPLETED
 from ffsm_drake.plugins.campaign.run import Progress, check_cases, resume_campaign
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store, open_store
+from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -44,10 +46,8 @@ from ffsm_drake.scenario import (
     thrusters_of,
 )
 from ffsm_drake.scenario.strict_yaml import read_yaml
-from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion

@@ -12,14 +12,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
-from ffsm_drake.control_design.stability.adaptation import expected_gains
-from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
-from ffsm_drake.control_design.stability.load import predicted_load
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.campaign.cases import make_case, scenario_of
 from ffsm_drake.plugins.campaign.spec import Spec
+from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.plugins.design.stability.load import predicted_load
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.design.stability.rehearsal import rehearse
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.systems.reference import timed
 

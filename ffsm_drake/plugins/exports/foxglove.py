@@ -29,8 +29,8 @@ from websockets.http11 import Request
 from ffsm_drake.common.door import HOST, BadFrame, Door, random_loopback
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.loop.operator import make_operated_disturbance
-from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, scenario_to_yaml
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,

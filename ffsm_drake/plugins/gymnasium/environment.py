@@ -15,6 +15,7 @@ import numpy as np
 
 from ffsm_drake.common.aside import Aside
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.policy.policy import (
     ACTIONS,
     FURTHEST,
@@ -24,13 +25,12 @@ from ffsm_drake.plugins.policy.policy import (
     observation,
     observation_names,
 )
+from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.mission import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State, is_wide
-from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup

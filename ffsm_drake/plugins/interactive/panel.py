@@ -26,8 +26,8 @@ from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.plugins.interactive.controls import CodeLock, Controls, label_text
 from ffsm_drake.plugins.interactive.door import keep_for_ever, live_server
-from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat.arrows import Arrow
 from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage

@@ -6,7 +6,7 @@ import statistics
 
 import numpy as np
 
-from ffsm_drake.analysis.evidence import commanded_acceleration, mass_matrices
+from ffsm_drake.plugins.analysis.evidence import commanded_acceleration, mass_matrices
 from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.runs import (
     CONTROLLERS,

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.workers import map_tasks
-from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.record import RunRecord, software_versions
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario, read_yaml
 from ffsm_drake.systems.controllers import complete_gains
 

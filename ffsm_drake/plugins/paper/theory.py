@@ -4,8 +4,8 @@ import functools
 
 import numpy as np
 
-from ffsm_drake.analysis import Analysis, analyze
-from ffsm_drake.control_design.stability import stability
+from ffsm_drake.plugins.analysis import Analysis, analyze
+from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.plugins.paper.verdict import (
     Both,

@@ -19,11 +19,11 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
-from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.registry import block_names, call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
 

@@ -6,11 +6,11 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.actuators.meshcat import SwitchedSolids
+from ffsm_drake.plugins.flexible.meshcat import Deflections
+from ffsm_drake.plugins.task_space.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.show.meshcat.actuators import SwitchedSolids
 from ffsm_drake.show.meshcat.arrows import ForceArrows
-from ffsm_drake.show.meshcat.deflections import Deflections
-from ffsm_drake.show.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 
 FRAMES_PER_SECOND = 25.0

@@ -6,11 +6,11 @@ from typing import Any
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
+from ffsm_drake.plugins.estimators.filtering import make_filtered
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.controllers.filtering import make_filtered
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Gain,

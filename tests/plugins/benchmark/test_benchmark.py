@@ -30,8 +30,8 @@ from ffsm_drake.plugins.benchmark.missions import (
     run_mission,
 )
 from ffsm_drake.plugins.benchmark.page import benchmark_data, benchmark_page, board_text
+from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import override_scenario, thrusters_of
-from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from ffsm_drake.plugins.benchmark.missions import bounds_of, load_mission
+from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.task_space.torque_against_momentum import angular_momentum
 from ffsm_drake.runs.metrics import base_drift
-from ffsm_drake.runs.mission import make_rollout
-from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.controllers.laws.torque_against_momentum import angular_momentum
 
 # ETS-VII in OnOrbitROS: base, then links: mass, inertia (xx, yy, zz, xy, xz, yz), joint's place,
 # axis, and fixed rotation (axis, quarter turns). Centres of mass stand at the joints.

@@ -16,8 +16,8 @@ from ffsm_drake.plugins.campaign.evaluate import (
     evaluate,
 )
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
-from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import load_scenario, scenario_from_dict, scenario_to_dict
 
 # key, value, controller, and the series that must differ
@@ -147,7 +147,7 @@ def test_a_case_that_cannot_be_built_leaves_nothing_of_the_one_before(spec, monk
     evaluator = Evaluator(spec)
     before = evaluator.evaluate(first, "tdc")
     with monkeypatch.context() as patched:
-        patched.setattr("ffsm_drake.runs.mission.Rollout", refuse)
+        patched.setattr("ffsm_drake.plugins.capture.mission.Rollout", refuse)
         assert evaluator.evaluate(refused, "tdc")["outcome"] == "refused"
     gc.collect()
     after = evaluator.evaluate(last, "tdc")

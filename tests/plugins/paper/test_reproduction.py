@@ -53,7 +53,7 @@ def unstable():
 def verdicts(results):
     # two postures of the motion instead of five, for eight loops
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffsm_drake.control_design.stability.margins.POSTURES", (0.0, 0.5))
+        patch.setattr("ffsm_drake.plugins.design.stability.margins.POSTURES", (0.0, 0.5))
         return evaluate(results)
 
 

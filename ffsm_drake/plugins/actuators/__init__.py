@@ -1,0 +1,1 @@
+"""Actuators: limits, drives, wheels, thrusters and their plumes."""

@@ -1,0 +1,151 @@
+"""Plumes of thrusters: their force on the bodies that they hit.
+
+A plume's momentum leaves the nozzle into the half space behind the thrust, per solid angle as
+cos^n of the angle off its axis (a source flow, see docs/actuators.md). Rays carry equal parts of
+it. Each transfers its whole momentum, along its direction, to the first shape on its path (no
+reflection). Bodies shadow one another.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.plugins.actuators.rays import first_meeting, reach_of
+from ffsm_drake.scenario import Actuation, Model, Plume, Scenario, Thruster, thrusters_of
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.plant import base_body, configuration, find_body
+
+_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))  # rad
+
+
+def rays_of(axis: np.ndarray, settings: Plume) -> tuple[np.ndarray, float]:
+    """Unit directions (n, 3) of a plume's rays about a unit axis, and the momentum that each
+    carries per impulse of the thruster: along the axis they sum to 1.
+    """
+    count, exponent = settings.rays, settings.exponent
+    share = (np.arange(count) + 0.5) / count
+    cosine, turn = (1.0 - share) ** (1.0 / (exponent + 1.0)), _GOLDEN * np.arange(count)
+    sine = np.sqrt(1.0 - cosine**2)
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    across = np.outer(sine * np.cos(turn), first) + np.outer(
+        sine * np.sin(turn), np.cross(axis, first)
+    )
+    return np.outer(cosine, axis) + across, 1.0 / float(cosine.sum())
+
+
+class PlumeField:
+    """The force of plumes on a spacecraft's bodies, as a function of its configuration."""
+
+    def __init__(
+        self,
+        settings: Plume,
+        units: Sequence[Thruster],
+        model: PlantModel,
+        of: Model,
+        *,
+        without: str | None = None,
+    ) -> None:
+        """Args:
+        settings: the plumes.
+        units: the thrusters.
+        model: a plant without flexible coordinates for the field's own use.
+        of: its model.
+        without: a body (scoped name) that is not yet present.
+        """
+        self._model, self._base = model, base_body(model.plant)
+        # body, its shape, X_BG
+        self._shapes = [
+            (find_body(model.plant, name, key="model"), shape, X_BG)
+            for name, shape, X_BG in Clearance(of).placed()
+            if name != without
+        ]
+        self._at = np.array([unit.position for unit in units], dtype=float)
+        axes = -np.array([unit.direction for unit in units], dtype=float)
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        made = [rays_of(axis, settings) for axis in axes]
+        self._rays = np.array([rays for rays, _ in made])  # (n, rays, 3) in the base's axes
+        self._parts = np.array([part for _, part in made])
+        self._reach = np.array([reach_of(shape) for _, shape, _ in self._shapes])
+
+    def calc(self, q: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Generalized force (nv) of plumes of thrusters with forces (n), N, in a configuration q
+        (nq), and what all bodies get from each thruster (n, 3), world axes, N.
+        """
+        plant, context = self._model.plant, self._model.context
+        plant.SetPositions(context, q)
+        X_WB = self._base.EvalPoseInWorld(context)
+        total, each = np.zeros(plant.num_velocities()), np.zeros((len(force), 3))
+        fired = np.flatnonzero(force > 0.0)
+        if not (fired.size and self._shapes):
+            return total, each
+        u = self._rays[fired] @ X_WB.rotation().matrix().T
+        p = self._at[fired] @ X_WB.rotation().matrix().T + X_WB.translation()
+        push = (force[fired] * self._parts[fired])[:, None, None] * u
+        met = self._met(p, u)
+        first, length = met.argmin(axis=0), met.min(axis=0)
+        hit = np.isfinite(length)
+        each[fired] = np.where(hit[..., None], push, 0.0).sum(axis=1)
+        for index in np.unique(first[hit]):
+            chosen = hit & (first == index)
+            body = self._shapes[index][0]
+            at = (p[:, None] + np.where(chosen, length, 0.0)[..., None] * u)[chosen]
+            arm = at - body.EvalPoseInWorld(context).translation()
+            wrench = np.hstack([np.cross(arm, push[chosen]), push[chosen]]).sum(axis=0)
+            total += self._model.calc_jacobian(q, body.body_frame()).T @ wrench
+        return total, each
+
+    def _met(self, p: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Distances along rays (n, rays, 3) from points (n, 3) to each shape (shapes, n, rays)."""
+        context = self._model.context
+        poses = [body.EvalPoseInWorld(context) @ X_BG for body, _, X_BG in self._shapes]
+        away = np.array([X_WG.translation() for X_WG in poses])[:, None] - p  # (shapes, n, 3)
+        along = np.einsum("snj,nrj->snr", away, u)
+        reach = self._reach[:, None, None]
+        # plumes with a line within the shape's reach of its origin
+        beside = (away * away).sum(axis=-1)[..., None] - along**2
+        near = (beside <= reach**2) & (along >= -reach)
+        met = np.full(near.shape, np.inf)
+        for index in np.flatnonzero(near.any(axis=(1, 2))):
+            chosen, R = near[index], poses[index].rotation().matrix()
+            origins = np.broadcast_to(-away[index][:, None], u.shape)[chosen]
+            met[index, chosen] = first_meeting(self._shapes[index][1], origins @ R, u[chosen] @ R)
+        return met
+
+
+@memoized(maxsize=16)
+def returned_shares(scenario: Scenario) -> dict[str, float]:
+    """For each thruster of a scenario with plumes, the largest share of its thrust returned by its
+    plume, in ``initial_posture`` and ``target_posture``.
+    """
+    settings = scenario.actuation.thrusters
+    assert settings is not None
+    assert settings.plume is not None
+    model, units = make_true_plant(scenario), thrusters_of(settings)
+    field = PlumeField(settings.plume, [*units.values()], model, scenario.model)
+    shares = []
+    for key in ("initial_posture", "target_posture"):
+        q = configuration(model.plant, getattr(scenario, key), key=key)
+        back = np.linalg.norm(field.calc(q, np.ones(len(units)))[1], axis=1)
+        shares.append(back)
+    return dict(zip(units, np.max(shares, axis=0).tolist(), strict=True))
+
+
+def allocated(scenario: Scenario) -> Actuation:
+    """The actuators of a scenario as its allocation has them: without thrusters whose plumes return
+    more than ``plume.ban`` of their thrust.
+    """
+    actuation = scenario.actuation
+    thrusters = actuation.thrusters
+    if thrusters is None or thrusters.plume is None or thrusters.plume.ban is None:
+        return actuation
+    banned = {
+        name: "stuck_off"
+        for name, share in returned_shares(scenario).items()
+        if share > thrusters.plume.ban
+    }
+    thrusters = dataclasses.replace(thrusters, failures={**banned, **thrusters.failures})
+    return dataclasses.replace(actuation, thrusters=thrusters)

@@ -1,0 +1,35 @@
+"""Check the theory on a recorded run: ``analyze(record)``, for any controller.
+
+Nothing here runs during a simulation. A run that ended early is analysed up to its last finite
+sample.
+"""
+
+from ffsm_drake.plugins.analysis import (
+    balances,
+    chattering,
+    estimation,
+    inertia,
+    lyapunov,
+    sliding_mode,
+)
+from ffsm_drake.plugins.analysis.evidence import Evidence
+from ffsm_drake.plugins.analysis.findings import TITLES, Analysis, Finding
+from ffsm_drake.runs.record import RunRecord
+
+__all__ = ["Analysis", "Finding", "analyze"]
+
+_SUBJECTS = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
+
+
+def analyze(record: RunRecord) -> Analysis:
+    """Evaluate every finding on a run, completed or not; inapplicable ones give their reason.
+
+    Example:
+      >>> from ffsm_drake import analyze, load_scenario, simulate
+      >>> record = simulate(load_scenario("postcapture", ["duration=0.5"]))
+      >>> [each.key for each in analyze(record).findings if "momentum" in each.key]
+      ['momentum_balance']
+    """
+    run = Evidence(record)
+    found = {finding.key: finding for subject in _SUBJECTS for finding in subject.findings(run)}
+    return Analysis(findings=tuple(found[key] for key in TITLES), series=run.dataset())

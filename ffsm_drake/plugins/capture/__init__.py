@@ -1,0 +1,1 @@
+"""Capture of a moving target: approach, grasp, closing gripper, supervisor."""

@@ -1,0 +1,207 @@
+"""Where the approach to a tumbling target begins (``capture.approach.start``)."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ffsm_drake.common.errors import LimitError
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.plugins.capture.contact import planned_contact, target_path
+from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.scenario.capture import Approach
+from ffsm_drake.spacecraft.clearance import shapes_of
+from ffsm_drake.spacecraft.grasp import Contact
+from ffsm_drake.spacecraft.mass_properties import NOTHING
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.systems.blend import Blend, make_impulses
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.polynomial_motion import PolynomialMotion
+
+_LENGTHS = (0.3, 0.6, 1.0)  # m; from the base at the grasp
+_INSTANTS, _CLOSER = 40, 200
+_GROWTH, _LONGEST = 1.15, 300.0  # growth factor of a tried duration; longest, s
+# Largest shares of the limits of force; the first candidate below the small one and wide of the
+# target is taken.
+_MOST, _LITTLE, _WIDE = 0.5, 0.2, 0.05  # the last in m
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Margins:
+    """Margins of a planned approach to a free target."""
+
+    distance: float  # m; smallest distance of parts
+    share: float  # largest share of the limits of force, with an empty gripper
+
+
+def approach_posture(scenario: Scenario) -> Posture:
+    """Where a scenario's approach begins.
+
+    Raises LimitError: ``capture.approach.start`` is "clear", and no place tried is.
+    """
+    return given_approach(scenario).posture
+
+
+def given_approach(scenario: Scenario) -> Approach:
+    """A scenario's approach with its start given; errors as ``approach_posture``."""
+    approach = scenario.approach
+    assert approach is not None
+    if approach.start == "given":
+        return approach
+    # inputs of the plan: the laws of a campaign share it
+    posture = _clear_start(
+        dataclasses.replace(
+            Scenario(),
+            model=scenario.model,
+            payload=scenario.payload,
+            capture=scenario.capture,
+            reference=scenario.reference,
+            initial_posture=scenario.initial_posture,
+            sample_time=scenario.sample_time,
+            actuation=scenario.actuation,
+            environment=scenario.environment,
+            clearance=scenario.clearance,
+        )
+    )
+    return dataclasses.replace(approach, posture=posture, start="given")
+
+
+@memoized(maxsize=16)
+def _clear_start(scenario: Scenario) -> Posture:
+    approach = scenario.approach
+    assert approach is not None
+    model = make_nominal_plant(scenario)
+    contact = planned_contact(scenario, model)
+    X_WP, path = target_path(scenario, model, contact)
+    end = np.array(scenario.initial_posture.base_position)
+    best, kept = -np.inf, approach.posture
+    needed = scenario.clearance + approach.margin
+    for joints, way in itertools.product(
+        (kept.joints, scenario.initial_posture.joints), _ways(end - X_WP.translation())
+    ):
+        posture = dataclasses.replace(kept, base_position=(end + way).tolist(), joints=joints)
+        motion = approach_motion(scenario, model, contact, posture)
+        margins = margins_of(scenario, motion, path[:, :7], instants=_INSTANTS, most=_MOST)
+        if margins.distance > best:  # worth a closer look
+            margins = margins_of(scenario, motion, path[:, :7], instants=_CLOSER, most=_MOST)
+        if margins.distance > best:
+            best, found = margins.distance, posture
+        if margins.distance >= max(_WIDE, needed) and margins.share <= _LITTLE:
+            return posture
+    if best < needed:
+        raise LimitError(
+            "capture.approach.start",
+            f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target at "
+            f"{100.0 * _MOST:g} % of the limits of force; change capture.approach.duration, margin "
+            "or posture.joints",
+            limit="clearance",
+        )
+    return found
+
+
+def _ways(away: np.ndarray) -> Iterator[np.ndarray]:
+    """Displacements (3) from the grasp, those away from the target first."""
+    for direction in outwards(away):
+        yield from (length * direction for length in _LENGTHS)
+
+
+def outwards(away: np.ndarray) -> np.ndarray:
+    """Directions (26, 3) to the faces, edges and corners of a cube, those along ``away`` first."""
+    cube = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
+    cube /= np.linalg.norm(cube, axis=1)[:, None]
+    first: np.ndarray = cube[np.argsort(-(cube @ away), kind="stable")]
+    return first
+
+
+def approach_motion(
+    scenario: Scenario, model: PlantModel, contact: Contact, posture: Posture
+) -> PolynomialMotion:
+    """The way from the grasp back to a posture, as a function of the time before the grasp."""
+    return PolynomialMotion(
+        coordinates=model.coordinates,
+        start=scenario.initial_posture,
+        target=posture,
+        blend=Blend(scenario.reference, scenario.grasp_time, backwards=True),
+        base_rotation=scenario.reference.base_rotation,
+        sample_time=scenario.sample_time,
+        velocity=-contact.velocity,
+    )
+
+
+def planned_approach(scenario: Scenario, model: PlantModel) -> PolynomialMotion:
+    """The approach of a scenario, backwards; errors as ``approach_posture``."""
+    contact = planned_contact(scenario, model)
+    return approach_motion(scenario, model, contact, approach_posture(scenario))
+
+
+def without_target(scenario: Scenario) -> Scenario:
+    """The scenario with an empty gripper, valid up to the grasp."""
+    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
+    # the target turns about its true centre of mass, which the gripper meets
+    truth = dataclasses.replace(NOTHING, center_of_mass=scenario.payload.truth.center_of_mass)
+    capture = scenario.capture
+    if capture is not None:
+        capture = dataclasses.replace(capture, compliance=None, approach=given_approach(scenario))
+    return dataclasses.replace(
+        scenario,
+        capture=capture,
+        payload=dataclasses.replace(scenario.payload, truth=truth, nominal=NOTHING),
+        reference=dataclasses.replace(scenario.reference, duration=some),
+    )
+
+
+def margins_of(
+    scenario: Scenario,
+    backwards: PlannedMotion,
+    target: np.ndarray,
+    *,
+    instants: int,
+    most: float = np.inf,
+) -> Margins:
+    """What an approach leaves, given backwards from the grasp, with the target at poses (n, 7) at
+    the n control samples before it. Beyond ``most`` of the limits no distance is measured.
+    """
+    samples = np.unique(np.linspace(0, len(target) - 1, instants).round().astype(int))
+    rows = backwards.rows(scenario.sample_time * (len(target) - samples))
+    share = force_share(scenario, rows)
+    if share > most:
+        return Margins(distance=-np.inf, share=share)
+    shapes = shapes_of(scenario.model, apart=scenario.payload.body)
+    q = rows[:, : len(backwards.coordinates.position_names)]
+    nearest = shapes.along(np.hstack([q, target[samples]])).nearest if shapes.pairs else None
+    return Margins(distance=np.inf if nearest is None else nearest.distance, share=share)
+
+
+def force_share(scenario: Scenario, rows: np.ndarray) -> float:
+    """The largest share of the limits of force that a motion [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
+    takes with an empty gripper; the same in either direction but for damping.
+    """
+    empty = dataclasses.replace(scenario.payload, nominal=NOTHING)
+    model = make_nominal_plant(dataclasses.replace(scenario, payload=empty))
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    force = model.calc_tracking_force(*np.split(rows, [nq, nq + nv], axis=1))
+    limit = actuation_limit(scenario, model.coordinates).upper
+    return float((np.abs(force) / limit).max())
+
+
+def gentle_duration(
+    scenario: Scenario, motion_in: Callable[[float], PlannedMotion], shortest: float
+) -> float:
+    """The first of a shortest duration (s), 1.15 times, 1.15^2 times as long, and so on, in whole
+    samples, whose motion takes at most half of the limits of force with an empty gripper; else the
+    longest tried.
+    """
+    while True:
+        samples = math.ceil(shortest / scenario.sample_time - 1e-9)
+        duration = samples * scenario.sample_time
+        if duration > _LONGEST or is_gentle(scenario, motion_in(duration)):
+            return duration
+        shortest *= _GROWTH
+
+
+def is_gentle(scenario: Scenario, motion: PlannedMotion) -> bool:
+    """Whether a motion takes at most half of the limits of force with an empty gripper."""
+    return force_share(scenario, motion.rows(np.linspace(0.0, motion.end, _INSTANTS))) <= _MOST

@@ -1,0 +1,116 @@
+"""Runs with a capture: the servicer alone up to the grasp, then with the target, with one
+controller.
+
+Each side of the grasp is a closed loop with its own nominal model. At the grasp the states of
+sensors, actuators and forces are kept, the law resumes (``ControlLaw.resume``), and the servicer's
+velocity jumps. The target is held where the gripper meets it: the position error of the arm becomes
+part of the payload's mass properties.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from pydrake.geometry import Meshcat
+
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.capture.approach import without_target
+from ffsm_drake.plugins.capture.closing import ClosingRun
+from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import ApproachAndStop, Progress
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.registry import Factory
+
+
+class MissionRollout:
+    """A ``Rollout`` of a scenario with a capture, or several with the same sample of the grasp."""
+
+    def __init__(
+        self,
+        scenario: Scenario | Sequence[Scenario],
+        *,
+        blocks: Mapping[str, Factory] | None = None,
+        meshcat: Meshcat | None = None,
+    ) -> None:
+        """Arguments and errors: see ``Rollout``."""
+        self._blocks = blocks
+        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
+        self._scenarios = _as_tuple(scenario)
+        self._approach = None
+        first = self._scenarios[0]
+        if first.grasp_time > 0.0:
+            target = None if meshcat is None else Handover(first).path[:, :7]
+            self._approach = Rollout(
+                [without_target(each) for each in self._scenarios],
+                blocks=blocks,
+                meshcat=meshcat,
+                target=target,
+            )
+
+    @property
+    def loop(self) -> ClosedLoop:
+        """The closed loop with the target held."""
+        return self._stop.loop
+
+    def release(self) -> None:
+        """As ``Rollout.release``."""
+        for rollout in (self._stop, self._approach):
+            if rollout is not None:
+                rollout.release()
+
+    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
+        """As ``Rollout.accepts``."""
+        return self._stop.accepts(scenario)
+
+    def check(self) -> None:
+        """As ``Rollout.check``."""
+        for rollout in (self._approach, self._stop):
+            if rollout is not None:
+                rollout.check()
+
+    def run(
+        self,
+        scenario: Scenario | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> RunLog:
+        """As ``Rollout.run``; at the sample of the grasp the log holds the velocity after it."""
+        if self._approach is None:
+            return grasped_at_start(self._stop.run(scenario, progress=progress))
+        (log,) = self._through(self._approach, None if scenario is None else [scenario], progress)
+        assert log is not None  # failures of a run alone are raised
+        return log
+
+    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
+        """As ``Rollout.run_all``."""
+        if self._approach is None:
+            logs = self._stop.run_all(scenarios)
+            return [None if log is None else grasped_at_start(log) for log in logs]
+        return self._through(self._approach, scenarios, None)
+
+    def _through(
+        self, loop: Rollout, given: Sequence[Scenario] | None, progress: Progress | None
+    ) -> list[RunLog | None]:
+        """Run scenarios, None: the built ones, with the loop of their approach."""
+        handovers = [Handover(each) for each in given or self._scenarios]
+        alone = None if given is None else [without_target(each) for each in given]
+        if handovers[0].scenario.closing is not None:
+            closing = ClosingRun(handovers[0], blocks=self._blocks, progress=progress)
+            return closing.run(closing.first(loop, alone))
+        runs = ApproachAndStop(handovers, progress)
+        return runs.run(runs.first(loop, self._stop, alone, given))
+
+
+def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
+    return (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
+
+
+def make_rollout(
+    scenario: Scenario | Sequence[Scenario],
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
+) -> Rollout | MissionRollout:
+    """The rollout of a scenario, or of several; arguments and errors: see ``Rollout``."""
+    kind = MissionRollout if _as_tuple(scenario)[0].grasps else Rollout
+    return kind(scenario, blocks=blocks, meshcat=meshcat)

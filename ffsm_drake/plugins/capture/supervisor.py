@@ -1,0 +1,454 @@
+"""The supervisor: the mode logic between plan, law and actuators.
+
+It passes the plan to the law and the law's force to the actuators, unchanged, until the command
+stays beyond the limits, an error leaves its bounds, or another block requests it (an output port
+``abort_request``, above 0.5). Then it damps the rates,
+
+    tau = -sigma kappa Hhat(q) v,   sigma = min(1, min_i limit_i / |kappa Hhat v|_i),
+
+to lower the kinetic energy at every sample while kappa L lambda_max(H^-1 Hhat) < 2 (see
+docs/supervisor.md), and replans from the measured (q, v): the scenario's polynomial to the
+target posture, in the first of 5 x 1.15^n s with inverse dynamics within ``plan_share`` of
+every limit. The law restarts. Before the grasp, it replans immediately, without
+damping, back to the start of the approach.
+"""
+
+import dataclasses
+import enum
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+)
+from pydrake.systems.primitives import Demultiplexer
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.plugins.capture.approach import approach_posture
+from ffsm_drake.scenario import Reference, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
+from ffsm_drake.spacecraft.mass_properties import NOTHING
+from ffsm_drake.spacecraft.plant import posture_of
+from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals, View
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.polynomial_motion import PolynomialMotion
+from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.setup import BlockSetup
+
+_SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
+_ZERO, _ONE = np.zeros(1), np.ones(1)
+_INSTANTS = 41  # number of instants of a plan at which its force is compared with the limits
+
+
+class Mode(enum.IntEnum):
+    """Mode of a loop."""
+
+    APPROACH = 0
+    GRASP = 1  # the sample of the grasp
+    STOP = 2  # the motion with the target held
+    HOLD = 3  # its end posture
+    RATE_DAMPING = 4
+    RETREAT = 5
+
+    @property
+    def words(self) -> str:
+        """As the report has it."""
+        return self.name.lower().replace("_", " ")
+
+
+class Cause(enum.IntEnum):
+    """Why the plan was given up."""
+
+    NONE = 0
+    SATURATED = 1
+    ERROR = 2
+    RATE = 3
+    REQUEST = 4
+
+
+class SupervisorPart(Part):
+    """The section ``supervisor`` of a scenario."""
+
+    title = "Supervisor"
+    section = "Supervisor"
+    about = "Modes: " + ", ".join(f"{mode.value} {mode.words}" for mode in Mode) + "."
+
+    def __init__(self, *, begin: float = 0.0, waits: bool = False) -> None:
+        """Args:
+        begin: time of the run at which the scenario's own plan begins, s.
+        waits: True: monitoring is off (while the gripper closes).
+        """
+        self._begin, self._waits = begin, waits
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "SupervisorPart | None":
+        """The supervisor of a scenario."""
+        return None if scenario.supervisor is None else cls()
+
+    def build(self, setup: BlockSetup) -> Diagram:
+        """The block."""
+        system = _Supervisor(setup, begin=self._begin, waits=self._waits)
+        nq, nv = len(setup.coordinates.position_names), len(setup.coordinates.names)
+        builder = DiagramBuilder()
+        builder.AddNamedSystem("modes", system)
+        parts = builder.AddNamedSystem("parts", Demultiplexer([nq + nv, nv]))
+        builder.Connect(system.GetOutputPort("motion"), parts.get_input_port())
+        for port in map(system.get_input_port, range(system.num_input_ports())):
+            builder.ExportInput(port, port.get_name())
+        builder.ExportOutput(parts.get_output_port(0), "desired_state")
+        builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
+        for name in ("generalized_force", "restart", "mode", "mode_cause"):
+            builder.ExportOutput(system.GetOutputPort(name), name)
+        block = builder.Build()
+        block.set_name("supervisor")
+        return block
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """The mode, and what ended the one before rate damping."""
+        causes = ", ".join(f"{cause.value} {cause.name.lower()}" for cause in Cause)
+        return (
+            Signal(
+                name="mode",
+                unit="1",
+                meaning=", ".join(f"{mode.value} {mode.words}" for mode in Mode),
+                heading="Mode",
+                chart=STEPS,
+            ),
+            Signal(
+                name="mode_cause",
+                unit="1",
+                meaning=f"reason for last abandoning a plan: {causes}",
+                heading="",
+                chart=STEPS,
+            ),
+        )
+
+    def metrics(self) -> Sequence[Metric]:
+        """Count and duration of rate damping, and the start of each mode."""
+        return (
+            Metric(
+                key="supervisor.dampings",
+                unit="1",
+                label="Rate damping, count",
+                of=lambda run: sum(mode == Mode.RATE_DAMPING for _, mode in _events(run)),
+            ),
+            Metric(
+                key="supervisor.damped_time",
+                unit="s",
+                label="Rate damping, duration",
+                of=lambda run: (
+                    run.scenario.sample_time * float((run["mode"] == Mode.RATE_DAMPING).sum())
+                ),
+            ),
+            Metric(
+                key="supervisor.events",
+                unit="s",
+                label="Start of",
+                column="",
+                of=lambda run: {
+                    f"{number} {mode.words}": time
+                    for number, (time, mode) in enumerate(_events(run), start=1)
+                },
+            ),
+        )
+
+    def given_up(self, signals: Signals) -> str:
+        """Rate damping, or a retreat, that lasts until the end."""
+        modes = np.asarray(signals["mode"]).astype(int).ravel()
+        last = Mode(int(modes[-1])) if modes.size else Mode.HOLD
+        if last not in (Mode.RATE_DAMPING, Mode.RETREAT):
+            return ""
+        return f"its supervisor ended in {last.words}, the plan given up"
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """The modes with their times."""
+        (events,) = (each.value for each in figures if each.key == "supervisor.events")
+        assert isinstance(events, dict)
+        named = (f"{name.partition(' ')[2]} from {time:.4g} s" for name, time in events.items())
+        return f"Supervisor: {', '.join(named)}"
+
+
+def _events(run: View) -> Iterator[tuple[float, Mode]]:
+    """Begin (s) of each mode of a run."""
+    modes = np.asarray(run["mode"]).astype(int).ravel()
+    for k in np.flatnonzero(np.diff(modes, prepend=-1)):
+        yield float(run.time[k]), Mode(int(modes[k]))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NewPlan:
+    """A motion from a state to rest, planned during a run.
+
+    As a row (``as_row``) it stands in a context.
+    """
+
+    begin: float  # s
+    duration: float  # s
+    retreats: bool
+    q: np.ndarray  # (nq) at its begin
+    v: np.ndarray  # (nv)
+
+    def as_row(self) -> np.ndarray:
+        """[begin; duration; retreats; q; v]."""
+        return np.concatenate([[self.begin, self.duration, self.retreats], self.q, self.v])
+
+    @classmethod
+    def from_row(cls, row: np.ndarray, num_positions: int) -> "NewPlan":
+        """Build from a row of ``as_row``."""
+        q, v = np.split(row[3:], [num_positions])
+        return cls(begin=row[0], duration=row[1], retreats=bool(row[2]), q=q, v=v)
+
+    def motion(self, scenario: Scenario, coordinates: Coordinates) -> PolynomialMotion:
+        """As a function of the time since its begin."""
+        goal = None if scenario.reference.goal == "stop" else scenario.target_posture
+        if self.retreats and scenario.grasp_time > 0.0:
+            goal = approach_posture(scenario)
+        return PolynomialMotion(
+            coordinates=coordinates,
+            start=posture_of(self.q, coordinates),
+            target=goal,
+            blend=Blend(Reference(), self.duration),
+            base_rotation="eigenaxis",
+            sample_time=scenario.sample_time,
+            velocity=self.v,
+        )
+
+
+class _Supervisor(LeafSystem):
+    """The modes, with their memory in discrete state, updated once a control sample.
+
+    Inputs: those of the block. Outputs: ``motion`` [q_d; v_d; a_d], ``generalized_force``,
+    ``restart`` (1: the law starts afresh at this sample), ``mode``, ``mode_cause``.
+    """
+
+    def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
+        super().__init__()
+        self._scenario, self._model, self._waits = setup.scenario, setup.nominal, waits
+        # True in a loop that ends before the grasp
+        self._is_empty = setup.scenario.payload.nominal == NOTHING
+        self._begin, self._grasp_time = begin, begin + setup.scenario.grasp_time
+        self._coordinates = coordinates = setup.coordinates
+        self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
+        settings = setup.scenario.supervisor
+        assert settings is not None
+        self._settings, self._step = settings, setup.sample_time
+        self._limit, self._largest = (
+            actuation_limit(setup.scenario, coordinates, helped=helped).upper
+            for helped in (False, True)
+        )
+        if not np.isfinite(self._limit).any():
+            raise ScenarioError("supervisor", "needs limits: give actuation.limit, or actuators")
+        self._bounds = [
+            coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
+            for name, given in (("error", settings.error), ("rate", settings.rate))
+        ]
+        self._is_bounded = any(np.isfinite(bound).any() for bound in self._bounds)
+        self._declare()
+        self._motion: tuple[bytes, PlannedMotion] | None = None  # a cache: that of a row
+        untie(self)
+
+    @property
+    def _rest(self) -> float:
+        """End of the scenario's own motion, s."""
+        end = self._scenario.planned_end
+        return make_motion(self._scenario, self._coordinates).end if end is None else end
+
+    def _declare(self) -> None:
+        nv, states = self._nv, self._nq + self._nv
+        self._measured = self.DeclareVectorInputPort("estimated_state", states)
+        self._planned = self.DeclareVectorInputPort("desired_state", states)
+        self._planned_acceleration = self.DeclareVectorInputPort("desired_acceleration", nv)
+        self._command = self.DeclareVectorInputPort("generalized_force", nv)
+        self._request = self.DeclareVectorInputPort("abort_request", 1)
+        first = Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP
+        self._mode = self.DeclareDiscreteState([float(first)])
+        self._cause = self.DeclareDiscreteState(1)
+        # 1 while the law restarts at each sample, with the force of damping
+        self._restart = self.DeclareDiscreteState(1)
+        # saturated time, time below ``end_share``, number of new plans, request before
+        self._counters = self.DeclareDiscreteState(4)
+        self._force = self.DeclareDiscreteState(nv)
+        self._filtered = self.DeclareDiscreteState(nv)
+        self._held = self.DeclareDiscreteState(states)  # measured at the last sample of damping
+        self._plan = self.DeclareDiscreteState(3 + states)  # ``NewPlan``; duration 0: none
+        self._ends = self._begin + self._rest
+        own, read = self.all_state_ticket(), self.input_port_ticket
+        self.DeclareVectorOutputPort(
+            "motion",
+            states + nv,
+            weak_callback(self._calc_motion),
+            {
+                own,
+                self.time_ticket(),
+                read(self._planned.get_index()),
+                read(self._planned_acceleration.get_index()),
+            },
+        )
+        self.DeclareVectorOutputPort(
+            "generalized_force",
+            nv,
+            weak_callback(self._calc_force),
+            {own, read(self._command.get_index())},
+        )
+        self.DeclareStateOutputPort("restart", self._restart)
+        self.DeclareStateOutputPort("mode", self._mode)
+        self.DeclareStateOutputPort("mode_cause", self._cause)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weak_callback(self._update))
+
+    def _calc_motion(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._row(context))
+
+    def _row(self, context: Context) -> np.ndarray:
+        """[q_d; v_d; a_d] of the plan in force; in rate damping the state last measured."""
+        value = context.get_discrete_state().value
+        plan = value(self._plan)
+        if value(self._mode)[0] == Mode.RATE_DAMPING:
+            return np.concatenate([value(self._held), np.zeros(self._nv)])
+        if not plan[1]:
+            return np.concatenate(
+                [self._planned.Eval(context), self._planned_acceleration.Eval(context)]
+            )
+        key, since = plan.tobytes(), context.get_time() - plan[0]
+        if self._motion is None or self._motion[0] != key:
+            made = NewPlan.from_row(plan.copy(), self._nq)
+            self._motion = key, made.motion(self._scenario, self._coordinates)
+        sample = round(since / self._step) * self._step
+        return self._motion[1].row(sample if abs(sample - since) < 1e-9 else since)
+
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        value = context.get_discrete_state().value
+        damped = value(self._restart)[0] > 0.0
+        output.SetFromVector(value(self._force) if damped else self._command.Eval(context))
+
+    def _update(self, context: Context, new: DiscreteValues) -> None:
+        value, time = context.get_discrete_state().value, context.get_time()
+        state, counters = self._measured.Eval(context), value(self._counters).copy()
+        mode = Mode(int(value(self._mode)[0]))
+        is_damping = mode == Mode.RATE_DAMPING
+        if not is_damping:
+            cause = self._trouble(context, state, counters)
+            if cause:
+                new.set_value(self._cause, [float(cause)])
+                counters[:2] = 0.0
+                mode = self._react(context, state, counters, new)
+            else:
+                new.set_value(self._restart, _ZERO)
+                mode = self._mode_at(time, value(self._plan))
+        if mode == Mode.RATE_DAMPING:
+            filtered = value(self._filtered) if is_damping else None
+            is_quiet = self._damp(state, filtered, new)
+            counters[1] = counters[1] + self._step if is_quiet else 0.0
+            if counters[1] >= self._settings.end_time - 1e-9:
+                counters[1] = 0.0  # without a plan damping continues
+                plan = self._plan_anew(time, state, int(counters[2]))
+                if plan is not None:
+                    counters[2] += 1.0
+                    new.set_value(self._plan, plan.as_row())
+                    mode = self._mode_at(time, plan.as_row())
+        new.set_value(self._mode, [float(mode)])
+        new.set_value(self._counters, counters)
+
+    def _react(
+        self, context: Context, state: np.ndarray, counters: np.ndarray, new: DiscreteValues
+    ) -> Mode:
+        """Rate damping; before the grasp a retreat at once, if there is a plan for it."""
+        time = context.get_time()
+        if not self._is_before_grasp(time):
+            return Mode.RATE_DAMPING
+        plan = self._plan_anew(time, state, int(counters[2]))
+        if plan is None:
+            return Mode.RATE_DAMPING
+        counters[2] += 1.0
+        new.set_value(self._plan, plan.as_row())
+        new.set_value(self._force, np.clip(self._command.Eval(context), -self._limit, self._limit))
+        new.set_value(self._restart, _ONE)
+        return Mode.RETREAT
+
+    def _is_before_grasp(self, time: float) -> bool:
+        return self._is_empty or time < self._grasp_time - 0.5 * self._step
+
+    def _trouble(self, context: Context, state: np.ndarray, counters: np.ndarray) -> Cause:
+        """Why to damp the rates now, if there is a reason; ``counters`` are brought up to date."""
+        value = context.get_discrete_state().value
+        if self._waits:
+            return Cause.NONE
+        if not value(self._restart)[0]:  # the law's force was commanded
+            over = (np.abs(self._command.Eval(context)) > self._largest).any()
+            counters[0] = max(0.0, counters[0] + (self._step if over else -self._step))
+        asked = self._request.HasValue(context) and self._request.Eval(context)[0] > 0.5
+        before, counters[3] = counters[3], float(asked)
+        if asked and not before:
+            return Cause.REQUEST
+        if counters[0] > self._settings.saturated_time + 1e-9:
+            return Cause.SATURATED
+        if self._is_bounded:
+            desired = self._row(context)[: state.size]
+            for cause, bound, error in zip(
+                (Cause.ERROR, Cause.RATE),
+                self._bounds,
+                tracking_errors(desired, state, self._nq),
+                strict=True,
+            ):
+                if (np.abs(error) > bound).any():
+                    return cause
+        return Cause.NONE
+
+    def _damp(self, state: np.ndarray, filtered: np.ndarray | None, new: DiscreteValues) -> bool:
+        """Command tau = -sigma kappa Hhat v; whether kappa Hhat v, low-passed (``filtered`` before,
+        None at first), is small.
+        """
+        settings = self._settings
+        q, v = np.split(state, [self._nq])
+        wanted = settings.damping * (self._model.calc_mass_matrix(q) @ v)
+        scale = 1.0 / max(1.0, float((np.abs(wanted) / self._limit).max()))
+        new.set_value(self._force, -scale * wanted)
+        new.set_value(self._held, state)
+        new.set_value(self._restart, _ONE)
+        filtered = wanted if filtered is None else filtered
+        filtered = filtered + min(1.0, self._step / settings.filter_time) * (wanted - filtered)
+        new.set_value(self._filtered, filtered)
+        return bool((np.abs(filtered) <= settings.end_share * self._limit).all())
+
+    def _plan_anew(self, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
+        """A plan from the measured state after a number of others. If no plan is within its share
+        of the limits: None, or with an empty gripper the plan with the least use of them, since
+        rate damping would leave the light joints to the disturbance.
+        """
+        settings, (q, v) = self._settings, np.split(state, [self._nq])
+        most = settings.plan_share * settings.retry_factor**plans * self._limit
+        retreats, duration = self._is_before_grasp(time), _SHORTEST
+        least, gentlest = np.inf, None
+        while duration <= _LONGEST:
+            plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
+            motion = plan.motion(self._scenario, self._coordinates)
+            rows = motion.rows(np.linspace(0.0, duration, _INSTANTS))
+            force = self._model.calc_tracking_force(
+                *np.split(rows, [self._nq, self._nq + self._nv], axis=1)
+            )
+            share = float((np.abs(force) / most).max())
+            if share <= 1.0:
+                return plan
+            if retreats and share < least:
+                least, gentlest = share, plan
+            duration *= _GROWTH
+        return gentlest
+
+    def _mode_at(self, time: float, plan: np.ndarray) -> Mode:
+        """The mode outside rate damping."""
+        if plan[1]:
+            if plan[2]:
+                return Mode.RETREAT
+            return Mode.STOP if time < plan[0] + plan[1] - 1e-9 else Mode.HOLD
+        if self._is_before_grasp(time):
+            return Mode.APPROACH
+        if self._grasp_time > 0.0 and time < self._grasp_time + 0.5 * self._step:
+            return Mode.GRASP
+        return Mode.STOP if time < self._ends - 1e-9 else Mode.HOLD

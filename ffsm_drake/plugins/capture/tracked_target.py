@@ -1,0 +1,382 @@
+"""The reference of an approach to a target that is measured (``capture.measured``).
+
+A camera or lidar gives poses of the target, a filter (``target_filter``) its motion. The planned
+approach is displaced, as one rigid body with rotation vector c_r and translation c_p, to where the
+estimate says that the target is at the grasp. At each new plan a polynomial of fifth order brings
+c, c' and c'' there from what they are. With the last plan, three standard deviations of the pose
+then are held against the gripper's envelope.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.so3 import attitude_motion, matrix_of, quaternion_of
+from ffsm_drake.plugins.capture.retreat import RetreatReference
+from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilter, observed
+from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.scenario.target_sensing import Measured, TargetTracker
+from ffsm_drake.spacecraft.free_body import SIZE, Target, composed, turn_between
+from ffsm_drake.spacecraft.orbit import Orbit
+from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.setup import BlockSetup
+
+_SHOWN = 12  # groups of the estimate's errors: rotation, rate, position, velocity
+_NAMES = tuple(
+    f"{name}_{axis}" for name in ("rotation", "rate", "position", "velocity") for axis in "xyz"
+)
+_UNITS = [unit for unit in ("rad", "rad/s", "m", "m/s") for _ in "xyz"]
+_SIGMAS = 3.0
+# Largest changes of the target by the gripper's touch: rad, rad/s, m, m/s.
+_TOUCH = np.repeat([0.1, 0.1, 0.1, 0.1, 0.0, 0.0], [3, 3, 3, 3, 3, 5])
+_ROW = 21  # columns of ``Target.as_row``
+_SIZES = {
+    "target_estimate": 13,
+    "target_error": _SHOWN,
+    "target_deviation": _SHOWN,
+    "target_nees": 1,
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Approached:
+    """Goal of a leg's approach."""
+
+    begin: float  # s; of the approach, from which on it follows the estimate
+    contact: float  # s; when the gripper closes
+    meets: float  # s; of the grasp
+    motion: np.ndarray  # (13) of the target then, as planned
+
+
+class TrackedTarget(Part):
+    """The reference that follows a target's estimate."""
+
+    title = "Target estimate"
+    section = "Target estimate"
+    about = "Errors of the estimated target at the time of the last image, and 3 deviations."
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        grasp: Capture,
+        measured: Measured,
+        path: np.ndarray,
+        expected: Target,
+        *,
+        inner: RetreatReference | None = None,
+        approached: Approached | None = None,
+        sees: bool = True,
+    ) -> None:
+        """Args: the run's scenario, and settings in it; the true target's motion (n, 13) at the
+        control samples; the one expected at the start; what is displaced, None: the scenario's own
+        motion; for what, None: nothing is; whether there are images.
+        """
+        self.scenario, self.grasp, self.measured = scenario, grasp, measured
+        self.path, self.expected, self.inner = path, expected, inner
+        self.approached, self.sees = approached, sees
+
+    def build(self, setup: BlockSetup) -> "TrackedReference":
+        """The block."""
+        if self.inner is None:
+            return TrackedReference(self, make_motion(setup.scenario, setup.coordinates))
+        return TrackedReference(self, self.inner.motion(setup))
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """The estimate at the last image, its errors and their deviations."""
+        panels = dict(zip(_NAMES, _UNITS, strict=True))
+        return (
+            Signal(
+                name="target_estimate",
+                unit="1, m, rad/s, m/s",
+                meaning="[quaternion, p_WP; w_WP, v_WP] of the target at the last image, estimated",
+                components=("qw", "qx", "qy", "qz", *(f"{n}_{a}" for n in "pwv" for a in "xyz")),
+                heading="",
+            ),
+            Signal(
+                name="target_error",
+                unit="rad, rad/s, m, m/s",
+                meaning="true less estimated: rotation and rate in the target's axes",
+                components=_NAMES,
+                dimension="target_component",
+                panels=panels,
+                heading="Errors of the estimated target and 3 standard deviations",
+                chart=STEPS,
+            ),
+            Signal(
+                name="target_deviation",
+                unit="rad, rad/s, m, m/s",
+                meaning="standard deviations of target_error, by the filter",
+                components=_NAMES,
+                dimension="target_component",
+                heading="",
+            ),
+            Signal(
+                name="target_nees",
+                unit="1",
+                meaning=f"squared error of all {SIZE} estimated numbers in their covariance",
+                panel="NEES",
+                heading="NEES of the target's estimate",
+                chart=STEPS,
+            ),
+        )
+
+    def metrics(self) -> Sequence[Metric]:
+        """Its consistency, and what it knows last."""
+        return (
+            Metric(
+                key="target.nees",
+                unit="1",
+                label="Mean NEES of the target's estimate",
+                of=_mean_nees,
+            ),
+            Metric(
+                key="target.position_error",
+                unit="m",
+                label="Error of the target's estimated position at the last image",
+                of=lambda run: float(np.linalg.norm(run["target_error"][-1, 6:9])),
+            ),
+            Metric(
+                key="target.rotation_error",
+                unit="rad",
+                label="Likewise, of its attitude",
+                of=lambda run: float(np.linalg.norm(run["target_error"][-1, :3])),
+            ),
+        )
+
+
+def _mean_nees(run: View) -> float:
+    """Over the images with an estimate."""
+    found = np.asarray(run["target_nees"]).ravel()
+    at_images = found[np.flatnonzero(np.diff(found, prepend=0.0))]
+    return float(at_images.mean()) if at_images.size else float("nan")
+
+
+def drawn_path(
+    scenario: Scenario, settings: TargetTracker, motion: np.ndarray
+) -> tuple[np.ndarray, Target]:
+    """The true motion (13) at the start of a target that is expected in another, drawn from the
+    scenario's seed; and the target as it is expected, with nominal mass properties.
+    """
+    random = np.random.default_rng([scenario.random_seed, 1])
+    truth = Target.from_motion(motion, scenario.payload.truth)
+    nominal = Target.from_motion(motion, scenario.payload.nominal)
+    expected = dataclasses.replace(nominal, velocity=truth.velocity)
+    true = dataclasses.replace(
+        truth,
+        rate=truth.rate + settings.rate_deviation * random.normal(size=3),
+        velocity=truth.velocity + settings.velocity_deviation * random.normal(size=3),
+    )
+    return true.motion, expected
+
+
+class TrackedReference(LeafSystem):
+    """The block. Outputs: those of a reference, the part's signals, ``abort_request``."""
+
+    def __init__(self, part: TrackedTarget, motion: PlannedMotion) -> None:
+        super().__init__()
+        scenario = part.scenario
+        self._part, self._motion, self._scenario = part, motion, scenario
+        self._settings, self._envelope = part.measured, part.grasp.envelope
+        orbit = None if scenario.environment is None else Orbit(scenario.environment)
+        self._filter = TargetFilter(self._settings.filter, part.expected, orbit)
+        self._period = scenario.sample_time
+        self._nq, nv = len(motion.coordinates.position_names), len(motion.coordinates.names)
+        # time, whether there is one, poses that fitted, target, covariance
+        self._estimate = self.DeclareDiscreteState(3 + _ROW + SIZE * SIZE)
+        # begin and end, s, whether it is the last, coefficients of the displacement's polynomial
+        self._plan = self.DeclareDiscreteState(3 + 36)
+        self._shown = self.DeclareDiscreteState(sum(_SIZES.values()))
+        self._abort = self.DeclareDiscreteState(1)
+        self._first_velocity, self._last_velocity = self._nq, self._nq + nv
+        own = {self.time_ticket(), self.all_state_ticket()}
+        states = slice(0, self._last_velocity)
+        for name, within in (
+            ("desired_state", states),
+            ("desired_acceleration", slice(states.stop, states.stop + nv)),
+        ):
+            calc = functools.partial(weak_callback(self._calc_motion), within)
+            self.DeclareVectorOutputPort(name, within.stop - within.start, calc, own)
+        first = 0
+        for name, size in _SIZES.items():
+            within = slice(first, first + size)
+            calc = functools.partial(weak_callback(self._calc_shown), within)
+            self.DeclareVectorOutputPort(name, size, calc, {self.all_state_ticket()})
+            first += size
+        self.DeclareStateOutputPort("abort_request", self._abort)
+        self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, weak_callback(self._update))
+        untie(self)
+
+    def estimate(self, context: Context) -> Estimate | None:
+        """Estimate of the target; None before the first pose."""
+        row = context.get_discrete_state(self._estimate).value()
+        if not row[1]:
+            return None
+        return Estimate(
+            time=row[0],
+            target=Target.from_row(row[3 : 3 + _ROW].copy()),
+            covariance=row[3 + _ROW :].reshape(SIZE, SIZE).copy(),
+            fitted=np.array(int(row[2])),
+        )
+
+    def known_path(self, context: Context, first: int, samples: int) -> Path:
+        """Where the target goes from a control sample on, as estimated."""
+        time = first * self._period
+        return self._filter.path(self.estimate(context), time, self._period, samples)
+
+    def renew(self, context: Context, *, touched: bool) -> None:
+        """Forget the displacement; and, where the gripper touched the target, how it moved."""
+        context.SetDiscreteState(self._plan, np.zeros(3 + 36))
+        context.SetDiscreteState(self._abort, np.zeros(1))
+        found = self.estimate(context)
+        if touched and found is not None:
+            found = self._filter.predicted(found, context.get_time())
+            covariance = found.covariance + np.diag(_TOUCH**2)
+            row = _as_row(dataclasses.replace(found, covariance=covariance))
+            context.SetDiscreteState(self._estimate, row)
+
+    def _calc_shown(self, within: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_discrete_state(self._shown).value()[within])
+
+    def _calc_motion(self, within: slice, context: Context, output: BasicVector) -> None:
+        row = self._motion.row(context.get_time())
+        if self._part.approached is not None:
+            c = self._displacement(context, context.get_time())
+            if c.any():
+                row = self._displaced(row, c)
+        output.SetFromVector(row[within])
+
+    def _displacement(self, context: Context, time: float) -> np.ndarray:
+        """[c; c'; c''] (3, 6); at the end of its polynomial it goes on evenly."""
+        begin, end, _, *coefficients = context.get_discrete_state(self._plan).value()
+        if end <= begin:
+            return np.zeros((3, 6))
+        power = np.reshape(coefficients, (6, 6))
+        x, late = min(time, end) - begin, max(time - end, 0.0)
+        terms = x ** np.arange(6)
+        found = np.empty((3, 6))
+        for order in range(3):
+            found[order] = terms[: 6 - order] @ power
+            power = np.arange(1, 6 - order)[:, None] * power[1:]
+        found[0] += late * found[1]
+        return found
+
+    def _displaced(self, row: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """A row [q_d; v_d; a_d] displaced by [c; c'; c''] (3, 6)."""
+        found, v, a = row.copy(), self._first_velocity, self._last_velocity
+        rotation, w, alpha = (part[..., 0] for part in attitude_motion(*c[:, :3, None]))
+        found[:4] = composed(quaternion_of(c[0, :3]), row[:4])
+        found[4:7] += c[0, 3:]
+        turned = rotation @ row[v : v + 3]
+        found[v : v + 3] = w + turned
+        found[v + 3 : v + 6] += c[1, 3:]
+        found[a : a + 3] = alpha + rotation @ row[a : a + 3] + np.cross(w, turned)
+        found[a + 3 : a + 6] += c[2, 3:]
+        return found
+
+    def _update(self, context: Context, new: DiscreteValues) -> None:
+        sample = round(context.get_time() / self._period)
+        sensor, image = self._settings.sensor, sample - self._settings.sensor.latency
+        if not self._part.sees or image < 0 or image % sensor.period:
+            return
+        found = self._looked(self.estimate(context), image)
+        if found is None:
+            approached = self._part.approached
+            late = approached is not None and self._is_last(context.get_time(), approached)
+            new.set_value(self._abort, [float(late)])
+            return
+        new.set_value(self._estimate, _as_row(found))
+        new.set_value(self._shown, self._compared(found, image))
+        if self._part.approached is not None:
+            self._follow(context, found, self._part.approached, new)
+
+    def _looked(self, before: Estimate | None, image: int) -> Estimate | None:
+        """The estimate at an image (control sample)."""
+        random = np.random.default_rng([self._scenario.random_seed, 2, image])
+        time = image * self._period
+        place = self._motion.row(time)[4:7]
+        pose, given = observed(self._settings.sensor, self._true(image), place, random)
+        if before is None:
+            return self._filter.first(time, pose) if given else None
+        # after a leg that ended between an image and its pose, that time is over
+        time = max(time, before.time)
+        return self._filter.updated(self._filter.predicted(before, time), pose, given)
+
+    def _true(self, sample: int) -> Target:
+        return Target.from_motion(self._part.path[sample], self._scenario.payload.truth)
+
+    def _compared(self, found: Estimate, image: int) -> np.ndarray:
+        """Signals of an estimate."""
+        error = found.target.error(self._true(image))
+        nees = error @ np.linalg.solve(found.covariance, error)
+        shown = found.target.motion, error[:_SHOWN], found.deviation[:_SHOWN], [nees]
+        return np.concatenate(shown)
+
+    def _follow(
+        self, context: Context, found: Estimate, approached: Approached, new: DiscreteValues
+    ) -> None:
+        """Plan the displacement anew, if it is time to."""
+        time, plan = context.get_time(), context.get_discrete_state(self._plan).value()
+        is_last = self._is_last(time, approached)
+        due = time >= plan[0] + self._settings.replan - 1e-9 or plan[1] <= plan[0]
+        if time < approached.begin - 1e-9 or plan[2] or not (due or is_last):
+            return
+        if is_last:
+            found = self._filter.predicted(found, approached.meets)
+            target = found.target
+            sizes = zip(
+                found.pose_deviation, (self._envelope.angle, self._envelope.position), strict=True
+            )
+            unsure = any(most is not None and _SIGMAS * size > most for size, most in sizes)
+            new.set_value(self._abort, [float(unsure)])
+        else:
+            target = self._filter.moved(found.target, found.time, approached.meets)
+        goal = self._goal(target.motion, approached)
+        left = approached.meets - time
+        coefficients = _quintic(self._displacement(context, time), goal, left)
+        row = np.concatenate([[time, approached.meets, is_last], coefficients.ravel()])
+        new.set_value(self._plan, row)
+
+    def _is_last(self, time: float, approached: Approached) -> bool:
+        """Whether no plan comes after that of a time, s."""
+        return time >= approached.contact - self._settings.last - 1e-9
+
+    def _goal(self, motion: np.ndarray, approached: Approached) -> np.ndarray:
+        """[c; c'; c''] (3, 6) with which the arm meets a target in a motion (13)."""
+        planned, v = approached.motion, self._first_velocity
+        q = self._motion.row(approached.meets - self._period)
+        turn = matrix_of(planned[:4]) @ turn_between(planned[:4], motion[:4])
+        R = matrix_of(quaternion_of(turn))
+        arm, goal = R @ (q[4:7] - planned[4:7]), np.zeros((3, 6))
+        goal[0] = np.concatenate([turn, motion[4:7] + arm - q[4:7]])
+        if self._part.grasp.servicer.startswith("track"):
+            dw = motion[7:10] - R @ planned[7:10]
+            goal[1, :3] = dw - 0.5 * np.cross(turn, dw)
+            goal[1, 3:] = motion[10:] - R @ planned[10:] + np.cross(dw, arm)
+        goal[1, 3:] += (R - np.eye(3)) @ q[v + 3 : v + 6]
+        return goal
+
+
+def _as_row(found: Estimate) -> np.ndarray:
+    """An estimate as it stands in a context."""
+    head = [found.time, 1.0, float(found.fitted)]
+    return np.concatenate([head, found.target.as_row(), found.covariance.ravel()])
+
+
+def _quintic(first: np.ndarray, last: np.ndarray, duration: float) -> np.ndarray:
+    """Coefficients (6, n) by powers of time from [c; c'; c''] (3, n) to others."""
+    rows = np.zeros((6, 6))
+    for order in range(3):
+        factors = [math.perm(power, order) for power in range(6)]
+        rows[order, order] = factors[order]
+        rows[3 + order, order:] = [
+            factors[power] * duration ** (power - order) for power in range(order, 6)
+        ]
+    found: np.ndarray = np.linalg.solve(rows, np.vstack([first, last]))
+    return found

@@ -1,0 +1,204 @@
+"""The limit of linear controllers: the LQG front of error against effort, and a controller's
+distance to it.
+
+The model is the closed loop at the middle of the planned motion: the true plant, sampled;
+the scenario's sensor noise, white, correlated and with random walks of biases; and, in place of
+everything unknown to the controller, an acceleration d with a random walk, as fast as the planned
+motion and the disturbance require. The linear quadratic Gaussian controller then has the least mean
+square error for its effort, counted as the excess over the compensating force -H d (H: mass
+matrix). Its filter knows the noise model: every process with memory is one of its states. Delays
+and slow sensors only raise the limit and are omitted, as are constant biases of limit and
+controller. Kalman filter, shaping filters and regulator: Franklin, Powell and
+Workman, Digital Control of Dynamic Systems, chapter 9.
+"""
+
+import contextlib
+import dataclasses
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.linear_loop import STATIONARY, covariance_after
+from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.planned_dynamics import (
+    Demand,
+    PlannedDynamics,
+    make_demand,
+)
+from ffsm_drake.plugins.estimators.filter_gains import SMALLEST_RATIO
+from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.coordinates import Coordinates
+
+# Prices of effort along the front, in the units of ``_regulator``.
+_PRICES = np.geomspace(1e7, 1e-3, 16)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Limit:
+    """A controller in the model above, and the LQG front."""
+
+    error: np.ndarray  # (nv,) rms error of the controller, rad or m; infinite where it is unstable
+    excess: float  # its effort beyond -H d, as ISV over the run
+    front_error: np.ndarray  # (m, nv) the same of the LQG controllers, the cheapest first
+    front_excess: np.ndarray  # (m,)
+
+    @property
+    def distance(self) -> float:
+        """Its error over the least possible at its effort (at least 1); errors weighed by the
+        controller's own.
+
+        Infinite where it is unstable, NaN if a user-supplied block senses, whose noise has no
+        model.
+        """
+        if not len(self.front_excess):
+            return float("nan")
+        if not np.isfinite(self.error).all() or self.excess <= 0.0:
+            return float("inf")
+        relative = np.sqrt(np.mean((self.front_error / self.error) ** 2, axis=1))
+        possible = np.exp(
+            np.interp(np.log(self.excess), np.log(self.front_excess), np.log(relative))
+        )
+        return float(1.0 / possible)
+
+
+def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
+    """The limit for a scenario and its controller's distance to it; takes less than a second.
+
+    Args:
+      scenario: the scenario.
+      demand: demand of the scenario; None: computed.
+
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``; BlockError for a controller tracking
+    a frame; FfsmError for a run of one control period (its demand has no rate).
+    """
+    scenario = from_grasp(scenario)
+    if scenario.num_control_periods < 2:
+        raise FfsmError("the limit needs two control periods; lengthen duration")
+    demand = make_demand(scenario) if demand is None else demand
+    planned, step = PlannedDynamics(scenario), scenario.sample_time
+    count = scenario.num_control_periods
+    time = planned.motion.part(0.5)
+    mass, _ = planned.mass_matrices(time, locked=True)
+    walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
+    with Linearizer(scenario) as linearizer:
+        if linearizer.loop.tracks_frame:
+            raise BlockError(
+                f"{scenario.controller} tracks a frame; the limit is one of coordinates"
+            )
+        loop = linearizer.at(time, held=expected_gains(linearizer))
+    response = loop.with_random_walk(walk, mass).noise_response(count)
+    noise = _sensor_noise(scenario, demand.coordinates)
+    before, after = _filter(noise, walk, samples=count, sample_time=step)
+    scale = np.where(
+        np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2
+    )
+    front = list[tuple[np.ndarray, float]]()
+    for price in _PRICES if not scenario.blocks.sensing else ():
+        # too badly scaled to be solved
+        with contextlib.suppress(ValueError, np.linalg.LinAlgError):
+            front.append(_regulator(mass, before, after, scale / step**2, price))
+    return Limit(
+        error=response["error"],
+        excess=float((response["force"] ** 2).sum() * count * step),
+        front_error=np.array([error for error, _ in front]).reshape(-1, len(walk)) * step**2,
+        front_excess=np.array([variance for _, variance in front]) * count * step,
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _SensorNoise:
+    """Noise of measured positions, then velocities (nv, 2), SI units; zero: none."""
+
+    white: np.ndarray  # standard deviations
+    correlated: np.ndarray
+    time_constant: np.ndarray  # time constant of the correlated noise, s
+    bias_walk: np.ndarray  # (nv) of the velocities' biases, per sqrt(s)
+
+
+def _sensor_noise(scenario: Scenario, coordinates: Coordinates) -> _SensorNoise:
+    sensing = smooth_sensing(scenario)
+
+    def vector(name: str, default: float = 0.0) -> np.ndarray:
+        return coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=default)
+
+    def both(name: str) -> np.ndarray:
+        return np.stack([vector(f"position_{name}"), vector(f"velocity_{name}")], axis=1)
+
+    time_constant = np.repeat(vector("correlation_time", 1.0)[:, None], 2, axis=1)
+    time_constant[:3, 0] = time_constant[0, 0]  # the attitude's three have one
+    return _SensorNoise(
+        white=both("noise"),
+        correlated=both("correlated_noise"),
+        time_constant=time_constant,
+        bias_walk=vector("velocity_bias_walk"),
+    )
+
+
+def _filter(
+    noise: _SensorNoise, walk: np.ndarray, *, samples: int, sample_time: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances (nv, 3, 3) of each axis' [q, v, d] in units of [L^2, L, 1], of the Kalman filter.
+
+    Before and after the correction of a sample, at the next power of two of ``samples`` after a
+    known state, as in ``covariance_after``. The filter knows the force, so that its axes are
+    decoupled. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
+    """
+    step, size = sample_time, np.array([sample_time**2, sample_time])
+    kept = np.exp(-step / noise.time_constant)  # decay in one sample
+    transition = np.tile(np.eye(6), (len(walk), 1, 1))
+    transition[:, :3, :3] = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+    transition[:, [4, 5], [4, 5]] = kept
+    output = np.array([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0, 1.0]])
+    correlated, white = noise.correlated / size, noise.white / size
+    process = np.zeros((len(walk), 6, 6))
+    process[:, [2, 3], [2, 3]] = step * np.stack([walk, noise.bias_walk / step], axis=1) ** 2
+    process[:, [4, 5], [4, 5]] = correlated**2 * (1.0 - kept**2)
+    # As in ``kalman_gain`` the gain assumes at least a little noise on every measurement.
+    largest = np.column_stack([white, correlated, walk * np.sqrt(step)]).max(axis=1)
+    assumed = np.maximum(white, SMALLEST_RATIO * largest[:, None]) ** 2
+    before = process
+    for _ in range(1 << max(samples - 1, 0).bit_length()):
+        spread = output @ before @ output.T + assumed[:, None] * np.eye(2)
+        gain = np.swapaxes(np.linalg.solve(spread, output @ before), 1, 2)
+        correct = np.eye(6) - gain @ output
+        after = correct @ before @ np.swapaxes(correct, 1, 2)
+        after += (gain * white[:, None] ** 2) @ np.swapaxes(gain, 1, 2)
+        last, before = before, transition @ after @ np.swapaxes(transition, 1, 2) + process
+        if np.allclose(before, last, rtol=1e-10, atol=0.0):
+            break
+    return before[:, :3, :3], after[:, :3, :3]
+
+
+def _regulator(
+    mass: np.ndarray, before: np.ndarray, after: np.ndarray, scale: np.ndarray, price: float
+) -> tuple[np.ndarray, float]:
+    """Rms error (nv, units of L^2) and variance of the excess force of the LQG controller.
+
+    Args:
+      mass: H (nv, nv).
+      before, after: covariances (nv, 3, 3) of ``_filter``.
+      scale: sizes of errors of the same weight (nv), units of L^2.
+      price: of the squared force.
+    """
+    nv = len(mass)
+    zero, eye = np.zeros((nv, nv)), np.eye(nv)
+    unit = np.sqrt(np.mean(np.diagonal(mass) ** 2))  # force of an acceleration of one
+    a = np.block([[eye, eye], [zero, eye]])
+    b = np.vstack([0.5 * eye, eye]) @ np.linalg.inv(mass) * unit
+    weight = np.zeros((2 * nv, 2 * nv))
+    weight[:nv, :nv] = np.diag((scale.min() / scale) ** 2)
+    cost = solve_discrete_are(a, b, weight, price * eye)
+    gain = np.linalg.solve(price * eye + b.T @ cost @ b, b.T @ cost @ a)
+    closed = a - b @ gain
+
+    def joined(blocks: np.ndarray) -> np.ndarray:
+        """The [q, v] part of (nv, 3, 3) as (2 nv, 2 nv)."""
+        return np.block([[np.diag(blocks[:, i, j]) for j in range(2)] for i in range(2)])
+
+    estimate = covariance_after(closed, joined(before - after), samples=STATIONARY)
+    error = np.diagonal(closed @ estimate @ closed.T + joined(before))[:nv]
+    force = unit**2 * gain @ estimate @ gain.T + mass @ np.diag(after[:, 2, 2]) @ mass.T
+    return np.sqrt(error), float(np.trace(force))

@@ -1,0 +1,317 @@
+"""Remarks on a scenario before it runs: limits exceeded by its postures and its plan.
+
+The URDF's limits are not enforced; ``actuation.limit`` saturates the force.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.plugins.actuators.drives import DriveSet
+from ffsm_drake.plugins.capture.handover import Handover
+from ffsm_drake.plugins.capture.momentum import momentum_budget, storage_remark
+from ffsm_drake.runs.limits import (
+    INSTANTS,
+    Closest,
+    closest_of,
+    remarks_on,
+    too_near,
+)
+from ffsm_drake.scenario import Scenario, planned_part
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
+from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload
+from ffsm_drake.spacecraft.nominal import (
+    PlantModel,
+    make_flexible_plant,
+    make_nominal_plant,
+    make_true_plant,
+)
+from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
+from ffsm_drake.spacecraft.start import velocity_at_start
+from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_remarks
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_motion
+
+_POSTURES = 201  # number of instants of the plan evaluated
+_SAME_MASS = 1e-3  # relative
+_SAME_START = 1e-6  # rad, m, and per second
+# Integrator with fixed steps -> power of w h in its numerical damping ratio, and divisor.
+_STEP_ERRORS = {"explicit_euler": (1, 2.0), "runge_kutta2": (3, 8.0), "runge_kutta3": (3, 24.0)}
+_LEAST_DAMPING = 1e-4
+# rad that a harmonic may turn in a step: a third-order scheme integrates it to 1e-4
+_PHASE = 0.5
+
+
+class LimitWarning(UserWarning):
+    """A plan leaves the limits of the model."""
+
+
+def plan_remarks(scenario: Scenario) -> list[str]:
+    """A line for each limit exceeded by a scenario, and for each overridden value of its model.
+
+    Raises:
+      ModelError, ScenarioError: the model or a posture cannot be used.
+    """
+    model = make_true_plant(scenario)
+    remarks = [
+        *_cut_short(scenario),
+        *_stops_nothing(scenario),
+        *_overridden_mass(scenario, model.plant),
+        *_coarse_steps(scenario),
+        *_fast_disturbances(scenario),
+        *(uneven_remarks(scenario) if scenario.blocks.actuation is None else ()),
+    ]
+    if scenario.blocks.reference is None:
+        motion = make_motion(scenario, model.coordinates)
+        remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
+        try:
+            plan_clearance(scenario)
+        except ModelError as error:
+            remarks.append(f"clearance is not evaluated: {error}")
+        remarks += _momentum(scenario)
+    return [*remarks, *plan_limits(scenario)]
+
+
+def plan_limits(scenario: Scenario) -> list[str]:
+    """A line for each limit that a scenario's postures and plan exceed.
+
+    Evaluates the postures and, unless a user-supplied block replaces it, the planned motion:
+    clearance, rates, and the force for perfect tracking with the true payload, without
+    disturbances.
+
+    Raises: as ``plan_remarks``.
+    """
+    model = make_true_plant(scenario)
+    limits, found = joint_limits(scenario, model.plant), list[str]()
+    for name, posture in scenario.postures.items():
+        held = {POSITION: configuration(model.plant, posture, key=name)[None, 1:]}
+        found += remarks_on(limits, held, lambda _: "", who=(f"{name}.joints", ""))
+    if scenario.blocks.reference is not None:
+        return found
+    motion = make_motion(scenario, model.coordinates)
+    with suppress(ModelError):  # shapes without a distance
+        found += too_near(plan_clearance(scenario), scenario.clearance, "the planned motion")
+    drives = None
+    if scenario.drives is not None:
+        drives = DriveSet(scenario.drives, scenario.actuation.limit, model.coordinates)
+    if scenario.blocks.actuation is None:
+        limits.append(actuation_limit(scenario, model.coordinates))
+    part = functools.partial(_motion_remarks, model, motion, limits, drives)
+    found += part(begin=motion.begin, end=min(motion.end, scenario.duration))
+    if motion.begin > 0.0:
+        set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
+        found += part(begin=0.0, end=motion.begin - scenario.sample_time)
+    return found
+
+
+def _stops_nothing(scenario: Scenario) -> Iterator[str]:
+    """A line if the reference is to stop a spacecraft that does not move."""
+    if scenario.stops_from_start and not any(scenario.initial_velocity.values()):
+        yield (
+            "reference.goal: stop has no velocity to stop, so that initial_posture is held; give "
+            "initial_velocity, or a capture"
+        )
+
+
+def _motion_remarks(
+    model: PlantModel,
+    plan: PlannedMotion,
+    limits: list[Limit],
+    drives: DriveSet | None,
+    *,
+    begin: float,
+    end: float,
+) -> Iterator[str]:
+    """The rates and forces beyond their limits in a planned motion, tracked perfectly with the
+    model's payload; positions are those of the postures.
+    """
+    times = np.linspace(begin, end, _POSTURES)
+    names = plan.coordinates
+    q, v, a = np.split(
+        plan.rows(times), np.cumsum([len(names.position_names), len(names.names)]), axis=1
+    )
+    motion = {RATE: v}
+    if np.isfinite(tightest(limits, FORCE).upper).any():
+        motion[FORCE] = model.calc_tracking_force(q, v, a)
+        if drives is not None:
+            motion[FORCE][:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
+            limits = [*limits[:-1], _at_rate(limits[-1], drives, v, motion[FORCE])]
+    yield from remarks_on(
+        limits,
+        motion,
+        lambda sample: f" at t = {times[sample]:.3g} s",
+        who=("the planned motion", "tracking the planned motion perfectly takes"),
+    )
+
+
+def _at_rate(limit: Limit, drives: DriveSet, v: np.ndarray, force: np.ndarray) -> Limit:
+    """The actuators' limit of force where drives give less at velocities v (n, nv), with the
+    motion.
+    """
+    most, joints = np.tile(limit.upper, (len(v), 1)), slice(NUM_BASE_VELOCITIES, None)
+    forward = force[:, joints] * v[:, joints] > 0.0
+    most[:, joints] = np.where(forward, drives.available(v[:, joints]), most[:, joints])
+    further = " or what drives give at their rate" if drives.has_rate_limit else ""
+    return dataclasses.replace(limit, source=limit.source + further, upper=most, lower=-most)
+
+
+def plan_clearance(scenario: Scenario) -> list[Closest]:
+    """The smallest distance of parts in the planned motion, before a grasp and with the target
+    held.
+
+    Empty for a user-supplied motion, or if no parts can meet.
+
+    Raises ModelError: the model does not load, or has shapes without a distance.
+    """
+    if scenario.blocks.reference is not None:
+        return []
+    return _plan_clearance_of(planned_part(scenario), files_read(scenario))
+
+
+@memoized(maxsize=64)  # a run, its report and the next run of the same plan ask for the same
+def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Closest]:
+    """``plan_clearance`` of a scenario; ``files`` are part of the key."""
+    model = make_nominal_plant(scenario)
+    motion = make_motion(scenario, model.coordinates)
+    found: list[Closest] = []
+    if motion.begin > 0.0:
+        path = Handover(scenario).path
+        chosen = np.unique(np.linspace(0, len(path) - 1, INSTANTS).round().astype(int))
+        times = scenario.sample_time * chosen
+        found += closest_of(scenario, times, _positions_of(motion, times), target=path[chosen, :7])
+    times = np.linspace(motion.begin, min(motion.end, scenario.duration), INSTANTS)
+    return [*found, *closest_of(scenario, times, _positions_of(motion, times))]
+
+
+def _positions_of(motion: PlannedMotion, times: np.ndarray) -> np.ndarray:
+    return motion.rows(times)[:, : len(motion.coordinates.position_names)]
+
+
+def _momentum(scenario: Scenario) -> Iterator[str]:
+    """A line if the momentum after a grasp cannot be stored, and for each accepted drift that is
+    exceeded during the run.
+    """
+    budget = momentum_budget(scenario) if scenario.undriven else None
+    if budget is None:
+        return
+    if remark := storage_remark(budget):
+        yield remark
+    for group, time in budget.used_up.items():
+        if time is not None and time < scenario.duration:
+            yield (
+                f"capture.accepted_drift.{group}: exceeded {time:.3g} s after the grasp, as planned"
+            )
+
+
+def _starts_elsewhere(
+    scenario: Scenario, motion: PlannedMotion, plant: MultibodyPlant
+) -> Iterator[str]:
+    """A line if a plan starts at another posture or velocity than the run."""
+    if scenario.reference.kind != "optimal":
+        return
+    q_d, v_d, _ = motion.evaluate(motion.begin)
+    names = motion.coordinates.names
+    q = configuration(plant, scenario.initial_posture, key="initial_posture")
+    v = velocity_at_start(scenario, make_nominal_plant(scenario))
+    for what, difference in (
+        ("initial_posture", position_error(q_d, q)),
+        ("initial_velocity", v_d - v),
+    ):
+        worst = int(np.argmax(np.abs(difference)))
+        if abs(difference[worst]) > _SAME_START:
+            yield (
+                f"{what}: reference.plan starts {abs(difference[worst]):.3g} off in "
+                f"{names[worst]}; 'ffsm plan' makes "
+                "one for this scenario"
+            )
+
+
+def _cut_short(scenario: Scenario) -> Iterator[str]:
+    """A line if the duration is not a whole number of control samples: the run ends before it."""
+    end = scenario.num_control_periods * scenario.sample_time
+    if end < scenario.duration * (1.0 - SLACK):
+        yield (
+            f"duration: {scenario.duration:g} s are not a whole number of samples of "
+            f"{scenario.sample_time:g} s; the "
+            f"run ends at {end:g} s"
+        )
+
+
+def _coarse_steps(scenario: Scenario) -> Iterator[str]:
+    """A line if the integrator's steps change the damping of a flexible mode by more than a fifth.
+
+    A fixed step h changes the amplitude of w by a factor 1 -+ (w h)^n / m: it adds the damping
+    ratio (w h)^(n-1) / m.
+    """
+    config = scenario.simulator_config
+    if (
+        not scenario.model.flexible
+        or config.use_error_control
+        or config.integration_scheme not in _STEP_ERRORS
+    ):
+        return
+    model = make_flexible_plant(scenario)
+    mode = model.modes(configuration(model.plant, scenario.initial_posture, key="initial_posture"))[
+        -1
+    ]
+    power, divisor = _STEP_ERRORS[config.integration_scheme]
+    w, step = 2.0 * np.pi * mode.frequency, min(config.max_step_size, scenario.sample_time)
+    added, own = (w * step) ** power / divisor, max(mode.damping_ratio, _LEAST_DAMPING)
+    if added > 0.2 * own:
+        finer = float(f"{(0.1 * own * divisor) ** (1.0 / power) / w:.1g}")
+        yield (
+            f"simulator_config.max_step_size: steps of {step:g} s change the damping of the "
+            "flexible mode at "
+            f"{mode.frequency:.3g} Hz by {added:.2g}, its own is {mode.damping_ratio:.2g}; take "
+            f"{finer:g} s or less"
+        )
+
+
+def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
+    """Harmonics that the integrator's fixed steps sample too coarsely.
+
+    Near a whole number of periods a step, aliasing adds a spurious mean force.
+    """
+    config = scenario.simulator_config
+    if config.use_error_control or "disturbance" in scenario.blocks.forces:
+        return
+    given, step = scenario.disturbance, min(config.max_step_size, scenario.sample_time)
+    rates = {
+        name: given.frequency_scale * abs(each.frequency)
+        for name, each in given.harmonics.items()
+        if given.amplitude_scale * each.amplitude
+    }
+    fast = {name: rate for name, rate in rates.items() if rate * step > _PHASE}
+    if fast:
+        name = max(fast, key=lambda each: fast[each])
+        yield (
+            f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s advances by "
+            f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is aliased by the "
+            f"integrator; take simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
+        )
+
+
+def _overridden_mass(scenario: Scenario, plant: MultibodyPlant) -> Iterator[str]:
+    """A line if the mass in the scenario differs from that of the target's URDF, unless this is
+    the shipped one.
+    """
+    model = scenario.model
+    source = model.debris if model.servicer is not None else model.directives or ""
+    own, given = (
+        find_body(plant, scenario.payload.body, key="payload.body").default_mass(),
+        scenario.payload.truth.mass,
+    )
+    shipped = source.startswith("package://ffsm_drake/")
+    if not shipped and own > 0.0 and abs(own - given) > _SAME_MASS * given:
+        yield (
+            f"payload.truth.mass: {given:.4g} kg replaces the {own:.4g} kg of "
+            f"{scenario.payload.body} in the URDF"
+        )

@@ -1,0 +1,232 @@
+"""Remedies for a mission not expected to go as planned: single changes, each tried before it is
+reported.
+
+For an unstable linear loop of a leg: a lighter nominal payload, a smaller K_s, smaller gains, a
+shorter control period, less delay. For a stable loop that diverges under its force limits with some
+noise sequences: larger limits, smaller gains, a longer motion. For unknown faults: detection. The
+mildest sufficient change of each kind is reported. Saturated base actuators have their own advice
+(``load.advice``).
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.design.stability.adaptation import axis_law, expected_gains, is_euler
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
+from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
+from ffsm_drake.plugins.design.stability.rehearsal import MANY, rehearse
+from ffsm_drake.scenario import Scenario, controller_key, override_scenario
+from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.systems.controllers import complete_gains, declared_gains
+from ffsm_drake.systems.part import Advice
+
+# factors, the mildest first
+_LESS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02)
+_TOO_LIGHT = 9  # number of these factors considered for a nominal payload
+_MUCH_LESS = (0.7, 0.5, 0.35, 0.25)
+_SOONER = (0.8, 0.5, 0.4, 0.25, 0.2, 0.1)  # factors on the sample time; they divide other durations
+_MORE = (1.1, 1.25, 1.5, 2.0, 3.0)
+_LIGHTER = "a lighter nominal payload"
+Changes = dict[str, Any]
+
+
+def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
+    """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
+    seconds, but no time for a mission expected to go as planned.
+    """
+    try:
+        return _found(scenario, fails, tuple(files_read(scenario)))
+    except FfsmError:  # the loop cannot be linearised or built
+        return ()
+
+
+@memoized(maxsize=8)  # a run, its report and the verdict ask for the same
+def _found(scenario: Scenario, fails: bool, files: tuple[Path, ...]) -> tuple[Advice, ...]:
+    scenario = complete_gains(scenario)
+    legs = [leg for leg in linear_verdict(scenario).legs if leg.status == "unstable"]
+    if legs:
+        return tuple(_of_the_loop(scenario, legs))
+    if not fails:
+        return ()
+    return (*_of_limits(scenario), *_of_faults(scenario))
+
+
+def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Advice]:
+    """Changes that stabilise the linear loop."""
+
+    def may_help(changed: Scenario) -> bool:
+        return all(_radius(changed, leg) < 1.0 for leg in legs)
+
+    def helps(changed: Scenario) -> bool:
+        return may_help(changed) and not linear_verdict(changed).is_alarm
+
+    def acts(name: str) -> bool:
+        return declared_gains(scenario)[name].feedback
+
+    for reason, trials in (
+        (_too_heavy(scenario, legs[0]), _lighter(scenario)),
+        ("a smaller K_s", _smaller(scenario, lambda name: name.startswith("k_s"))),
+        ("smaller gains", _smaller(scenario, acts)),
+        ("a shorter control period", _sooner(scenario)),
+        ("less delay, or a delay known to the estimator", _less_delay(scenario)),
+    ):
+        lighter = reason.startswith(_LIGHTER)  # which may be too light in the end
+        limit = None if lighter else may_help
+        yield from _first(scenario, trials, helps, reason, may_help=limit)
+
+
+def _of_limits(scenario: Scenario) -> Iterator[Advice]:
+    """Changes that keep the loop from diverging under its limits, if noise drives it there."""
+    if scenario.actuation.limit is None or is_rehearsed(scenario):
+        return
+
+    def share(changed: Scenario) -> float:
+        with Linearizer(changed) as linearizer:
+            held = expected_gains(linearizer)
+            mean = linearizer.follow(held=held)
+        return rehearse(changed, seeds=MANY, held=held, mean=mean).share_diverged
+
+    def acts(name: str) -> bool:
+        return declared_gains(scenario)[name].feedback
+
+    if share(scenario) == 0.0:
+        return
+    for reason, trials in (
+        ("larger limits", _larger_limits(scenario)),
+        ("smaller gains", _smaller(scenario, acts, _MUCH_LESS)),
+        ("a longer motion", _longer(scenario)),
+    ):
+        yield from _first(scenario, trials, lambda changed: share(changed) == 0.0, reason)
+
+
+def _of_faults(scenario: Scenario) -> Iterator[Advice]:
+    """Detection, where the run fails because nobody knows of its faults."""
+
+    def settles(changed: Scenario) -> bool:
+        rollout = make_rollout(changed)
+        try:
+            return rollout.run().ending.is_settled
+        finally:
+            rollout.release()
+
+    if scenario.faults is None or not scenario.faults.events or scenario.faults.detection:
+        return
+    known = iter([Changes({"faults.detection": {}})])
+    yield from _first(scenario, known, settles, "the flight software detects the faults")
+
+
+def _first(
+    scenario: Scenario,
+    trials: Iterator[Changes],
+    helps: Callable[[Scenario], bool],
+    reason: str,
+    *,
+    may_help: Callable[[Scenario], bool] | None = None,
+) -> Iterator[Advice]:
+    """The first of some changes that helps, if there is one; none where even the last may not."""
+
+    def holds(test: Callable[[Scenario], bool], changes: Changes) -> bool:
+        try:
+            return test(override_scenario(scenario, [changes]))
+        except FfsmError:  # it is refused, or not linear any more
+            return False
+
+    every = list(trials)
+    if every and may_help is not None and not holds(may_help, every[-1]):
+        return
+    first = next((changes for changes in every if holds(helps, changes)), None)
+    if first is not None:
+        yield Advice(changes=first, reason=reason)
+
+
+def _radius(scenario: Scenario, leg: LegVerdict) -> float:
+    """The spectral radius at the instant where a leg was worst."""
+    approach = leg.leg == "approach"
+    begin = 0.0 if approach else scenario.grasp_time
+    with Linearizer(scenario, approach=approach) as linearizer:
+        return linearizer.at(max(leg.time - begin, 0.0)).spectral_radius
+
+
+def _too_heavy(scenario: Scenario, leg: LegVerdict) -> str:
+    """Why a lighter nominal payload helps: by how much its inertia is over-estimated."""
+    told = _LIGHTER
+    if leg.leg == "approach":
+        return told
+    with Linearizer(scenario) as linearizer:
+        law, time = axis_law(linearizer), max(leg.time - scenario.grasp_time, 0.0)
+        if law is None:
+            return told
+        eta = float(linearizer.planned.ratios(time).max())
+        most = float(tolerated_eta(law, 0, euler=is_euler(scenario))[1])
+    return f"{told}: eta is up to {eta:.3g}, and {scenario.controller} tolerates {most:.3g}"
+
+
+def _lighter(scenario: Scenario) -> Iterator[Changes]:
+    """The mass alone, then with the inertia; down to where it is too light."""
+    nominal = scenario.payload.nominal
+    for factor in _LESS[:_TOO_LIGHT]:
+        mass = {"payload.nominal.mass": _rounded(factor * nominal.mass)}
+        inertia = [_rounded(factor * each) for each in nominal.inertia]
+        yield from (mass, {**mass, "payload.nominal.inertia": inertia})
+
+
+def _smaller(
+    scenario: Scenario, chosen: Callable[[str], bool], factors: Sequence[float] = _LESS
+) -> Iterator[Changes]:
+    """Chosen gains of the law, as a whole; a K_s without a bound gets one."""
+    key = controller_key(scenario.controller)
+    gains = {name: x for name, x in scenario.controllers.get(key, {}).items() if chosen(name)}
+    for factor in _LESS if gains else ():
+        yield {
+            f"controllers.{key}.{name}": _scaled(scenario, x, factor) for name, x in gains.items()
+        }
+
+
+def _scaled(scenario: Scenario, given: Any, factor: float) -> Any:
+    if given is None:
+        return _rounded(factor * 2.0 / scenario.sample_time)
+    if isinstance(given, Mapping):
+        return {name: _rounded(factor * value) for name, value in given.items()}
+    return _rounded(factor * given)
+
+
+def _sooner(scenario: Scenario) -> Iterator[Changes]:
+    for factor in _SOONER:
+        yield {"sample_time": _rounded(factor * scenario.sample_time)}
+
+
+def _less_delay(scenario: Scenario) -> Iterator[Changes]:
+    sensing, actuation = scenario.sensing.delay, scenario.actuation.delay
+    if sensing and scenario.estimator.delay not in (None, sensing):
+        yield {"estimator.delay": None}
+    for less in range(1, max(sensing, actuation) + 1):
+        delays = {"sensing.delay": sensing, "actuation.delay": actuation}
+        yield {key: max(delay - less, 0) for key, delay in delays.items() if delay}
+
+
+def _larger_limits(scenario: Scenario) -> Iterator[Changes]:
+    for factor in _MORE:
+        yield {"actuation.limit": _scaled(scenario, scenario.actuation.limit, factor)}
+
+
+def _longer(scenario: Scenario) -> Iterator[Changes]:
+    given = scenario.reference.duration
+    if given is None or scenario.reference.kind == "optimal":
+        return
+    for factor in _MORE:
+        duration = math.ceil(factor * given)
+        yield {
+            "reference.duration": float(duration),
+            "duration": scenario.duration + duration - given,
+        }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")

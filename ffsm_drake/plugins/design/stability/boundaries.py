@@ -1,0 +1,200 @@
+"""Stability limits of a scenario on its wired loop, one parameter at a time.
+
+Every trial builds the loop again and linearises it at the posture nearest to instability.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
+from ffsm_drake.systems.controllers import complete_gains, declared_gains
+
+LARGEST_FACTOR = 30.0
+LARGEST_DELAY = 30  # control samples
+_RATIO = 1.3  # ratio of successive factors in the search
+_ACCURACY = 1e-3  # relative accuracy of a factor
+_FAST = 100.0  # log of a spectral radius, in place of an infinite one
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Boundaries:
+    """Stability limits, one parameter at a time. NaN: unstable at the given value; infinite: stable
+    over the whole search range.
+    """
+
+    # factor on all feedback gains of the controller; infinite where it declares none
+    gains: float
+    nominal_payload: float  # factor on the nominal payload's mass and inertia
+    sample_time: float  # factor on the control period
+    # by part of ``model.flexible`` that has a mass, and "all": factor on it
+    flexible_mass: Mapping[str, float]
+    # additional delay of the sensors, unknown to the estimator: the first unstable number of
+    # control samples
+    delay: float
+
+
+def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
+    """The boundaries at one posture of the planned motion; takes some seconds.
+
+    Args:
+      scenario: the scenario.
+      time: s, the posture; ``Margins.edge_time`` of ``stability``.
+
+    Raises ModelError, ScenarioError and BlockError as ``stability`` does.
+    """
+    scenario = complete_gains(scenario)
+
+    heavy = [
+        name for name, part in scenario.model.flexible.items() if part.kind not in ("joint", "gear")
+    ]
+    parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
+
+    def radius(changed: Scenario) -> float:
+        return probed_radius(changed, time)
+
+    def largest_mass(names: Collection[str]) -> float:
+        return _largest_factor(lambda factor: radius(with_flexible_mass(scenario, names, factor)))
+
+    if _radius(scenario, time) >= 1.0:
+        nan = float("nan")
+        return Boundaries(
+            gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
+        )
+    return Boundaries(
+        gains=_largest_factor(lambda factor: radius(with_gains(scenario, factor)))
+        if any(gain.feedback for gain in declared_gains(scenario).values())
+        else float("inf"),
+        nominal_payload=_largest_payload(scenario, time),
+        sample_time=_largest_factor(lambda factor: radius(with_sample_time(scenario, factor))),
+        flexible_mass={label: largest_mass(names) for label, names in parts.items()},
+        delay=_first_unstable_delay(scenario, time),
+    )
+
+
+def largest_payload(scenario: Scenario, *, time: float) -> float:
+    """``Boundaries.nominal_payload`` alone. Arguments and errors: see ``find_boundaries``."""
+    return _largest_payload(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
+
+
+def first_unstable_delay(scenario: Scenario, *, time: float) -> float:
+    """``Boundaries.delay`` alone. Arguments and errors: see ``find_boundaries``."""
+    return _first_unstable_delay(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
+
+
+def _radius(scenario: Scenario, time: float) -> float:
+    with Linearizer(scenario) as linearizer:
+        return linearizer.at(time).spectral_radius
+
+
+def probed_radius(changed: Scenario, time: float) -> float:
+    """The spectral radius of a trial at a time, s; infinite where its loop, other than that of the
+    scenario itself, cannot be linearised: a user-supplied law may cease to be smooth as it leaves
+    its plan.
+    """
+    try:
+        return _radius(changed, time)
+    except NotLinear:
+        return math.inf
+
+
+def _largest_payload(scenario: Scenario, time: float) -> float:
+    return _largest_factor(
+        lambda factor: probed_radius(with_nominal_payload(scenario, factor), time)
+    )
+
+
+def _first_unstable_delay(scenario: Scenario, time: float) -> float:
+    for further in range(1, LARGEST_DELAY + 1):
+        if probed_radius(with_delay(scenario, scenario.sensing.delay + further), time) >= 1.0:
+            return float(further)
+    return float("inf")
+
+
+def with_gains(scenario: Scenario, factor: float) -> Scenario:
+    """The scenario with every feedback gain of its controller times a factor. Its gains must be
+    complete.
+    """
+    declared = declared_gains(scenario)
+    key = controller_key(scenario.controller)
+
+    def scale(name: str, value: Any) -> Any:
+        if not declared[name].feedback or value is None:
+            return value
+        return {each: factor * number for each, number in value.items()}
+
+    gains = {name: scale(name, value) for name, value in scenario.controllers.get(key, {}).items()}
+    return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
+
+
+def with_nominal_payload(scenario: Scenario, factor: float) -> Scenario:
+    """The scenario with the nominal payload's mass and inertia times a factor."""
+    data = scenario_to_dict(scenario)
+    nominal = data["payload"]["nominal"]
+    nominal["mass"] *= factor
+    nominal["inertia"] = [factor * value for value in nominal["inertia"]]
+    return scenario_from_dict(data)
+
+
+def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
+    """The scenario with its control period times a factor."""
+    return dataclasses.replace(scenario, sample_time=factor * scenario.sample_time)
+
+
+def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float) -> Scenario:
+    """The scenario with the masses of named parts of ``model.flexible`` times a factor, at the same
+    frequencies.
+    """
+    parts = {
+        name: dataclasses.replace(
+            part,
+            mass=factor * part.mass,
+            stiffness=None if part.stiffness is None else factor * part.stiffness,
+        )
+        if name in names
+        else part
+        for name, part in scenario.model.flexible.items()
+    }
+    return dataclasses.replace(scenario, model=dataclasses.replace(scenario.model, flexible=parts))
+
+
+def with_delay(scenario: Scenario, delay: int) -> Scenario:
+    """The scenario with another delay of its sensors, control samples, unknown to its estimator."""
+    known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
+    return dataclasses.replace(
+        scenario,
+        sensing=dataclasses.replace(scenario.sensing, delay=delay),
+        estimator=dataclasses.replace(scenario.estimator, delay=known),
+    )
+
+
+def _largest_factor(radius: Callable[[float], float]) -> float:
+    """The largest stable factor from 1 up, by a loop's spectral radius; infinite where the
+    loop is stable over the whole search range, or up to a model that cannot be built (a part
+    outweighs its carrier).
+    """
+    from scipy.optimize import brentq
+
+    stable = 1.0
+
+    def growth(factor: float) -> float:
+        nonlocal stable
+        found = radius(factor)
+        if found < 1.0:
+            stable = max(stable, factor)
+        return math.log(found) if math.isfinite(found) else _FAST
+
+    outside = _RATIO
+    try:
+        while growth(outside) < 0.0:
+            outside *= _RATIO
+            if outside > LARGEST_FACTOR:
+                return float("inf")
+    except ModelError:
+        return float("inf")
+    # it ends with a stable and an unstable factor so near to each other
+    brentq(growth, stable, outside, xtol=1e-12, rtol=_ACCURACY)
+    return stable

@@ -1,0 +1,76 @@
+"""A scenario without the settings that have no derivative: limits and quantisation."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from ffsm_drake.plugins.estimators.estimators import assumed_noise
+from ffsm_drake.scenario import Actuation, Drives, Estimator, PerCoordinate, Scenario, Sensing
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+
+_T = TypeVar("_T", Actuation, Drives)
+# Settings of actuation and drives without a derivative: the linear loop has their defaults.
+NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
+
+
+def without_limits(scenario: Scenario) -> Scenario:
+    """The scenario without quantisation, supervisor and faults, with the defaults of
+    ``NOT_LINEAR``.
+    """
+    sensing, estimator, actuation = smooth_sensing(scenario), scenario.estimator, scenario.actuation
+    if sensing is not scenario.sensing:  # the estimator keeps its assumptions
+        estimator = _with_assumptions(scenario)
+    if actuation.drives is not None:
+        drives = _with_defaults(actuation.drives, NOT_LINEAR["drives"])
+        actuation = dataclasses.replace(actuation, drives=drives)
+    actuation = _with_defaults(actuation, NOT_LINEAR["actuation"])
+    return dataclasses.replace(
+        scenario,
+        sensing=sensing,
+        estimator=estimator,
+        actuation=actuation,
+        supervisor=None,
+        faults=None,
+    )
+
+
+def _with_defaults(settings: _T, names: Sequence[str]) -> _T:
+    default = type(settings)()
+    return dataclasses.replace(settings, **{name: getattr(default, name) for name in names})
+
+
+def smooth_sensing(scenario: Scenario) -> Sensing:
+    """The sensors with the variance of the quantisation's sawtooth as noise in its place."""
+    sensing = scenario.sensing
+    if not any((*sensing.position_quantization.values(), *sensing.velocity_quantization.values())):
+        return sensing
+    names = make_nominal_plant(scenario).coordinates
+
+    def noise(part: str) -> PerCoordinate:
+        sigma, step = (
+            names.vector(getattr(sensing, key), key=f"sensing.{key}", default=0.0)
+            for key in (f"{part}_noise", f"{part}_quantization")
+        )
+        return dict(zip(names.names, np.hypot(sigma, step / math.sqrt(12.0)).tolist(), strict=True))
+
+    return dataclasses.replace(
+        sensing,
+        position_noise=noise("position"),
+        velocity_noise=noise("velocity"),
+        position_quantization={},
+        velocity_quantization={},
+    )
+
+
+def _with_assumptions(scenario: Scenario) -> Estimator:
+    """The estimator with the noises that it takes from the sensors written out."""
+    coordinates = make_nominal_plant(scenario).coordinates
+    position, velocity = (noise.tolist() for noise in assumed_noise(scenario, coordinates))
+    return dataclasses.replace(
+        scenario.estimator,
+        position_noise=dict(zip(coordinates.names, position, strict=True)),
+        velocity_noise=dict(zip(coordinates.names, velocity, strict=True)),
+    )

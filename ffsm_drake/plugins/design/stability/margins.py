@@ -1,0 +1,325 @@
+"""Stability of a scenario's sampled loop along its planned motion, and the expected course of its
+adaptation.
+"""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+
+from ffsm_drake.common.guard import guarded
+from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.plugins.design.stability.adaptation import (
+    axis_law,
+    forecast_reaching_gain,
+    is_euler,
+)
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
+from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.plugins.design.stability.moving import (
+    GROWN,
+    MotionStability,
+    motion_stability,
+)
+from ffsm_drake.plugins.design.stability.one_axis import (
+    axis_loop,
+    largest_sample_time,
+    largest_stable_k_s,
+    tolerated_eta,
+)
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
+from ffsm_drake.plugins.flexible.bodies import VibrationMode
+from ffsm_drake.scenario import Scenario, checked, from_grasp
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers.checked import reaching_gain_of
+from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
+
+
+class StabilityWarning(UserWarning):
+    """The sampled loop of a scenario is unstable, or adaptation may make it so."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AxisMargins:
+    """Limits of each coordinate alone (``one_axis``), for the worst eta along the planned
+    motion.
+    """
+
+    law: TimeDelayControl
+    euler: bool  # whether the plant steps with explicit Euler at the control period
+    k_s: np.ndarray  # (nv,) 1/s, at the start; zero for a law without K_s
+    k_s_max: np.ndarray  # (nv,) 1/s, ``ReachingGain.largest``
+    k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s, and of undriven coordinates
+    sample_time_limit: np.ndarray  # (nv,) s
+    eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
+    forecast_times: np.ndarray  # (p,) s
+    forecast_k_s: np.ndarray  # (p, nv) 1/s, expected K_s under adaptation
+
+    @property
+    def has_k_s(self) -> bool:
+        """Whether the law has a reaching gain K_s."""
+        return bool(np.isfinite(self.k_s_limit).any())
+
+    @property
+    def forecast_leaves(self) -> np.ndarray:
+        """(nv,) whether adaptation is expected to take K_s out of its stable range within the
+        run.
+        """
+        return np.nanmax(self.forecast_k_s, axis=0) > np.nan_to_num(self.k_s_limit, nan=np.inf)
+
+    @property
+    def may_leave(self) -> np.ndarray:
+        """(nv,) whether adaptation may pass the limit."""
+        return self.k_s_max > np.nan_to_num(self.k_s_limit, nan=np.inf)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Margins:
+    """Stability of a scenario's sampled loop along its planned motion, without a simulation."""
+
+    scenario: Scenario
+    coordinates: Coordinates
+    times: np.ndarray  # (m,) s, instants of ``eta``
+    # (m, na) eigenvalues of H^-1 Hhat of the driven coordinates there, H apparent
+    # (calc_apparent_mass_matrix)
+    eta: np.ndarray
+    loops: tuple[LinearLoop, ...]  # the wired loop at POSTURES, at the starting gains
+    loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
+    motion: MotionStability | None  # motion of a tracked frame, at chosen instants
+    # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
+    radius_at_bounds: float
+    hidden_modes: tuple[VibrationMode, ...]  # at the start of the motion
+    hidden: tuple[str, ...]  # names of the hidden coordinates
+    # smallest and largest eta along the motion with hidden coordinates locked
+    locked_eta: tuple[float, float]
+    # None for a law that is not by axis, and with delays
+    axes: AxisMargins | None
+    # with rehearsed parts, for a loop that is stable without their limits
+    rehearsal: Rehearsal | None = None
+
+    @property
+    def worst(self) -> LinearLoop:
+        """The loop of the posture with the largest spectral radius, at the starting gains.
+
+        With a tracked frame, the start or the end of the motion: see ``growth``.
+        """
+        loops = (self.loops[0], self.loops[-1]) if self.loops[0].tracks_frame else self.loops
+        return max(loops, key=lambda loop: loop.spectral_radius)
+
+    @property
+    def growth(self) -> float:
+        """Growth of small errors while a tracked frame moves; 1 without a tracked frame.
+
+        Near a singular posture the loop may be unstable during the motion of the frame, although it
+        is stable at rest in every posture.
+        """
+        return 1.0 if self.motion is None else self.motion.growth
+
+    @property
+    def edge_time(self) -> float:
+        """The time, s, of the posture nearest to instability: at the largest spectral radius, or,
+        with hidden coordinates, at the largest eta (their slow poles are the same everywhere).
+        """
+        return (
+            float(self.times[int(np.argmax(self.eta.max(axis=1)))])
+            if self.hidden
+            else self.worst.time
+        )
+
+    @property
+    def starts_stable(self) -> bool:
+        """Whether the loop is stable at the starting gains at every posture."""
+        return self.worst.spectral_radius < 1.0
+
+    @property
+    def verdict(self) -> str:
+        """One line: "stable", or the cause of instability."""
+        if not self.starts_stable:
+            worst = self.worst
+            return (
+                f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
+                f"{worst.spectral_radius:.4f} at the posture of t = {worst.time:g} s"
+            )
+        if self._bounds_unstable:
+            return (
+                "unstable with every K_s at its bound: the sampled loop has spectral radius "
+                f"{self.radius_at_bounds:.4f}"
+            )
+        if self.axes is None:
+            return self._with_actuators
+        if self.axes.forecast_leaves.any():
+            i = int(np.argmax(self.axes.forecast_leaves))
+            limit = self.axes.k_s_limit[i]
+            time = self.axes.forecast_times[int(np.argmax(self.axes.forecast_k_s[:, i] > limit))]
+            return (
+                f"unstable: adaptation is expected to take K_s of {self.coordinates.names[i]} "
+                "past its limit of "
+                f"{limit:.1f} 1/s at t = {time:.1f} s"
+            )
+        if self.axes.may_leave.any():
+            i = int(np.argmax(self.axes.may_leave))
+            return (
+                f"predicted stable, but nothing stops K_s before its limit "
+                f"({self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
+            )
+        return self._with_actuators
+
+    @property
+    def _bounds_unstable(self) -> bool:
+        """Whether K_s may reach unstable bounds, without a forecast to the contrary."""
+        return self.axes is None and self.radius_at_bounds >= 1.0
+
+    @property
+    def _with_actuators(self) -> str:
+        """The verdict on a loop that is stable without saturation."""
+        found = self.rehearsal
+        if found is None and self.motion is not None and self.growth > GROWN:
+            return f"stable at rest; while the frame moves, small errors {self.motion.growing}"
+        if found is None:
+            return "stable"
+        if found.share_diverged > 0.0:
+            unstable = "unstable" if found.share_diverged >= 0.5 else "at the edge of stability"
+            return f"{unstable} with its actuators: {found}"
+        names = found.coordinates.names
+        tolerance = np.array([
+            self.scenario.tolerance_of(name, group)
+            for name, group in zip(names, found.coordinates.group_of, strict=True)
+        ])  # fmt: skip
+        i = int(np.argmax(found.largest_error / tolerance))
+        if found.largest_error[i] <= tolerance[i]:
+            return f"stable with its actuators: {found}"
+        return (
+            f"stable with its actuators, but not expected to settle: {names[i]} is off by up to "
+            f"{found.largest_error[i]:.2g} {found.coordinates.units[i]} at the end, beyond its "
+            "tolerance of "
+            f"{tolerance[i]:g}; {found}"
+        )
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the run starts inside its margin and is expected to stay there."""
+        return (
+            self.starts_stable
+            and not self._bounds_unstable
+            and (self.axes is None or not bool(self.axes.forecast_leaves.any()))
+            and (self.rehearsal is None or self.rehearsal.share_diverged < 0.5)
+        )
+
+
+@guarded
+def stability(
+    scenario: Scenario, *, postures: int = 21, linearizer: Linearizer | None = None
+) -> Margins:
+    """Stability of the sampled loop of a scenario, with any controller and blocks; takes about a
+    second.
+
+    Args:
+      scenario: the scenario.
+      postures: number of instants of the planned motion at which inertia ratios are computed.
+      linearizer: linearizer of the scenario, from the grasp on; default: a new one.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built, wired or run.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, stability
+      >>> margins = stability(load_scenario("postcapture", ["controller=tdc"]), postures=3)
+      >>> margins.verdict, margins.is_stable
+      ('stable', True)
+    """
+    if linearizer is None:
+        scenario = checked(scenario)
+        with Linearizer(scenario) as own:
+            return stability(scenario, postures=postures, linearizer=own)
+    scenario, planned = from_grasp(scenario), linearizer.planned
+    true, motion = planned.true, planned.motion
+    times = np.linspace(motion.begin, motion.end, postures)
+    eta = locked = np.array([planned.ratios(time) for time in times])
+    if true.split.names:
+        locked = np.array([planned.ratios(time, locked=True) for time in times])
+    held, loops = dict[str, np.ndarray](), linearizer.along(POSTURES)
+    linearizer.refuse_marginal(loops[-1])
+    expected, law, at_bounds, rehearsal = loops, axis_law(linearizer), math.nan, None
+    axes = None if law is None else _axis_margins(law, planned, eta, loops[0])
+    if axes is not None and axes.forecast_k_s.max() > axes.k_s.max():
+        held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
+        expected = linearizer.along(POSTURES, held=held)
+    gain = reaching_gain_of(linearizer.law)
+    if gain is not None and gain.is_adapted and np.isfinite(gain.largest).all():
+        worst = int(np.argmax([loop.spectral_radius for loop in expected]))
+        bounds = {"reaching_gain": gain.largest}
+        at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius
+    radius = max(loop.spectral_radius for loop in (*loops, *expected))
+    if is_rehearsed(scenario) and radius < 1.0:
+        rehearsal = rehearse(scenario, held=held, mean=linearizer.follow(held=held))
+    return Margins(
+        scenario=scenario,
+        coordinates=planned.coordinates,
+        times=times,
+        eta=eta,
+        loops=loops,
+        loops_expected=expected,
+        motion=motion_stability(linearizer) if loops[0].tracks_frame else None,
+        radius_at_bounds=at_bounds,
+        hidden_modes=tuple(true.modes(motion.evaluate(motion.begin)[0])),
+        hidden=true.split.names,
+        locked_eta=(float(locked.min()), float(locked.max())),
+        axes=axes,
+        rehearsal=rehearsal,
+    )
+
+
+def _axis_margins(
+    law: TimeDelayControl, planned: PlannedDynamics, eta: np.ndarray, loop: LinearLoop
+) -> AxisMargins:
+    euler, etas = is_euler(planned.scenario), np.linspace(eta.min(), eta.max(), 9)
+    # Coordinates with the same loop have the same limits.
+    maps = [each.tobytes() for each in axis_loop(law, euler=euler).a]
+
+    @functools.cache
+    def limits(axis: int) -> tuple[float, float, float, float]:
+        k_s = largest_stable_k_s(law, axis, eta=etas, euler=euler).min()
+        period = largest_sample_time(law, axis, eta=etas, euler=euler).min()
+        return float(k_s), float(period), *tolerated_eta(law, axis, euler=euler)
+
+    table = np.array([limits(maps.index(each)) for each in maps])
+    times, k_s = forecast_reaching_gain(law, planned, loop)
+    gain, zero = reaching_gain_of(law), np.zeros(len(maps))
+    return AxisMargins(
+        law=law,
+        euler=euler,
+        k_s=zero if gain is None else gain.start,
+        k_s_max=zero if gain is None else gain.largest,
+        k_s_limit=np.where(planned.coordinates.is_driven, table[:, 0], np.nan),
+        sample_time_limit=table[:, 1],
+        eta_tolerated=table[:, 2:],
+        forecast_times=times,
+        forecast_k_s=k_s,
+    )
+
+
+@guarded
+def adaptation_remark(linearizer: Linearizer) -> str:
+    """One line where nothing stops K_s before the limit of the sampled loop at the start of a
+    linearizer's motion; else empty.
+    """
+    scenario, law = linearizer.given, axis_law(linearizer)
+    gain = reaching_gain_of(law)
+    if law is None or gain is None or not gain.changes:
+        return ""
+    if linearizer.at(0.0).spectral_radius >= 1.0:
+        return ""  # unstable as it starts, which is not adaptation's fault
+    largest, held = float(gain.largest.max()), {"reaching_gain": gain.largest}
+    if math.isfinite(largest) and linearizer.at(0.0, held=held).spectral_radius < 1.0:
+        return ""
+    eta = linearizer.planned.ratios(0.0)[-1:]
+    axis, euler = int(np.argmax(gain.largest)), is_euler(scenario)
+    limit = float(largest_stable_k_s(law, axis, eta=eta, euler=euler)[0])
+    bound = f"may grow to {largest:g} 1/s" if math.isfinite(largest) else "is not bounded"
+    return (
+        f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set "
+        f"k_s_max, or see 'ffsm stability' for the margins of {scenario.controller}"
+    )

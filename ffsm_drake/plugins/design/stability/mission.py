@@ -1,0 +1,209 @@
+"""The linear line of the verdict on a mission: the wired loop along every leg, moving as planned,
+without limits and noise.
+
+The approach of a capture is the servicer alone, the stop has the target in the gripper. A radius
+above one at a posture that is passed is no alarm while the errors grow little; at rest it is. Where
+adaptation can raise K_s, the loop is looked at with K_s as it starts and at its bounds, and where
+it is unstable there, with the largest K_s expected.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.moving import (
+    GROWN,
+    LARGE_GROWTH,
+    MotionStability,
+    motion_stability,
+)
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.controllers.checked import reaching_gain_of
+
+Leg = Literal["approach", "stop", "motion"]
+Status = Literal["stable", "errors grow", "cannot say", "unstable"]
+_STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
+
+
+def _scope(scenario: Scenario, leg: Leg) -> str:
+    """The scope of a leg's linear loop, and its omissions."""
+    left = ["limits", "noise"]
+    if scenario.supervisor is not None:
+        left.append("the supervisor")
+    if scenario.faults is not None:
+        left.append("the faults")
+    if leg == "approach" and scenario.closing is not None:
+        left.append("the gripper's closing")
+        if scenario.measured is not None:
+            left.append("the target's estimate")
+    alone = ", the servicer alone" if leg == "approach" else ""
+    return f"moving as planned, without {', '.join(left[:-1])} and {left[-1]}{alone}"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LegVerdict:
+    """The linear loop along one leg of a mission; NaN if it cannot be linearised."""
+
+    leg: Leg  # "motion" without a capture
+    radius: float  # largest spectral radius
+    time: float  # time of the run, s
+    growth: float  # growth of small errors along the worst stretch of the leg
+    instants: int  # at which the loop was linearised
+    rests_stable: bool  # radius below 1 where the leg begins or ends at rest
+    status: Status
+    sentence: str  # one line, with its scope
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LinearVerdict:
+    """The linear loop along every leg of a mission."""
+
+    legs: tuple[LegVerdict, ...]
+
+    @property
+    def status(self) -> Status:
+        """The worst of the legs'."""
+        return max((leg.status for leg in self.legs), key=_STATUSES.index)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One line for each leg."""
+        return tuple(leg.sentence for leg in self.legs)
+
+    @property
+    def sentence(self) -> str:
+        """The legs' lines as one."""
+        return "; ".join(self.sentences)
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether the mission is unstable."""
+        return self.status == "unstable"
+
+
+def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> LinearVerdict:
+    """The linear verdict on all legs of a mission; a fraction of a second to a second.
+
+    Args: the mission; its linearizer from the grasp on, default: a new one.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built or wired.
+    """
+    if not scenario.grasps:
+        return LinearVerdict(legs=(_leg(scenario, "motion", linearizer),))
+    approach = (_leg(scenario, "approach", None),) if scenario.grasp_time > 0.0 else ()
+    return LinearVerdict(legs=(*approach, _leg(scenario, "stop", linearizer)))
+
+
+def _leg(scenario: Scenario, leg: Leg, linearizer: Linearizer | None) -> LegVerdict:
+    start = scenario.grasp_time if leg == "stop" else 0.0
+    try:
+        if linearizer is not None:
+            return _verdict(linearizer, leg, start)
+        with Linearizer(scenario, approach=leg == "approach") as own:
+            return _verdict(own, leg, start)
+    except NotLinear as error:
+        return LegVerdict(
+            leg=leg,
+            radius=math.nan,
+            time=math.nan,
+            growth=math.nan,
+            instants=0,
+            rests_stable=False,
+            status="cannot say",
+            sentence=f"{leg}: cannot say; {error}",
+        )
+
+
+def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
+    found, gains = motion_stability(linearizer), ""
+    if _status(found, leg) != "unstable":
+        found, gains = _at_larger_gains(linearizer, leg, found)
+    worst, status = found.worst, _status(found, leg)
+    for loop in _resting(found, leg):
+        linearizer.refuse_marginal(loop)
+    return LegVerdict(
+        leg=leg,
+        radius=worst.spectral_radius,
+        time=start + worst.time,
+        growth=found.growth,
+        instants=len(found.loops),
+        rests_stable=_resting_radius(found, leg) < 1.0,
+        status=status,
+        sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
+        f"instants, {_scope(linearizer.given, leg)}",
+    )
+
+
+def _at_larger_gains(
+    linearizer: Linearizer, leg: Leg, starting: MotionStability
+) -> tuple[MotionStability, str]:
+    """The worse of the loop with K_s as it starts and as adaptation may raise it, and in words
+    which.
+
+    At the bounds of K_s; where it is unstable there, at the largest K_s expected, if there is a
+    forecast. Raises NotLinear without bounds and forecast.
+    """
+    bounds = _bounds(linearizer)
+    if not bounds.size:
+        return starting, ""
+    gains, found = " with K_s at its bounds", None
+    if np.isfinite(bounds).all():
+        found = motion_stability(linearizer, held={"reaching_gain": bounds})
+    if found is None or _status(found, leg) == "unstable":
+        expected = expected_gains(linearizer, starting.loops[0])
+        if expected:
+            gains = " with the largest K_s expected"
+            found = motion_stability(linearizer, held=expected)
+    if found is None:
+        raise NotLinear("nothing stops the adaptation of K_s, and it is not forecast; set k_s_max")
+    if _status(found, leg) == _status(starting, leg) and (
+        found.worst.spectral_radius <= starting.worst.spectral_radius
+    ):
+        return starting, ""
+    return found, gains
+
+
+def _bounds(linearizer: Linearizer) -> np.ndarray:
+    """The bounds of K_s (nv); empty if adaptation cannot change it."""
+    gain = reaching_gain_of(linearizer.law)
+    if gain is None or not (gain.is_adapted and gain.changes):
+        return np.empty(0)
+    return gain.largest
+
+
+def _resting(found: MotionStability, leg: Leg) -> Sequence[LinearLoop]:
+    """The loops where a leg begins or ends at rest."""
+    ends = {"approach": found.loops[:1], "stop": found.loops[-1:]}
+    return ends.get(leg, (found.loops[0], found.loops[-1]))
+
+
+def _resting_radius(found: MotionStability, leg: Leg) -> float:
+    """The largest spectral radius where a leg begins or ends at rest."""
+    return max(loop.spectral_radius for loop in _resting(found, leg))
+
+
+def _status(found: MotionStability, leg: Leg) -> Status:
+    if found.growth > LARGE_GROWTH or _resting_radius(found, leg) >= 1.0:
+        return "unstable"
+    return "errors grow" if found.growth > GROWN else "stable"
+
+
+def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str:
+    worst = found.worst
+    modes = worst.modes(1)
+    where = f", mostly {next(iter(modes[0].coordinates))}" if modes else ""
+    radius = f"spectral radius {worst.spectral_radius:.5g} at t = {start + worst.time:.2f} s"
+    if status == "stable":
+        return f"stable, {radius}"
+    if _resting_radius(found, leg) >= 1.0:
+        return f"unstable at rest, {radius}{where}"
+    grow = f"small errors {found.growing}, {radius}{where}"
+    return f"unstable, {grow}" if status == "unstable" else grow

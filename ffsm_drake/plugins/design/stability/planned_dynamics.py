@@ -1,0 +1,137 @@
+"""The dynamics of a scenario along its planned motion: how far the nominal mass matrix is from the
+true one, and the force that motion and disturbance demand of any controller.
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from ffsm_drake.plugins.actuators.drives import DriveSet
+from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.free_floating import driven_model
+from ffsm_drake.spacecraft.nominal import (
+    PlantModel,
+    make_flexible_plant,
+    make_nominal_plant,
+    make_true_plant,
+)
+from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.reference import make_motion
+
+_POINTS = 101  # instants at which the lightest coordinates are sought
+
+
+def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
+    """Eigenvalues eta of H^-1 Hhat, ascending (nv); above 1 the inertia is over-estimated.
+
+    They have no units, since both matrices have the same.
+    """
+    scale = np.linalg.inv(np.linalg.cholesky(true_mass_matrix))
+    return np.linalg.eigvalsh(scale @ nominal_mass_matrix @ scale.T)
+
+
+class PlannedDynamics:
+    """The nominal and the true plant of a scenario along its planned motion, undriven coordinates
+    free.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Raises ModelError or ScenarioError if a model or a value cannot be used."""
+        self.scenario = scenario
+        self.nominal = driven_model(make_nominal_plant(scenario))
+        self.true = driven_model(make_flexible_plant(scenario))  # with hidden coordinates
+        self.coordinates = self.nominal.coordinates
+        self.motion = make_motion(scenario, self.coordinates)
+
+    @functools.cached_property
+    def locked(self) -> PlantModel:
+        """The true plant with its hidden coordinates locked."""
+        names = self.true.split.names
+        return driven_model(make_true_plant(self.scenario)) if names else self.true
+
+    def mass_matrices(self, time: float, *, locked: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """H, apparent (``calc_apparent_mass_matrix``), and Hhat (nv, nv) at a time, s."""
+        q, _, _ = self.motion.evaluate(time)
+        true = self.locked if locked else self.true
+        return true.calc_apparent_mass_matrix(q), self.nominal.calc_mass_matrix(q)
+
+    def ratios(self, time: float, *, locked: bool = False) -> np.ndarray:
+        """eta (na) of the driven coordinates at a time, s."""
+        driven = np.ix_(self.coordinates.driven, self.coordinates.driven)
+        return inertia_ratios(*(each[driven] for each in self.mass_matrices(time, locked=locked)))
+
+    def lightest(self, begin: float, end: float) -> list[float]:
+        """The times, s, between two at which a driven coordinate is lighter, the others free to
+        react, than shortly before and after.
+        """
+        times = np.linspace(begin, end, _POINTS)
+        mass_matrices = np.array([self.mass_matrices(time)[0] for time in times])
+        inverse = np.diagonal(np.linalg.inv(mass_matrices), axis1=1, axis2=2)
+        inverse = inverse[:, self.coordinates.driven]
+        rounding, change = 1e-6 * inverse[1:-1], np.diff(inverse, axis=0)
+        peaks = (change[:-1] > rounding) & (change[1:] < -rounding)
+        found: list[float] = times[1:-1][peaks.any(axis=1)].tolist()
+        return found
+
+    def perfect_tracking(
+        self, times: np.ndarray, *, friction: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """-N = Hhat^-1 tau - a_d (equation (2)) and tau under perfect tracking, hidden coordinates
+        locked.
+
+        Args: times (n,), s; whether the friction of drives acts.
+        Returns: both (n, nv), rad/s^2 or m/s^2, and N m or N.
+        """
+        scenario, coordinates = self.scenario, self.coordinates
+        nq, nv = len(coordinates.position_names), len(coordinates.names)
+        q, v, a = np.split(self.motion.rows(times), [nq, nq + nv], axis=1)
+        force = self.locked.calc_inverse_dynamics(q, v, a) - self._disturbances(times)
+        if friction and scenario.drives is not None:
+            drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
+            force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
+        nominal = self.nominal.calc_mass_matrix(q)
+        return np.linalg.solve(nominal, force[..., None])[..., 0] - a, force
+
+    def _disturbances(self, times: np.ndarray) -> np.ndarray:
+        """The disturbance (n, nv) at times (n,), N m or N."""
+        disturbance = make_disturbance([self.scenario.disturbance], self.coordinates)
+        port = disturbance.GetOutputPort("generalized_force")
+        context, forces = disturbance.CreateDefaultContext(), []
+        for time in times.tolist():
+            context.SetTime(time)
+            forces.append(port.Eval(context))
+        return np.array(forces)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Demand:
+    """The demand of perfect tracking, at the middle of every control period."""
+
+    coordinates: Coordinates
+    times: np.ndarray  # (n,) control samples, s
+    lumped: np.ndarray  # (n, nv) -N, rad/s^2 or m/s^2
+    force: np.ndarray  # (n, nv) N m or N
+    ideal_isv: float  # effort without noise
+
+
+def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
+    """The demand of a scenario, interpolated between ``points`` instants. Raises the errors of
+    PlannedDynamics.
+    """
+    from scipy.interpolate import CubicSpline  # slow to load
+
+    scenario = from_grasp(scenario)
+    planned, period = PlannedDynamics(scenario), scenario.sample_time
+    samples = (np.arange(scenario.num_control_periods) + 0.5) * period
+    knots = np.linspace(0.0, samples[-1] + 0.5 * period, points)
+    both = np.hstack(planned.perfect_tracking(knots, friction=True))
+    lumped, force = np.split(CubicSpline(knots, both)(samples), 2, axis=1)
+    return Demand(
+        coordinates=planned.coordinates,
+        times=samples - 0.5 * period,
+        lumped=lumped,
+        force=force,
+        ideal_isv=float(np.sum(force**2) * period),
+    )

@@ -1,0 +1,124 @@
+"""Accuracy and effort of a scenario, predicted from its wired closed loop.
+
+The mean is the run without noise. Around it the loop is linear, so the sensors' noise adds a
+stationary part (``LinearLoop.noise_response``). Errors and efforts add as squares. Every
+controller, estimator, delay and block is covered; actuator limits are not: compare
+``peak_effort``.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Self
+
+import numpy as np
+
+from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.registry import Factory
+
+# Fractions of the planned motion over which noise responses are averaged.
+_POSTURES = (0.0, 0.5, 1.0)
+# Largest of about 2000 Gaussian samples, in standard deviations.
+_PEAK = 3.5
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Predicted figures of a run; infinite where it would diverge."""
+
+    coordinates: Coordinates
+    spectral_radius: float  # the largest along the plan
+    rms_error: np.ndarray  # (nv,) after the settling time, rad or m
+    noise_error: np.ndarray  # (nv,) the noise's part of it, rad or m
+    noise_force: np.ndarray  # (nv,) standard deviation, N m or N
+    isv_by_coordinate: np.ndarray  # (nv,)
+    peak_effort: np.ndarray  # (nv,) N m or N
+
+    def with_mean(
+        self, error: np.ndarray, force: np.ndarray, *, period: float, settled_after: float = 5.0
+    ) -> Self:
+        """With the error and the force (n, nv) of the run without noise, sampled every period
+        (s).
+        """
+        if not np.isfinite(force).all():  # it diverges without noise, too
+            error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
+        settled = np.arange(len(error)) * period > settled_after
+        settled[-1] = True  # last error of a shorter run
+        of_noise = len(force) * self.noise_force**2
+        return dataclasses.replace(
+            self,
+            rms_error=np.sqrt((error[settled] ** 2).mean(axis=0) + self.noise_error**2),
+            isv_by_coordinate=((force**2).sum(axis=0) + of_noise) * period,
+            peak_effort=np.abs(force).max(axis=0) + _PEAK * self.noise_force,
+        )
+
+    @property
+    def isv(self) -> float:
+        """Effort of all coordinates."""
+        return float(self.isv_by_coordinate.sum())
+
+    def by_group(self) -> dict[str, float]:
+        """Root mean square error over the coordinates of each driven group."""
+        groups = self.coordinates.driven_groups
+        return {
+            name: float(np.sqrt(np.mean(self.rms_error[part] ** 2)))
+            for name, part in groups.items()
+        }
+
+    @property
+    def mean_log_error(self) -> float:
+        """Mean over the groups of log(rms error in rad or m), a single figure of accuracy; infinite
+        where it would diverge.
+        """
+        return float(np.mean(np.log(list(self.by_group().values()))))
+
+
+def predict(
+    scenario: Scenario, *, settled_after: float = 5.0, blocks: Mapping[str, Factory] | None = None
+) -> Prediction:
+    """Predict a run; takes about as long as one, longer with slow sensors.
+
+    Args:
+      scenario: the scenario; K_s is held at its largest expected value, sign terms are left out.
+      settled_after: s; the rms error counts from here on.
+      blocks: see ``simulate``.
+
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``.
+    """
+    with Linearizer(scenario, blocks=blocks) as linearizer:
+        return predict_from(linearizer, settled_after=settled_after)
+
+
+def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Prediction:
+    """The prediction for a linearizer's scenario; see ``predict``."""
+    held = expected_gains(linearizer)
+    noise = predict_noise(linearizer, held)
+    return noise.with_mean(
+        *linearizer.follow(held=held),
+        period=linearizer.given.sample_time,
+        settled_after=settled_after,
+    )
+
+
+def predict_noise(linearizer: Linearizer, held: Mapping[str, np.ndarray]) -> Prediction:
+    """The noise's part of a prediction, at a fraction of its cost; ``held``: see
+    ``Linearizer.at``.
+    """
+    scenario, coordinates = linearizer.given, linearizer.loop.coordinates
+    loops = linearizer.along(_POSTURES, held=held)
+    responses = [loop.noise_response(scenario.num_control_periods) for loop in loops]
+    error, force = (
+        np.sqrt(np.mean([response[name] ** 2 for response in responses], axis=0))
+        for name in ("error", "force")
+    )
+    return Prediction(
+        coordinates=coordinates,
+        spectral_radius=max(loop.spectral_radius for loop in loops),
+        rms_error=error,
+        noise_error=error,
+        noise_force=force,
+        isv_by_coordinate=scenario.num_control_periods * force**2 * scenario.sample_time,
+        peak_effort=_PEAK * force,
+    )

@@ -1,0 +1,422 @@
+"""The linearised loop under its actuators' real pulses and limits: does it settle?
+
+The controller and the plant are linear about the planned motion (``linearization``). In every
+control sample the actuators get the loop's command, and their actual output acts on the loop. This
+takes a tenth of a run's time, and shows, unlike a spectral radius, whether the loop tolerates
+saturation.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from pydrake.common import RandomDistribution
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
+
+from ffsm_drake.common import products
+from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.plume import allocated
+from ffsm_drake.plugins.actuators.row import make_actuation, make_base_actuators
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, SampleMap
+from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.plugins.design.stability.planned_dynamics import (
+    PlannedDynamics,
+    make_demand,
+)
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers.law import ControlLaw
+from ffsm_drake.systems.limits import actuation_limit, base_limits
+from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.registry import section_parts
+from ffsm_drake.systems.sensing import quantize
+from ffsm_drake.systems.setup import BlockSetup
+
+SEEDS, MANY = 16, 64  # noises, under actuators of the base; where they cost little
+_FURTHER = 1.5  # standard deviations; excess of the largest of 64 runs over one run
+_CONFIDENCE = 3.0  # none of n noises diverges: the chance is below 3 / n, at 95 %
+_LIMIT = "actuation.limit"  # name among the saturated limits
+_BLENDED = 50  # control samples for which the loop between two postures is kept
+_LAST = 2.0  # s, at the end, over which the largest error is taken
+_SETTLED_AFTER = 5.0  # s; start of the rms error
+_CLOSEST = 1.0 / 64.0  # share of the motion between two postures
+_PUSH = "push"  # the source of the actuators' deviation from the command
+Maps = tuple[np.ndarray, np.ndarray]  # maps of one control sample, from x and from w
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Rehearsal:
+    """Outcome of the linearised loop under its actuators, with several seeds of the noise."""
+
+    scenario: Scenario
+    coordinates: Coordinates
+    noise_force: np.ndarray  # (nv,) standard deviation of the command by sensor noise, N m or N
+    motion_force: np.ndarray  # (nv,) largest command without noise, N m or N
+    diverged: np.ndarray  # (seeds,) s, when a rate passed ``divergence_speed``; NaN: it did not
+    # by actuator: (seeds,) share of the samples with less than the wanted output
+    saturated: Mapping[str, np.ndarray]
+    largest_error: np.ndarray  # (nv,) in the last two seconds, rad or m; median over the seeds
+    # (nv,) after the settling time, rad or m, about the mean; rms over the seeds
+    rms_error: np.ndarray
+
+    def __str__(self) -> str:
+        """One line: the actuators' limits, the commanded forces, and the outcome."""
+        told = f"{self._asked}; {self._saturating}"
+        times = self.diverged[np.isfinite(self.diverged)]
+        if times.size:
+            return f"{told}, and {self.share}, at t = {np.median(times):.1f} s"
+        return f"{told}, and {self.share}" if self.noises > 1 else told
+
+    @property
+    def noises(self) -> int:
+        """Number of noise sequences."""
+        return self.diverged.size
+
+    @property
+    def share(self) -> str:
+        """Share of noise sequences with divergence; if none, the implied bound on its
+        probability.
+        """
+        count = int(np.isfinite(self.diverged).sum())
+        if self.noises == 1:
+            return "it diverges" if count else "it does not diverge"
+        if count:
+            return f"it diverges in {count} of {self.noises} runs"
+        return (
+            f"it diverges in none of {self.noises} runs (chance below "
+            f"{percent(_CONFIDENCE / self.noises)}, at 95 % confidence)"
+        )
+
+    @property
+    def _saturating(self) -> str:
+        limited = [
+            f"{name} in {percent(float(np.median(share)))}"
+            for name, share in self.saturated.items()
+            if share.any()
+        ]
+        return f"saturated: {', '.join(limited)} of the samples" if limited else "none saturates"
+
+    @property
+    def _asked(self) -> str:
+        """The limits and the commanded forces: for the base's actuators or, without these, for the
+        group nearest to its limit.
+        """
+        names = [name for name in self.saturated if name != _LIMIT]
+        if not names:
+            limit = actuation_limit(self.scenario, self.coordinates).upper
+            i = int(np.argmax((self.motion_force + 3.0 * self.noise_force) / limit))
+            unit = {"rad": "N m", "m": "N"}[self.coordinates.units[i]]
+            return (
+                f"{_LIMIT} leaves {limit[i]:.3g} {unit} to {self.coordinates.names[i]}; the motion "
+                f"takes up to {self.motion_force[i]:.2g}, sensor noise {self.noise_force[i]:.2g} "
+                "(standard deviation)"
+            )
+        groups = self.coordinates.groups
+        motion, noise = (
+            f"{force[groups['base_rotation']].max():.2g} N m and "
+            f"{force[groups['base_position']].max():.2g} N"
+            for force in (self.motion_force, self.noise_force)
+        )
+        return (
+            f"{' and '.join(names)} give {_largest_wrench(self.scenario)}; the motion takes up to "
+            f"{motion}, sensor noise {noise} (standard deviation)"
+        )
+
+    @property
+    def share_diverged(self) -> float:
+        """Fraction of seeds that diverged."""
+        return float(np.isfinite(self.diverged).mean())
+
+
+def rehearse(
+    scenario: Scenario,
+    *,
+    seeds: int = SEEDS,
+    held: Mapping[str, np.ndarray] | None = None,
+    mean: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Rehearsal:
+    """Rehearse a scenario with ``rehearsed`` parts, or with ``actuation.limit``, from the grasp on.
+
+    Args:
+      scenario: the scenario.
+      seeds: number of noise sequences; 64 cost about a second without actuators of the base.
+      held: see ``Linearizer.at``.
+      mean: error and force (n, nv) of the run without noise and limits, from
+        ``Linearizer.follow`` (half the time of a run); default: those of perfect tracking.
+
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``.
+    """
+    with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
+        loops = _close_loops(linearizer, held)
+        scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
+    if mean is None:
+        ideal = make_demand(scenario).force
+        mean = np.zeros_like(ideal), ideal
+    times = np.arange(scenario.num_control_periods) * scenario.sample_time
+    mean = np.nan_to_num(mean[0]), np.nan_to_num(mean[1])
+    diverged, shares, largest, square = _Runs(scenario, loops, motion, mean, law).go(times, seeds)
+    return Rehearsal(
+        scenario=scenario,
+        coordinates=motion.coordinates,
+        noise_force=np.max(
+            [_without_push(loop).noise_response(times.size)["force"] for loop in loops.values()],
+            axis=0,
+        ),
+        motion_force=np.abs(mean[1]).max(axis=0),
+        diverged=diverged,
+        saturated=dict(zip([*_actuators(scenario), _LIMIT], shares.T, strict=True)),
+        largest_error=np.median(largest, axis=0),
+        rms_error=np.sqrt(square.mean(axis=0)),
+    )
+
+
+def is_near_limits(scenario: Scenario, coordinates: Coordinates, force: np.ndarray) -> bool:
+    """Whether another noise sequence may take commands beyond ``actuation.limit``, from the
+    commands of one run (n, nv; N m or N); their changes from sample to sample give the noise.
+    """
+    if scenario.actuation.limit is None or scenario.blocks.actuation is not None or len(force) < 2:
+        return False
+    limit = coordinates.vector(scenario.actuation.limit, key=_LIMIT, default=np.inf)
+    noise = np.diff(force, axis=0).std(axis=0) / math.sqrt(2.0)
+    return bool((np.abs(force).max(axis=0) + _FURTHER * noise > limit).any())
+
+
+class _Runs:
+    """Runs of the linear loops, by time, with the actuators of a scenario, side by side; arrays
+    have a row for each.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        loops: Mapping[float, LinearLoop],
+        motion: PlannedMotion,
+        mean: tuple[np.ndarray, np.ndarray],
+        law: ControlLaw | None,
+    ) -> None:
+        settings, coordinates = allocated(scenario), motion.coordinates
+        self._scenario, self._motion, self._law = scenario, motion, law
+        self._error, self._force = mean
+        self._times, (first, *_) = list(loops), loops.values()
+        self._push, self._memory = first.noise[_PUSH], first.memory
+        # by posture, of each sample of a common period: from x and from w to [u; x+]
+        self._maps = [
+            [
+                (np.vstack([each.c, each.a]), np.vstack([each.d, each.b]))
+                for each in _from_start(loop)
+            ]
+            for loop in loops.values()
+        ]
+        planned = PlannedDynamics(scenario)
+        self._mass = [planned.mass_matrices(time)[1] for time in self._times]
+        self._base = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
+        self._ends = np.cumsum([*self._base.sizes.values()])[:-1]
+        self._actuators = _actuators(scenario).values()
+        self._limit = coordinates.vector(
+            settings.limit or {}, key="actuation.limit", default=np.inf
+        )
+        self._resolution = coordinates.vector(
+            settings.quantization, key="actuation.quantization", default=0.0
+        )
+
+    def go(
+        self, times: np.ndarray, seeds: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """With each seed: the time of divergence or NaN (seeds,), the share of saturated samples by
+        actuator (seeds, k), the largest errors at the end and the mean square deviations once
+        settled (seeds, nv).
+        """
+        nv, base = self._force.shape[1], self._base
+        generators = [np.random.default_rng(seed) for seed in range(seeds)]
+        x, memory, switching = (
+            np.tile(first, (seeds, 1))
+            for first in (
+                np.zeros(self._maps[0][0][0].shape[1]),
+                base.initial_memory,
+                self._switching_at_start,
+            )
+        )
+        # delayed commands, and the linear loop's part of them
+        late = [np.zeros((seeds, nv))] * self._scenario.actuation.delay
+        own = list(late)
+        diverged, samples = np.full(seeds, np.nan), np.full((seeds, 1), times.size)
+        saturated = np.zeros((seeds, len(self._actuators) + 1))  # and by actuation.limit
+        square, largest = np.zeros((2, seeds, nv))
+        settled, at_end = times > _SETTLED_AFTER, times >= times[-1] - _LAST
+        motion = zip(times.tolist(), *self._base_motion(times), strict=True)
+        for k, (time, rotation, turning) in enumerate(motion):
+            if k % _BLENDED == 0:
+                maps, mass = self._near(time)
+                noise = self._noise(generators, maps, k)
+            of_x, of_w = maps[k % len(maps)]
+            force, after = np.split(products.times(of_x, x) + noise[:, k % _BLENDED], [nv], axis=1)
+            force = self._force[k] + force
+            own.append(force)
+            if self._law is not None and switching.size:
+                s = after[:, self._memory["sliding_variable"]]
+                force = force + products.times(mass, switching * np.sign(s))
+                switching = self._law.switching_gain_after(s, switching)
+            bounded = np.clip(force, -self._limit, self._limit)
+            saturated[:, -1] += np.isnan(diverged) & (bounded != force).any(axis=1)
+            late.append(quantize(bounded, self._resolution))
+            begins = k % base.frame == 0
+            stacked = base.give(
+                late.pop(0), memory, rotation=rotation, turning=turning, begins=begins
+            )
+            sample = dict(zip(base.sizes, np.split(stacked, self._ends, axis=1), strict=True))
+            memory, going = sample["memory"], np.isnan(diverged)
+            for index, part in enumerate(self._actuators):
+                saturated[:, index] += going & part.saturated(sample)
+            pushed = sample["applied_force"] - own.pop(0)
+            x = after + products.applied(of_w[nv:, self._push], pushed)
+            within = np.abs(x[:, nv : 2 * nv]).max(axis=1) < self._scenario.divergence_speed
+            if not within.all():
+                beyond = ~within  # they stay where they started
+                diverged[beyond & going], samples[beyond & going] = time, k + 1
+                x[beyond], memory[beyond] = 0.0, base.initial_memory
+                square[beyond] = largest[beyond] = np.inf
+                if not np.isnan(diverged).any():
+                    break
+            square += settled[k] * x[:, :nv] ** 2
+            if at_end[k]:
+                largest = np.maximum(largest, np.abs(self._error[k] + x[:, :nv]))
+        return diverged, saturated / samples, largest, square / max(1, int(settled.sum()))
+
+    def _noise(
+        self, generators: Sequence[np.random.Generator], maps: Sequence[Maps], first: int
+    ) -> np.ndarray:
+        """Effect of noise on [u; x+] (runs, _BLENDED, rows) from a control sample on."""
+        width = maps[0][1].shape[1]
+        w = np.stack([each.standard_normal((_BLENDED, width)) for each in generators])
+        w[..., self._push] = 0.0
+        found = np.empty((*w.shape[:2], len(maps[0][1])))
+        for kind, (_, of_w) in enumerate(maps):
+            own = np.arange(first, first + _BLENDED) % len(maps) == kind
+            found[:, own] = w[:, own] @ of_w.T
+        return found
+
+    @property
+    def _switching_at_start(self) -> np.ndarray:
+        """G (nv), which the linear loop leaves out; empty if the law has none."""
+        start = {} if self._law is None else self._law.initial_state()
+        known = {"sliding_variable", "switching_gain"} <= set(start)
+        return np.array(start["switching_gain"]) if known else np.zeros(0)
+
+    def _near(self, time: float) -> tuple[list[Maps], np.ndarray]:
+        """The loop's maps of one common period and the nominal mass matrix at a time, interpolated
+        between postures.
+        """
+        i = min(max(int(np.searchsorted(self._times, time)) - 1, 0), len(self._times) - 2)
+        share = min(max((time - self._times[i]) / (self._times[i + 1] - self._times[i]), 0.0), 1.0)
+
+        def blend(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+            return (1.0 - share) * first + share * second
+
+        pairs = zip(self._maps[i], self._maps[i + 1], strict=True)
+        maps = [(blend(a, b), blend(c, d)) for (a, c), (b, d) in pairs]
+        return maps, blend(self._mass[i], self._mass[i + 1])
+
+    def _base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The planned R_WB (n, 3, 3), and ``turning`` (n, 6) of ``BaseActuators.give``."""
+        rows, nq = self._motion.rows(times), self._force.shape[1] + 1
+        rotation = np.array(
+            [attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]]
+        )
+        turning = in_body_axes(rows[:, :4], rows[:, nq : nq + 3])
+        return rotation, np.hstack([turning, np.zeros_like(turning)])
+
+
+def _actuators(scenario: Scenario) -> dict[str, Part]:
+    """The parts whose limits are rehearsed, by title."""
+    parts = section_parts(scenario).values()
+    return {part.title.lower(): part for part in parts if part.rehearsed}
+
+
+def _largest_wrench(scenario: Scenario) -> str:
+    """The largest torque and force of the base's actuators, in the worst and the best direction."""
+    limits = base_limits(scenario)
+    spans = []
+    for given, unit in ((limits.torque, "N m"), (limits.force, "N")):
+        least, most = given.min(), given.max()
+        if most < 1.01 * least:
+            spans.append(f"{least:.2g} {unit}")
+        elif math.isfinite(most):
+            spans.append(f"{least:.2g} to {most:.2g} {unit}")
+    return " and ".join(spans)
+
+
+def _close_loops(
+    linearizer: Linearizer, held: Mapping[str, np.ndarray] | None
+) -> dict[float, LinearLoop]:
+    """The loops along the planned motion by their times, s, so close that halfway between two
+    stable ones the mean of both is stable, as the loop there is; or a 64th of the motion apart.
+    """
+    shares, i = list(POSTURES), 0
+    while i + 1 < len(shares):
+        near = shares[i : i + 2]
+        first, second = (linearizer.at(linearizer.part(share), held=held) for share in near)
+        if near[1] - near[0] > _CLOSEST and _has_unstable_mean(first, second):
+            shares.insert(i + 1, 0.5 * sum(near))
+        else:
+            i += 1
+    times = [linearizer.part(share) for share in shares]
+    return dict(zip(times, (linearizer.at(time, held=held) for time in times), strict=True))
+
+
+def _has_unstable_mean(first: LinearLoop, second: LinearLoop) -> bool:
+    """Whether the mean of two stable loops is unstable."""
+    if max(first.spectral_radius, second.spectral_radius) >= 1.0:
+        return False
+    samples = tuple(_between(first.samples, second.samples, 0.5))
+    return dataclasses.replace(first, samples=samples).spectral_radius >= 1.0
+
+
+def _between(
+    first: Sequence[SampleMap], second: Sequence[SampleMap], share: float
+) -> list[SampleMap]:
+    """The maps at a share of the way from those of one posture to those of the next."""
+
+    def blend(name: str, a: SampleMap, b: SampleMap) -> np.ndarray:
+        mean: np.ndarray = (1.0 - share) * getattr(a, name) + share * getattr(b, name)
+        return mean
+
+    pairs = zip(first, second, strict=True)
+    return [SampleMap(**{name: blend(name, a, b) for name in "abcd"}) for a, b in pairs]
+
+
+def _from_start(loop: LinearLoop) -> list[SampleMap]:
+    """The maps of a common period, the first that of control sample 0."""
+    first = round(loop.time / loop.sample_time)
+    return [loop.samples[(k - first) % len(loop.samples)] for k in range(len(loop.samples))]
+
+
+def _without_push(loop: LinearLoop) -> LinearLoop:
+    def heard(columns: np.ndarray) -> np.ndarray:
+        return np.delete(columns, loop.noise[_PUSH], axis=1)
+
+    samples = tuple(
+        dataclasses.replace(each, b=heard(each.b), d=heard(each.d)) for each in loop.samples
+    )
+    return dataclasses.replace(loop, samples=samples)
+
+
+def _pushed(setup: BlockSetup) -> Diagram | None:
+    """Actuators for the base with output equal to the command plus a source's value at each
+    sample.
+    """
+    builder, size, period = DiagramBuilder(), len(setup.coordinates.names), setup.sample_time
+    source = builder.AddNamedSystem(_PUSH, RandomSource(RandomDistribution.kGaussian, size, period))
+    held = builder.AddNamedSystem("held", ZeroOrderHold(period, size))
+    total = builder.AddNamedSystem("total", Adder(2, size))
+    builder.Connect(source.get_output_port(), held.get_input_port())
+    builder.Connect(held.get_output_port(), total.get_input_port(1))
+    builder.ExportInput(total.get_input_port(0), "force")
+    builder.ExportOutput(total.get_output_port(), "given")
+    return make_actuation(
+        setup.scenario.actuation, setup.coordinates, sample_time=period, base=builder.Build()
+    )

@@ -1,0 +1,364 @@
+"""The verdict on a mission before it runs, in lines with their scope.
+
+Linear: the wired loop of every leg, moving as planned, without limits and without noise. Load: the
+force required by a capture, compared with its limits. Rehearsed: a run of the actual mission, with
+its limits, its noise and its grasp; for saturating or quantising actuators, and force limits nearly
+reached in the run, also the linearised loop under them with several noise sequences. A disagreement
+is itself a finding.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.numbers import number, percent
+from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.design.remarks import plan_limits
+from ffsm_drake.plugins.design.remedies import remedies
+from ffsm_drake.plugins.design.stability import Margins, adaptation_remark, stability
+from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.load import advice, predicted_load, saturated_shares
+from ffsm_drake.plugins.design.stability.mission import LinearVerdict, linear_verdict
+from ffsm_drake.plugins.design.stability.rehearsal import (
+    MANY,
+    Rehearsal,
+    is_near_limits,
+    rehearse,
+)
+from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.ending import NOT_SETTLED, Ending
+from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import Scenario, checked, from_grasp
+from ffsm_drake.systems.part import Advice
+
+_RARE = 0.02  # share of noise sequences; resolution of the linearised loop
+_FAR = 100.0  # tolerances; beyond it a run has not done its task
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RehearsedRun:
+    """A run of the mission with its own random seed."""
+
+    ending: Ending
+    limits: dict[str, float]  # limits that it exceeded -> when first, s
+    broken: tuple[str, ...] = ()  # ``broken_limits``: those that nothing enforces
+
+    @property
+    def fails(self) -> bool:
+        """Whether it failed, ended off its plan, or far from where it should."""
+        far = self.ending.status == NOT_SETTLED and self.ending.excess > _FAR
+        return self.ending.is_failure or far or self.ending.gave_up
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether it fails, or breaks a limit that nothing enforces."""
+        return self.fails or bool(self.broken) or CLEARANCE in self.limits
+
+    @property
+    def sentence(self) -> str:
+        """The run's ending and the first limit that it exceeded."""
+        if self.broken:
+            return f"{self.ending.sentence} Beyond its limits: {'; '.join(self.broken)}."
+        if not self.limits:
+            return self.ending.sentence
+        first = min(self.limits, key=lambda name: self.limits[name])
+        return (
+            f"{self.ending.sentence} First beyond its limit: {first}, at t = "
+            f"{self.limits[first]:.2f} s."
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Expectations for a mission; a part that was not requested, or does not apply, is None."""
+
+    linear: LinearVerdict | None
+    not_linear: str  # why there is no linear verdict; empty if there is one
+    load: float | None  # with a capture: largest force as a fraction of its limit
+    # the linearised loop under actuators or limits that saturate, several noises
+    noises: Rehearsal | None
+    run: RehearsedRun | None
+    planned: tuple[str, ...] = ()  # without a run: ``plan_limits``
+    margins: Margins | None = None
+    not_margins: str = ""  # why there are no margins; empty if there are, or none were requested
+    adaptation: str = ""  # ``adaptation_remark``
+    advice: tuple[Advice, ...] = ()  # remedies for saturated base actuators
+    remedies: tuple[Advice, ...] = ()  # remedies if it is not expected to go as planned
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether the mission is not expected to go as planned.
+
+        A run of the mission takes precedence: with a run, the linear verdict is an alarm only if
+        the run, too, ends without settling, and the load and the plan are no alarms.
+        """
+        if self.planned or self._diverges_by_noise:
+            return True
+        if self.run is None:
+            return self.is_linearly_unstable or self._overloaded
+        unstable = self.is_linearly_unstable and not self.run.ending.is_settled
+        return self.run.is_alarm or unstable
+
+    @property
+    def _diverges_by_noise(self) -> bool:
+        if self.noises is None or self._noises_are_contradicted:
+            return False
+        return self.noises.share_diverged > _RARE
+
+    @property
+    def _noises_are_contradicted(self) -> bool:
+        """Whether the linearised loop diverges with every noise sequence, but the run settles: it
+        is too far from its plan for a linearised loop.
+        """
+        settles = self.run is not None and self.run.ending.is_settled
+        return self.noises is not None and self.noises.share_diverged == 1.0 and settles
+
+    @property
+    def is_linearly_unstable(self) -> bool:
+        """Whether the linear loop of a leg is unstable, regardless of a run."""
+        return self.linear is not None and self.linear.is_alarm
+
+    @property
+    def _linear_is_known(self) -> bool:
+        return self.linear is not None and self.linear.status != "cannot say"
+
+    @property
+    def _overloaded(self) -> bool:
+        return self.load is not None and self.load > 1.0
+
+    @property
+    def lines(self) -> list[str]:
+        """The results of each part, a line each, and their disagreements."""
+        return list(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        if self.linear is not None:
+            yield f"linear: {self.linear.sentence}"
+        elif self.not_linear:
+            yield f"linear: cannot say: {self.not_linear}"
+        if self.load is not None and math.isfinite(self.load):
+            saturates = ": it saturates" if self._overloaded else ""
+            share = f"{number(100.0 * self.load, 3)} %"
+            yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
+        if self.not_margins:
+            yield f"margins: cannot say: {self.not_margins}"
+        if self.margins is not None:
+            yield f"margins (from the grasp on): {self.margins.verdict}"
+        if self.noises is not None and not self._is_in_margins:
+            yield f"limits ({self.noises.noises} noises, linearised loop): {self.noises}"
+        for each in self.planned:
+            yield f"plan: {each}"
+        if self.run is not None:
+            yield f"rehearsed (one run, limits and noise, given seed): {self.run.sentence}"
+            if self.is_linearly_unstable and self.run.ending.is_settled:
+                yield "they disagree: the linear loop is unstable, yet the run settles"
+            if self._noises_are_contradicted:
+                yield (
+                    "they disagree: under its limits the linearised loop diverges with every "
+                    "noise, yet the run settles"
+                )
+            if self._linear_is_known and not self.is_linearly_unstable and self.run.fails:
+                yield (
+                    "they disagree: the linear loop is stable, so limits, noise or the transient "
+                    "at the start are the cause"
+                )
+        if self.advice:
+            yield helps(self.advice)
+        if self.remedies:
+            yield helps_alone(self.remedies)
+
+    @property
+    def _is_in_margins(self) -> bool:
+        return self.margins is not None and self.noises is self.margins.rehearsal
+
+    @property
+    def conclusion(self) -> str:
+        """One line: the expectation and its scope."""
+        covers = [
+            name
+            for name, part in (
+                ("every leg, moving, without limits", self._linear_is_known or None),
+                ("the load after the grasp", self.load),
+                (f"{self.noises and self.noises.noises} noises under the limits", self.noises),
+                ("one run with limits and noise", self.run),
+                ("the plan's limits", self.planned or None),
+            )
+            if part is not None
+        ]
+        scope = f" (checked: {'; '.join(covers) or 'nothing'})"
+        if self.is_alarm:
+            return f"not expected to go as planned{scope}"
+        if not covers:
+            return f"cannot say how the mission goes{scope}"
+        if self.is_linearly_unstable:
+            return f"the run settles, though the linear loop is unstable{scope}"
+        if self.run is not None and not self.run.ending.is_settled:
+            return f"expected to stay bounded, not to settle{scope}"
+        if self.run is not None and self.run.limits:
+            return f"expected to settle, not as planned: commands exceed the limits{scope}"
+        return f"expected to go as planned{scope}"
+
+    @property
+    def warnings(self) -> list[str]:
+        """A line where the mission is not expected to go as planned, and one on adaptation."""
+        found, reasons = [self.adaptation] if self.adaptation else [], list(self._reasons())
+        if self.is_alarm and reasons:  # limits that a plan exceeds are remarks of their own
+            found.insert(0, f"not expected to go as planned: {'; '.join(reasons)}")
+        return found
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        linear, run = self.linear, self.run
+        return {
+            "alarm": self.is_alarm,
+            "conclusion": self.conclusion,
+            "lines": self.lines,
+            "linear": None if linear is None else [dataclasses.asdict(leg) for leg in linear.legs],
+            "load": self.load,
+            "advice": [dict(each.changes) for each in self.advice],
+            "remedies": [dict(each.changes) for each in self.remedies],
+            "beyond": [*self.planned, *(() if self.run is None else self.run.broken)],
+            "share_diverged": None if self.noises is None else self.noises.share_diverged,
+            "run": None
+            if run is None
+            else {**dataclasses.asdict(run.ending), "first_beyond": run.limits},
+        }
+
+    def _reasons(self) -> Iterator[str]:
+        if self.linear is not None and self.linear.is_alarm:
+            yield self.linear.sentence
+        if self._overloaded:
+            share = f"{number(100.0 * (self.load or 0.0), 3)} %"
+            yield f"after the grasp it requires {share} of the force limit"
+        if self.noises is not None and self._diverges_by_noise:
+            yield f"under its limits: {self.noises}"
+        if self.run is not None and self.run.is_alarm:
+            yield f"rehearsed: {self.run.sentence}"
+
+
+@guarded
+def verdict(
+    scenario: Scenario, *, rehearsal: bool = True, margins: bool = False, advises: bool = True
+) -> Verdict:
+    """The verdict on a mission.
+
+    Args:
+      scenario: the mission.
+      rehearsal: run the mission, in the time of a run; otherwise only results without a run.
+      margins: find the margins from the grasp on, too; a reason replaces missing ones.
+      advises: with a rehearsal, search ``remedies`` for a failing mission (seconds).
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: with ``rehearsal``, a user-supplied block fails.
+    """
+    scenario = checked(scenario)
+    found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises", "run"))
+    saturated = dict[str, float]()
+    try:
+        with Linearizer(scenario) as linearizer:
+            _without_a_run(found, scenario, linearizer, margins=margins)
+    except (BlockError, np.linalg.LinAlgError) as error:
+        found["not_linear"] = one_line(error)
+        if margins and found.get("margins") is None:
+            found["not_margins"] = found["not_linear"]
+        if isinstance(error, NotLinear) and found["linear"] is None:
+            found["linear"] = linear_verdict(scenario)  # which says so of its leg
+    if rehearsal:
+        log = _rehearsed(found, saturated, scenario)
+        with suppress(BlockError, np.linalg.LinAlgError):
+            _under_limits(found, scenario, log)
+    else:
+        found["planned"] = tuple(plan_limits(scenario))
+    expected = Verdict(**{"not_linear": "", **found})
+    if expected.noises is not None:
+        for name, shares in expected.noises.saturated.items():
+            saturated[name] = max(saturated.get(name, 0.0), float(np.median(shares)))
+    settles = not expected.is_alarm and (expected.run is None or expected.run.ending.is_settled)
+    fails = expected._diverges_by_noise or (expected.run is not None and expected.run.fails)
+    return dataclasses.replace(
+        expected,
+        advice=advice(scenario, saturated, settles=settles),
+        remedies=remedies(scenario, fails=fails)
+        if advises and rehearsal and expected.is_alarm
+        else (),
+    )
+
+
+def helps(found: Iterable[Advice]) -> str:
+    """Remedies for saturated actuators, in one line."""
+    return f"what helps: {'; '.join(map(str, found))}"
+
+
+def helps_alone(found: Iterable[Advice]) -> str:
+    """Changes of which each helps alone, in one line."""
+    return f"what helps, each alone: {'; '.join(map(str, found))}"
+
+
+def helpful_remarks(record: RunRecord) -> list[str]:
+    """Lines with what helps where actuators of the base saturated in a run, and where it failed."""
+    scenario, told = record.scenario, list[str]()
+    values = {str(name): each.values for name, each in record.dataset.data_vars.items()}
+    saturated = saturated_shares(scenario, values)
+    if found := advice(scenario, saturated, settles=record.ending.is_settled):
+        shares = (f"{name} in {percent(share)}" for name, share in saturated.items() if share)
+        told.append(f"saturated: {', '.join(shares)} of the samples; {helps(found)}")
+    if record.ending.is_failure and (found := remedies(scenario, fails=True)):
+        told.append(helps_alone(found))
+    return told
+
+
+def _without_a_run(
+    found: dict[str, Any], scenario: Scenario, linearizer: Linearizer, *, margins: bool
+) -> None:
+    """Fill the parts of a verdict one after another; what was found before a BlockError stays."""
+    found["linear"] = linear = linear_verdict(scenario, linearizer)
+    found["adaptation"] = "" if linear.is_alarm else adaptation_remark(linearizer)
+    found["load"] = predicted_load(linearizer)
+    if margins:
+        found["margins"] = stability(scenario, linearizer=linearizer)
+        found["noises"] = found["margins"].rehearsal
+    elif is_rehearsed(from_grasp(scenario)) and not linear.is_alarm:
+        found["noises"] = rehearse(scenario)
+
+
+def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Scenario) -> RunLog:
+    """Run the mission, and note how, and the shares of samples in which actuators saturated."""
+    rollout = make_rollout(scenario)
+    try:
+        log = rollout.run()
+    finally:
+        rollout.release()
+    saturated |= saturated_shares(scenario, log)
+    found["run"] = RehearsedRun(
+        ending=log.ending,
+        limits=limits_left(log),
+        broken=tuple(broken_limits(scenario, make_table(log))),
+    )
+    return log
+
+
+def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
+    """Rehearse more noise sequences if a successful run came so near to ``actuation.limit`` that
+    other noise may exceed it.
+    """
+    linear = found["linear"]
+    if found["noises"] is not None or linear is None or linear.status != "stable":
+        return
+    force = log.generalized_force[log.time >= scenario.grasp_time]
+    if found["run"].fails or not is_near_limits(scenario, log.coordinates, force):
+        return
+    with Linearizer(scenario) as linearizer:
+        held = expected_gains(linearizer)
+        mean = linearizer.follow(held=held)
+    found["noises"] = rehearse(scenario, seeds=MANY, held=held, mean=mean)

@@ -1,0 +1,1 @@
+"""Estimators of time-delay laws, and filters of the commanded force."""

@@ -1,0 +1,1 @@
+"""Flexible parts of the spacecraft: panels, beams, slosh, passive joints, gears."""

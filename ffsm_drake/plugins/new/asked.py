@@ -1,0 +1,162 @@
+"""The options of ``ffsm new`` beside an arm: sensors, actuators, panels, a grasp."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.plugins.design.rounding import rounded
+from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, thruster_layouts
+from ffsm_drake.scenario.actuation import DRIVEN
+
+_CAPTURE = "tumbling_capture"  # the estimator through a grasp
+_TOLERANCE = 5e-3  # m, of a base that thrusters hold in place
+_NUMBER = r"(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
+_POSITIVE = rf"(?=[\d.]*[1-9]){_NUMBER}"
+# Option -> the form of its value, in words too, and the value from the form's groups.
+_FORMS: dict[str, tuple[str, str, Callable[..., Any]]] = {
+    "wheels": (
+        rf"([3-8])(?:x{_POSITIVE}Nm)?",
+        "3 to 8 wheels, with a torque limit or without (then it is sized), such as 4 or 4x0.5Nm",
+        lambda count, torque: (int(count), torque and float(torque)),
+    ),
+    "panels": (
+        rf"([1-4])x{_POSITIVE}kg",
+        "1 to 4 panels of a mass, such as 2x5kg",
+        lambda count, mass: (int(count), float(mass)),
+    ),
+    "capture": (
+        rf"{_NUMBER}(deg|rad)/s",
+        "the rate of the target's tumble, such as 3deg/s",
+        lambda rate, unit: float(rate) * (math.pi / 180.0 if unit == "deg" else 1.0),
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Asked:
+    """The parts that a new scenario is to have; None: without."""
+
+    sensors: str | None = None  # the shipped scenario that has them
+    thrusters: str | None = None  # their layout
+    wheels: tuple[int, float | None] | None = None  # number, torque limit (N m; None: by the load)
+    panels: tuple[int, float] | None = None  # number, mass of each, kg
+    capture: float | None = None  # rad/s, at which the target tumbles
+    driven: tuple[str, ...] = ("all",)  # groups of coordinates
+
+    @classmethod
+    def parsed(cls, **words: str | None) -> "Asked":
+        """From the options of ``ffsm new`` by name; None: not given.
+
+        Raises ScenarioError: one of them cannot be used.
+        """
+        given = {name: word.strip() for name, word in words.items() if word is not None}
+        asked = cls(**{name: _value(name, word) for name, word in given.items()})
+        for name, group in (("thrusters", "base_position"), ("wheels", "base_rotation")):
+            if getattr(asked, name) is not None and not asked.drives(group):
+                raise ScenarioError(
+                    f"--{name}", f"cannot act with --driven {','.join(asked.driven)}: it leaves "
+                    f"out {group}; leave one of them out"
+                )  # fmt: skip
+        return asked
+
+    @property
+    def is_paper(self) -> bool:
+        """Whether the request is for the paper's mission alone."""
+        return self == Asked()
+
+    @property
+    def has_approach(self) -> bool:
+        """Whether the run begins before the grasp: where all coordinates are driven."""
+        return self.capture is not None and self.drives("all")
+
+    def drives(self, group: str) -> bool:
+        """Whether a group of coordinates is driven."""
+        return "all" in self.driven or group in self.driven
+
+    @property
+    def source(self) -> Scenario:
+        """The shipped scenario whose sensors, estimator and bandwidth are taken."""
+        found = load_scenario(self.sensors or "paper")
+        grasp = load_scenario(_CAPTURE)
+        # The inertia of a light wrist grows by orders of magnitude at a grasp: an estimate of
+        # force outlasts that, one of acceleration does not.
+        return grasp if self.capture is not None and grasp.sensing == found.sensing else found
+
+    def fill(self, data: dict[str, Any]) -> None:
+        """Fill the sections that do not depend on the spacecraft; an empty one is left out."""
+        estimator, tolerance = _own(self.source.estimator), data["tolerance"]
+        if estimator or self.thrusters is None:
+            data["estimator"] = estimator
+        elif self.capture is not None:
+            force = load_scenario(_CAPTURE).estimator
+            data["estimator"] |= {"kind": force.kind, "force_walk": force.force_walk}
+        if self.sensors is not None:
+            data["sensing"], tolerance = _own(self.source.sensing), dict(self.source.tolerance)
+        if self.thrusters is not None:
+            tolerance["base_position"] = max(tolerance.get("base_position", 0.0), _TOLERANCE)
+            data["actuation"]["thrusters"] = {"layout": self.thrusters}
+        data["tolerance"] = {} if tolerance == Scenario().tolerance else tolerance
+        if not self.drives("all"):
+            data["actuation"]["driven"] = list(self.driven)
+        for group, key in (("base_position", "base_position"), ("base_rotation", "base_rpy")):
+            if not self.drives(group):
+                data["target_posture"][key] = list(data["initial_posture"][key])
+        if self.wheels is not None:
+            count, torque = self.wheels
+            data["actuation"]["wheels"] = {"units": wheel_units(count, torque or 1.0)}
+        if self.capture is None:
+            data["capture"] = {}
+            return
+        data["capture"]["rate"] = [rounded(self.capture * x) for x in data["capture"]["rate"]]
+        if not self.has_approach:
+            data["capture"] = {"rate": data["capture"]["rate"], "servicer": "rest"}
+
+
+def wheel_units(count: int, torque: float) -> dict[str, dict[str, Any]]:
+    """Wheels by name: axes evenly on a cone about z, three of them at right angles."""
+    turn = math.pi / 4 if count == 4 else 0.0
+    return {
+        f"wheel_{k + 1}": {
+            "axis": [
+                *(
+                    rounded(math.sqrt(2.0) * f(turn + 2.0 * math.pi * k / count))
+                    for f in (math.cos, math.sin)
+                ),
+                1.0,
+            ],
+            "torque_limit": torque,
+        }
+        for k in range(count)
+    }
+
+
+def _own(settings: Any) -> dict[str, Any]:
+    """The settings of a section that differ from its defaults, as plain data."""
+    usual, data = dataclasses.asdict(type(settings)()), dataclasses.asdict(settings)
+    return {key: value for key, value in data.items() if value != usual[key]}
+
+
+def _value(name: str, word: str) -> Any:
+    if name in _FORMS:
+        form, told, value = _FORMS[name]
+        if match := re.fullmatch(form, word):
+            return value(*match.groups())
+        raise ScenarioError(f"--{name}", f"'{word}' must be {told}")
+    driven = {",".join(sorted(groups)): groups for groups in DRIVEN[1:]}
+    driven |= dict.fromkeys((",".join(sorted(DRIVEN[0])), "all"), ("all",))
+    prefixes: dict[str, list[str]] = {}
+    for each in shipped_scenarios():
+        prefixes.setdefault(each.partition("_")[0], []).append(each)
+    given: dict[str, dict[str, Any]] = {
+        "sensors": {each: named for each, (named, *others) in prefixes.items() if not others},
+        "thrusters": {each: each for each in thruster_layouts()},
+        "driven": driven,
+    }
+    choices = given[name]
+    key = ",".join(sorted(part.strip() for part in word.split(",")))
+    if key in choices or word in choices.values():
+        return choices.get(key, word)
+    raise ScenarioError(f"--{name}", f"'{word}' must be one of {'; '.join(choices)}")

@@ -1,0 +1,447 @@
+"""Numbers of a new scenario: postures, durations, disturbance, wheels, panels and gains.
+
+The rule: a motion takes at most a part of what the actuators give; the bandwidth is what they leave
+for the sensors' noise. Then the mission is looked at; where it does not settle, the bandwidth
+shrinks.
+"""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.tree import JacobianWrtVariable
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.plugins.capture.mission import make_rollout
+from ffsm_drake.plugins.design.remarks import plan_clearance
+from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
+from ffsm_drake.plugins.design.stability import Margins, stability
+from ffsm_drake.plugins.design.stability.mission import linear_verdict
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.new.asked import Asked, wheel_units
+from ffsm_drake.plugins.new.urdf import Joint, Servicer
+from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_dict
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.plant import base_body, find_frame
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.registry import SHIPPED, find_factory
+
+BY_AXIS = ("tdc", "asmc", "aismc", "tde_aismc")
+# The postures.
+_SAMPLES, _STARTS, _WAY = 400, 8, 6  # candidates; initial postures kept; instants of a way
+_TURN, _STROKE = 2.2, 0.5  # rad, m, from the resting position at most; m: without limits
+_HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
+_CLEAR = 0.05  # m, that parts keep to each other
+_LENGTHS = (0.3, 0.2, 0.5)  # m, of an approach along the grasp axis
+# Peaks along the motion.
+_RATE, _SHARE_OF_VELOCITY = {"rad": 0.1, "m": 0.05}, 0.2  # rad/s, m/s; of the URDF's limits
+_JOINT, _MOTION, _DISTURBED = 0.3, 0.65, 0.3  # shares of what the actuators give
+_LEAST_LEFT = 0.05  # likewise, where the disturbance takes the rest
+_LONGEST, _SETTLE, _INSTANTS = 120.0, 1.0, 60  # s; s after a grasp that do not count
+# The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or
+# m/s^2; its frequencies, rad/s, are taken in turn.
+_DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
+_FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
+_PULSES, _WHEEL = 0.4, (0.05, 5.0)  # of the thrusters' torque, that wheels give; N m, of a wheel
+# Natural frequencies to start from, rad/s, and what shrinks them.
+_OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
+_SHRINK, _TRIES = 0.7, 8
+_NOISES = 3.0  # standard deviations of the noise, times I omega^2, that the actuators give
+_K_S, _SWITCHING = 0.1, 2e-4  # K_s as a share of omega; bound of G
+# Panels: of the base's inertia; m; Hz.
+_PANEL_SHARE, _PANEL_LENGTH, _PANEL_FREQUENCY = 0.3, (0.3, 3.0), 0.25
+_PANEL_SIDES = ([0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
+
+
+class Draft:
+    """A scenario's plain data, filled step by step; ``remarks`` say what cannot be met."""
+
+    def __init__(self, data: dict[str, Any], asked: Asked, servicer: Servicer, source: str):
+        self.data, self.asked, self.servicer, self.source = data, asked, servicer, source
+        self.remarks, self.margins = list[str](), dict[str, Margins]()
+        self.peaks, self.weak = np.zeros(0), ""  # (nv) forces of motion and disturbance
+        self.true = make_true_plant(self.scenario)
+        self.coordinates = self.true.coordinates
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario so far."""
+        return self._scenario()
+
+    def _scenario(self, **changes: Any) -> Scenario:
+        """The scenario so far, with other sections; without the empty ones."""
+        before = self.data["capture"]["approach"]["duration"] if self.asked.has_approach else 0.0
+        hold = _HOLD if self.asked.is_paper else _LONG_HOLD
+        self.data["duration"] = before + self.data["reference"]["duration"] + hold
+        sections = {key: each for key, each in {**self.data, **changes}.items() if each != {}}
+        return scenario_from_dict(sections, source=self.source)
+
+    def fill(self) -> None:
+        """Postures, panels, disturbance, durations, wheels, then gains."""
+        self._panels()
+        starts = self._postures()
+        self._disturb()
+        self._approach(starts)
+        if self._pace():
+            self._approach(starts)
+        if self.weak:
+            self.remarks.append(self.weak)
+        self._tune()
+
+    def _postures(self) -> list[np.ndarray]:
+        """Put the target and the initial posture, and a duration of moderate rates.
+
+        Returns: initial configurations (nq) that are clear of contact, the best first.
+        """
+        arm, rng = _Arm(self), np.random.default_rng(0)
+        low, high = arm.limits.T
+        rest = 0.5 * (low + high)
+        target = arm.best([rest, *(low + (high - low) * rng.random((_SAMPLES, low.size)))])[0]
+        step = np.minimum(0.6, 0.5 * (high - low))
+        draws = rng.uniform(0.35, 1.0, (_SAMPLES, low.size)) * rng.choice([-1.0, 1.0], low.size)
+        near = [q for q in target + draws * step if ((q >= low) & (q <= high)).all()]
+        starts = arm.best([*near, 0.5 * (target + rest)], to=target, count=_STARTS)
+        end, initial = self.data["target_posture"], self.data["initial_posture"]
+        end["joints"], initial["joints"] = map(arm.by_name, (target, starts[0]))
+        if (least := arm.distance(starts[0], target)) < 0.0:
+            self.remarks.append(
+                f"no posture free of contact was found: parts overlap by {-least:.3g} m in the "
+                "best; a smaller target, or another --tip"
+            )
+        velocities = {joint.name: joint.velocity for joint in self.servicer.joints}
+        self.data["reference"]["duration"] = max(
+            self.data["reference"]["duration"],
+            *(
+                1.875 * abs(end["joints"][name] - angle)  # the quintic's peak rate
+                / min(_RATE[unit], _SHARE_OF_VELOCITY * velocities[name])
+                for (name, angle), unit in zip(
+                    initial["joints"].items(), self.coordinates.units[6:], strict=True
+                )
+            ),
+        )  # fmt: skip
+        return [arm.whole(start) for start in starts]
+
+    def _approach(self, starts: list[np.ndarray]) -> None:
+        """The initial posture, and the way to it along the grasp axis, that keep clear of the
+        tumbling target; where none does, those that come least near.
+        """
+        if not self.asked.has_approach:
+            return
+        initial, approach = self.data["initial_posture"], self.data["capture"]["approach"]
+        tip = find_frame(self.true.plant, self.data["model"]["end_effector"], key="tip")
+        turn = RollPitchYaw(initial["base_rpy"]).ToRotationMatrix().matrix()
+        best: tuple[float, str, dict[str, float], dict[str, Any]] = (-math.inf, "", {}, {})
+        for start, length in itertools.product(starts, _LENGTHS):
+            self.true.plant.SetPositions(self.true.context, start)
+            axis = turn @ tip.CalcPoseInWorld(self.true.context).rotation().matrix()[:, 2]
+            place = np.array(initial["base_position"]) - length * axis
+            joints = zip(self.coordinates.joints, start[NUM_BASE_POSITIONS:].tolist(), strict=True)
+            initial["joints"] = dict(joints)
+            approach["posture"] = {
+                **initial, "base_position": [rounded(x) for x in place.tolist()]
+            }  # fmt: skip
+            near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
+            if near.distance > best[0]:
+                told = f"{near.first} and {near.second} come within {near.distance:.3g} m"
+                best = near.distance, told, initial["joints"], approach["posture"]
+            if near.distance >= 2.0 * Scenario().clearance:
+                return
+        _, told, initial["joints"], approach["posture"] = best
+        if best[0] < Scenario().clearance:
+            self.remarks.append(
+                f"no approach keeps clear of the target: {told} (below 0 they overlap); a smaller "
+                "target, a slower tumble, or a --tip at the end of the hand (now "
+                f"{self.data['model']['end_effector']})"
+            )
+
+    def _panels(self) -> None:
+        """Panels on the sides of the base. Raises ScenarioError: they outweigh it."""
+        if self.asked.panels is None:
+            return
+        count, mass = self.asked.panels
+        links = map(self.true.plant.GetBodyByName, self.servicer.base_links)
+        body = max(links, key=lambda link: float(link.default_mass()))
+        inertia = body.default_spatial_inertia()
+        centre, own = inertia.get_com(), inertia.get_mass()
+        moments = inertia.Shift(centre).CalcRotationalInertia().get_moments()
+        if count * mass >= 0.5 * own:
+            raise ScenarioError(
+                "--panels",
+                f"{count} of {mass:g} kg are part of the base's {own:.4g} kg, and must be less "
+                "than half of it",
+            )
+        side = 0.5 * math.sqrt(6.0 * float(moments.mean()) / own)
+        middle = math.sqrt(_PANEL_SHARE * float(moments.min()) / (count * mass))
+        length = rounded(min(max(2.0 * (middle - side), _PANEL_LENGTH[0]), _PANEL_LENGTH[1]))
+        self.data["model"]["flexible"] = {
+            f"panel_{k + 1}": {
+                "body": f"servicer::{body.name()}",
+                "position": [rounded(x) for x in (centre + side * np.array(direction)).tolist()],
+                "direction": direction,
+                **({"axis": [0, 1, 0]} if direction[0] else {}),
+                "mass": mass,
+                "length": length,
+                "width": min(1.0, length),
+                "frequency": _PANEL_FREQUENCY,
+            }
+            for k, direction in enumerate(_PANEL_SIDES[:count])
+        }
+
+    @property
+    def _limit(self) -> np.ndarray:
+        """Largest forces (nv) that the actuators give in any direction, N m or N."""
+        return actuation_limit(self.scenario, self.coordinates).upper
+
+    @property
+    def _sizes_wheels(self) -> bool:
+        return self.asked.wheels is not None and self.asked.wheels[1] is None
+
+    @property
+    def _disturbance(self) -> np.ndarray:
+        """Its largest force (nv), N m or N."""
+        harmonics = self.data["disturbance"]["harmonics"].items()
+        largest = {name: each["amplitude"] for name, each in harmonics}
+        return self.coordinates.vector(largest, key="disturbance", default=0.0)
+
+    def _planned(self, **changes: Any) -> PlannedDynamics:
+        """The motion from the grasp on, without disturbance."""
+        return PlannedDynamics(from_grasp(self._scenario(disturbance={}, **changes)))
+
+    def _disturb(self) -> None:
+        """A harmonic per driven coordinate, sized by how easily that is moved in the target
+        posture, and so that it leaves most of given actuators' forces to the motion.
+        """
+        planned, harmonics = self._planned(capture=None), dict[str, dict[str, float]]()
+        inertia = _effective_inertia(planned.mass_matrices(planned.motion.end)[0])
+        limit = np.full(inertia.size, np.inf) if self._sizes_wheels else self._limit
+        coordinates = self.coordinates
+        for k, (name, group) in enumerate(
+            zip(coordinates.names, coordinates.group_of, strict=True)
+        ):
+            if self.asked.drives(group):
+                size = _DISTURBANCE[coordinates.units[k] if group == "joints" else group]
+                harmonics[name] = {
+                    "amplitude": rounded(min(size * inertia[k], _DISTURBED * limit[k])),
+                    "frequency": _FREQUENCIES[k % len(_FREQUENCIES)],
+                    "phase": 1.571 if k % 3 == 1 else 0.0,
+                }
+        self.data["disturbance"]["harmonics"] = harmonics
+
+    def _pace(self) -> bool:
+        """Size wheels, and lengthen the motion, then the approach, until the actuators have enough
+        for it; whether the approach became longer.
+        """
+        reference, longer = self.data["reference"], math.inf
+        while longer > reference["duration"]:
+            if longer < math.inf:
+                reference["duration"] = longer
+            planned = self._planned()
+            first = 0.0 if self.asked.capture is None else min(_SETTLE, 0.1 * planned.motion.end)
+            self.peaks = _peaks(planned, first) + self._disturbance
+            self._size_wheels()
+            longer = self._longer(reference["duration"], self.peaks - self._disturbance)
+        if not self.asked.has_approach:
+            return False
+        approach = self.data["capture"]["approach"]
+        before = approach["duration"]
+        whole = PlannedDynamics(self._scenario(disturbance={}))  # as if the target were held
+        approach["duration"] = self._longer(before, _peaks(whole, 0.0, before))
+        return bool(approach["duration"] > before)
+
+    def _longer(self, duration: float, peaks: np.ndarray) -> float:
+        """The duration, in steps of 5 s, of a motion whose peak forces (nv) leave the actuators
+        their reserve.
+        """
+        limit, base = self._limit, np.arange(peaks.size) < NUM_BASE_VELOCITIES
+        share = np.where(base, _MOTION, _JOINT)
+        left = np.maximum(share * limit - self._disturbance, _LEAST_LEFT * limit)
+        driven = np.array([self.asked.drives(group) for group in self.coordinates.group_of])
+        ratio = math.sqrt(float((driven * peaks / left).max()))
+        return min(5.0 * math.ceil(max(ratio, 1.0) * duration / 5.0 - 1e-9), _LONGEST)
+
+    def motion_forces(self) -> np.ndarray:
+        """The largest forces (nv) of perfect tracking of the planned motion, N m or N."""
+        return _peaks(self._planned())
+
+    def _size_wheels(self) -> None:
+        """Wheels with the torque for the peak forces and, beside thrusters, for their pulses; given
+        ones, and those that feel a grasp, get the thrusters' help.
+        """
+        if self.asked.wheels is None:
+            return
+        (count, torque), actuation, pulses = self.asked.wheels, self.data["actuation"], 0.0
+        wheels = actuation["wheels"]
+        least = self._torque({**actuation, "wheels": {"units": wheel_units(count, 1.0)}})
+        if self.asked.thrusters is not None:
+            pulses = _PULSES * self._torque({**actuation, "wheels": None}) / least
+        motion = float(np.linalg.norm(self.peaks[:3])) / _MOTION / least
+        needed = rounded(max(min(motion, max(_WHEEL[1], pulses)), pulses, _WHEEL[0]))
+        wheels["units"] = wheel_units(count, torque or needed)
+        weak = torque is not None and torque < needed
+        self.weak = f"wheels of {torque:.3g} N m are too weak for the motion" if weak else ""
+        if weak:
+            beside = " and the pulses of the thrusters" if pulses else ""
+            self.weak += f"{beside}: --wheels {count}x{needed:g}Nm"
+        if pulses and (weak or self.asked.capture is not None):
+            wheels["assist_above"] = 1.0
+
+    def _torque(self, actuation: dict[str, Any]) -> float:
+        """Torque of the base's actuators of a section, available in any direction, N m."""
+        scenario = self._scenario(actuation=actuation)
+        return float(actuation_limit(scenario, self.coordinates).upper[0])
+
+    def _tune(self) -> None:
+        """Natural frequencies: those of the sensors' scenario, or less where noise would take more
+        than the actuators have left, equal within a group; then as large as settles.
+        """
+        coordinates, source = self.coordinates, self.asked.source
+        planned, limit = self._planned(), self._limit
+        times = map(planned.motion.part, np.linspace(0.0, 1.0, 9))
+        matrices = np.array([planned.mass_matrices(time)[0] for time in times])
+        usual: Any = _OMEGA
+        if source.estimator.kind != "one_sample":
+            stiffness: Any = source.controllers["tdc"]["k_p"]
+            usual = {group: math.sqrt(k) for group, k in stiffness.items()}
+        omega = coordinates.vector(usual, key="omega")
+        noise = coordinates.vector(self.scenario.sensing.position_noise, key="noise", default=0.0)
+        left = np.maximum(limit - self.peaks, _LEAST_LEFT * limit)
+        with np.errstate(divide="ignore"):
+            most = np.sqrt(left / _effective_inertia(matrices).max(axis=0) / noise / _NOISES)
+        for part in coordinates.groups.values():
+            omega[part] = np.minimum(omega[part], most[part].min(initial=np.inf))
+        for _ in range(_TRIES):
+            self._put_gains(omega, matrices)
+            fast = self._too_fast()
+            if not fast:
+                return
+            omega[:fast] *= _SHRINK
+        found = "no bandwidth tried is stable and settles"
+        if not self.asked.is_paper and make_rollout(self.scenario).run().ending.is_settled:
+            found = "the linear loop is unstable at each bandwidth tried, yet the mission settles"
+        self.remarks.append(f"{found}; see 'ffsm stability'")
+
+    def _put_gains(self, omega: np.ndarray, matrices: np.ndarray) -> None:
+        """Gains of the laws that natural frequencies (nv), rad/s, are known for, with the mass
+        matrices (m, nv, nv) along the motion.
+        """
+        paper, found = self.asked.is_paper, self.data["controllers"]
+        for name in SHIPPED["controller"] if paper else BY_AXIS:
+            law: Any = find_factory("controller", name)
+            gains = law.starting_gains(omega, matrices)
+            if not paper:
+                gains = law.gains_for(omega, _K_S * omega)
+                if "g_max" in law.__dataclass_fields__:
+                    gains |= {"g_initial": _SWITCHING, "g_max": _SWITCHING}
+            if gains:
+                found[name] = {
+                    key: value if np.ndim(value) == 0 else rounded_by_group(value, self.coordinates)
+                    for key, value in gains.items()
+                }
+
+    def _too_fast(self) -> int:
+        """How many coordinates, from the first on, have too large a bandwidth: none, those of the
+        base, or all.
+        """
+        if self.asked.is_paper:
+            self.margins = {
+                name: stability(self._scenario(controller=name), postures=9) for name in BY_AXIS
+            }
+            stable = all(each.verdict == "stable" for each in self.margins.values())
+            return 0 if stable else self.peaks.size
+        if linear_verdict(self.scenario).is_alarm:
+            return self.peaks.size
+        return 0 if make_rollout(self.scenario).run().ending.is_settled else NUM_BASE_VELOCITIES
+
+
+class _Arm:
+    """Postures of the joints that move the tip; the others rest at zero or the next limit."""
+
+    def __init__(self, draft: Draft) -> None:
+        self.true, self.plant, tip = draft.true, draft.true.plant, draft.servicer.tip
+        self.clearance, self.reach = (
+            Clearance(draft.scenario.model, flexible=True),
+            max(tip.reach, 0.05),
+        )
+        self.tip = find_frame(self.plant, f"servicer::{tip.frame}", key="tip")
+        named = {joint.name: joint for joint in draft.servicer.joints}
+        joints = [named[name] for name in draft.coordinates.joints]
+        self.rest = np.array([min(max(0.0, each.lower), each.upper) for each in joints])
+        self.moving = np.flatnonzero([each.name in tip.joints for each in joints])
+        moving = [joints[k] for k in self.moving]
+        self.slides = np.array([each.unit == "m" for each in moving])
+        self.limits = np.array([_inner_limits(each) for each in moving])
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        """The configuration (nq) with values (m), the base at the origin."""
+        joints = self.rest.copy()
+        joints[self.moving] = values
+        return np.concatenate([[1.0], np.zeros(NUM_BASE_POSITIONS - 1), joints])
+
+    def by_name(self, values: np.ndarray) -> dict[str, float]:
+        """The angles of all joints, rad or m."""
+        joints = self.whole(values)[NUM_BASE_POSITIONS:].tolist()
+        return dict(zip(self.true.coordinates.joints, joints, strict=True))
+
+    def best(
+        self, candidates: list[np.ndarray], *, to: np.ndarray | None = None, count: int = 1
+    ) -> list[np.ndarray]:
+        """The ``count`` most dexterous candidates (m) that are clear of contact, also on the way
+        ``to`` another; where none is, the one with the largest distance.
+        """
+        ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
+        found, distances = [], []
+        for each in ranked:
+            distances.append(self.distance(each, each if to is None else to))
+            if distances[-1] >= _CLEAR:
+                found.append(each)
+            if len(found) == count:
+                break
+        return found or [ranked[int(np.argmax(distances))]]
+
+    def distance(self, start: np.ndarray, end: np.ndarray) -> float:
+        """The least distance of parts on the straight way between two postures (m), m; as far as
+        ``_CLEAR`` of interest.
+        """
+        shares = np.linspace(0.0, 1.0, 1 if np.array_equal(start, end) else _WAY)
+        ways = (self.whole(start + share * (end - start)) for share in shares)
+        return min(self.clearance.nearest(q, below=_CLEAR).distance for q in ways)
+
+    def _stiffness(self, values: np.ndarray) -> float:
+        """How far from dexterous and outstretched a posture (m) is: the ratio of the tip's singular
+        values over its distance from the base.
+        """
+        self.plant.SetPositions(self.true.context, self.whole(values))
+        base = base_body(self.plant).body_frame()
+        jacobian = self.plant.CalcJacobianSpatialVelocity(
+            self.true.context, JacobianWrtVariable.kV, self.tip, np.zeros(3), base, base
+        )[:, NUM_BASE_VELOCITIES + self.moving]
+        jacobian[3:] /= self.reach
+        jacobian[:, self.slides] *= self.reach  # a metre of stroke counts as a radian
+        singular = np.linalg.svd(jacobian, compute_uv=False)
+        away = np.linalg.norm(self.tip.CalcPoseInWorld(self.true.context).translation())
+        return float(singular[0] / max(singular[-1] * away, 1e-9))
+
+
+def _inner_limits(joint: Joint) -> tuple[float, float]:
+    """The part of a joint's range that the motion may use, rad or m."""
+    rest = min(max(0.0, joint.lower), joint.upper)
+    margin = 0.1 * (joint.upper - joint.lower) if joint.is_limited else 0.0
+    reach = _TURN
+    if joint.unit == "m":
+        reach = np.inf if joint.is_limited else _STROKE
+    return max(joint.lower + margin, rest - reach), min(joint.upper - margin, rest + reach)
+
+
+def _effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:
+    """Force per acceleration of each coordinate (..., nv), the others free to react."""
+    return 1.0 / np.diagonal(np.linalg.inv(mass_matrix), axis1=-2, axis2=-1)
+
+
+def _peaks(planned: PlannedDynamics, begin: float = 0.0, end: float | None = None) -> np.ndarray:
+    """Largest forces (nv) of perfect tracking between two times, s."""
+    times = np.linspace(begin, planned.motion.end if end is None else end, _INSTANTS)
+    return np.abs(planned.perfect_tracking(times)[1]).max(axis=0)

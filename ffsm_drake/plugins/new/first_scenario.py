@@ -1,0 +1,300 @@
+"""The starting scenario for a URDF: a folder with a commented YAML file, the URDF as Drake loads
+it, and its meshes.
+"""
+
+import dataclasses
+import re
+import shlex
+import shutil
+import tempfile
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
+from ffsm_drake.common.files import check_writable, published, write_text
+from ffsm_drake.common.interrupts import unfinished
+from ffsm_drake.plugins.design.rounding import rounded
+from ffsm_drake.plugins.design.stability import Margins
+from ffsm_drake.plugins.new.asked import Asked
+from ffsm_drake.plugins.new.first_mission import Draft
+from ffsm_drake.plugins.new.urdf import (
+    Joint,
+    Servicer,
+    Target,
+    make_bus,
+    read_target,
+    read_urdf,
+    write_urdf,
+)
+from ffsm_drake.scenario import Scenario, shipped_scenarios, write_yaml
+from ffsm_drake.spacecraft.plant import check_pictures
+from ffsm_drake.systems.registry import SHIPPED
+
+_TEMPLATE = Path(__file__).with_suffix(".yaml")
+_TARGET = "target"  # folder of a user's
+_PAYLOAD_SHARE = 0.25  # share of the base's mass
+_NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NewScenario:
+    """A scenario that was made from a URDF."""
+
+    servicer: Servicer
+    scenario_file: Path
+    scenario: Scenario
+    peak_force: Mapping[str, float]  # by coordinate, of perfect tracking of the motion, N m or N
+    margins: Mapping[str, Margins]  # stability margins of the paper's mission, by controller
+    remarks: tuple[str, ...]
+
+    @property
+    def payload_mass(self) -> float:
+        """The target's true mass, kg."""
+        return self.scenario.payload.truth.mass
+
+    def data(self) -> dict[str, Any]:
+        """All findings and choices as plain data in SI units; infinite: no limit."""
+        found = self.servicer
+        joint_keys = ("name", "kind", "unit", "lower", "upper", "effort", "velocity")
+        files = sorted(path for path in self.scenario_file.parent.rglob("*") if path.is_file())
+        return {
+            "scenario": str(self.scenario_file),
+            "files": list(map(str, files)),
+            "base": {"link": found.base, "mass": found.base_mass},
+            "total_mass": found.total_mass,
+            "payload_mass": self.payload_mass,
+            "joints": [{key: getattr(joint, key) for key in joint_keys} for joint in found.joints],
+            "tip": found.tip.frame,
+            "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
+            "duration": self.scenario.reference.duration,
+            "peak_force": dict(self.peak_force),
+            "margins": {
+                name: {"verdict": each.verdict, "stable": each.is_stable}
+                for name, each in self.margins.items()
+            },
+            "remarks": list(self.remarks),
+        }
+
+    def summary(self) -> str:
+        """The findings as text: base, joints, tip, masses, margins, and the commands that
+        come next.
+        """
+        found, folder = self.servicer, _relative(self.scenario_file.parent)
+        lines = [
+            f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; "
+            f"holds a target of {self.payload_mass:.4g} kg"
+        ]
+        for k, tip in enumerate((found.tip, *found.other_tips)):
+            length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
+            other = f"            or {tip.frame}, {length}: --tip {tip.frame}"
+            lines.append(other if k else f"tip         {tip.frame}, {length}")
+        lines += ["", f"{'joint':<28}{'kind':<12}{'limits':>24}{'peak force':>14}"]
+        for joint in found.joints:
+            unit, peak = "N" if joint.unit == "m" else "N m", self.peak_force[joint.name]
+            lines.append(
+                f"{joint.name:<28}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}"
+            )
+        lines += ["", f"planned motion of {self.scenario.reference.duration:g} s"]
+        if self.margins:
+            verdicts = (f"{name} {each.verdict}" for name, each in self.margins.items())
+            lines[-1] += f"; sampled loop: {', '.join(verdicts)}"
+        entries = sorted(path.name for path in self.scenario_file.parent.iterdir())
+        scenario = shlex.quote(str(folder / self.scenario_file.name))
+        return "\n".join([
+            *lines,
+            *(["", *(f"- {remark}" for remark in self.remarks)] if self.remarks else []),
+            "",
+            f"Written to {folder}: {', '.join(entries)}",
+            "Next:",
+            *(f"  ffsm {verb} {scenario}" for verb in ("run", "compare", "stability", "design")),
+        ])  # fmt: skip
+
+
+def new_scenario(
+    urdf: str | Path,
+    directory: str | Path,
+    *,
+    tip: str | None = None,
+    packages: Mapping[str, str | Path] | None = None,
+    payload_mass: float | None = None,
+    target: str | Path | None = None,
+    bus_mass: float | None = None,
+    bus_size: tuple[float, ...] | None = None,
+    asked: Asked | None = None,
+) -> NewScenario:
+    """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and
+    its meshes.
+
+    The folder is complete in itself: it can be moved or sent. Nothing is written if an argument is
+    refused.
+
+    Args:
+      urdf: the URDF of base and arm; the base is its root link.
+      directory: the new folder, missing or empty; the scenario gets its name.
+      tip: link or frame that holds the target; None for the end of the longest chain.
+      packages: folders of the packages that mesh addresses name.
+      payload_mass: true mass of the target, a cube of 1 m, kg; None for a quarter of the base's.
+      target: URDF of the target in place of that: one rigid body, and a frame where it is held
+        (``grasp``, or the only one), with z into the target.
+      bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world``
+        says where. The box is the base then.
+      bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
+      asked: sensors, actuators, panels and a grasp; None for the paper's mission.
+
+    Raises:
+      ModelError: the URDF is not that of a free base with an arm; the message says what to change.
+      ScenarioError: an argument cannot be used.
+      RecordError: the folder cannot be written.
+    """
+    urdf, directory = Path(urdf), Path(directory).resolve()
+    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
+    _check_arguments(directory, folders, payload_mass)
+    if bus_size is not None and bus_mass is None:
+        raise ScenarioError("--bus-size", "is that of a bus; give --bus-mass too")
+    if target is not None and payload_mass is not None:
+        raise ScenarioError("--target", "is a mass or a file, not both")
+    bus = None if bus_mass is None else make_bus(bus_mass, bus_size)
+    held = None if target is None else read_target(Path(target))
+    servicer = read_urdf(urdf, tip=tip, bus=bus)
+    mass = rounded(_PAYLOAD_SHARE * servicer.base_mass) if payload_mass is None else payload_mass
+    try:
+        with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
+            folder = Path(temporary) / directory.name
+            folder.mkdir()
+            made = _make(servicer, folder, asked or Asked(), held or mass, packages=folders)
+            with published(directory) as new:
+                shutil.copytree(folder, new, dirs_exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
+    return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
+
+
+def _check_arguments(
+    directory: Path, packages: Mapping[str, Path], payload_mass: float | None
+) -> None:
+    if directory.exists() and not directory.is_dir():
+        raise ScenarioError("DIR", f"{directory} is a file; name a new folder")
+    if directory.is_dir() and any(directory.iterdir()):
+        raise ScenarioError("DIR", f"{directory} is not empty; name a new folder")
+    if directory.name in shipped_scenarios():
+        raise ScenarioError(
+            "DIR", f"'{directory.name}' is the name of a scenario that ships; choose another"
+        )
+    check_writable(directory)
+    for name, folder in packages.items():
+        if not folder.is_dir():
+            raise ScenarioError(f"--package {name}", f"no such folder: {folder}")
+    if payload_mass is not None and not (np.isfinite(payload_mass) and payload_mass > 0.0):
+        raise ScenarioError("--target", f"must be > 0 kg, not {payload_mass:g}")
+
+
+def _make(
+    servicer: Servicer,
+    folder: Path,
+    asked: Asked,
+    target: Target | float,
+    *,
+    packages: Mapping[str, Path],
+) -> NewScenario:
+    """Make everything in a folder that is still temporary, with a target or a cube's mass, kg."""
+    file, text = folder / f"{folder.name}.yaml", _TEMPLATE.read_text(encoding="utf-8")
+    data = yaml.safe_load(text)
+    mission = "Post-capture stabilization" if asked.capture is None else "Capture, to rest,"
+    data["description"] = f"{mission} with {servicer.source.stem}"
+    if asked.is_paper:
+        data["controller"] = Scenario.controller
+    efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
+    data["actuation"] = {"limit": efforts} if efforts else {}
+    asked.fill(data)
+    try:
+        left_out = _write_models(data, servicer, folder, target, packages=packages)
+        draft = Draft(data, asked, servicer, source=str(file))
+        check_pictures(draft.scenario.model)
+        draft.fill()
+        scenario, forces = draft.scenario, draft.motion_forces()
+    except FfsmError as error:
+        # The line numbers in Drake's messages are those of the copy, not of the user's file.
+        told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
+        raise ModelError(told) from error
+    limits = "; ".join(f"{joint.name} {_limits(joint)}" for joint in servicer.joints)
+    named = text.replace("LIMITS", limits).replace("CONTROLLERS", ", ".join(SHIPPED["controller"]))
+    write_text(file, _filled(named, data))
+    return NewScenario(
+        servicer=servicer,
+        scenario_file=file,
+        scenario=scenario,
+        peak_force=dict(zip(draft.coordinates.names, forces.tolist(), strict=True)),
+        margins=draft.margins,
+        remarks=(*servicer.remarks, *left_out, *draft.remarks),
+    )
+
+
+def _write_models(
+    data: dict[str, Any],
+    servicer: Servicer,
+    folder: Path,
+    target: Target | float,
+    *,
+    packages: Mapping[str, Path],
+) -> list[str]:
+    """Write the URDFs, and name them and the payload in a scenario's data; what was left out."""
+    copied = f"{servicer.source.name.removesuffix('.urdf')}.urdf"
+    left_out = [*write_urdf(servicer, folder, file_name=copied, packages=packages)]
+    model, payload = data["model"], data["payload"]
+    model |= {"servicer": copied, "end_effector": f"servicer::{servicer.tip.frame}"}
+    center: tuple[float, ...] = (0.0, 0.0, 0.0)
+    if isinstance(target, Target):
+        name = f"{target.source.name.removesuffix('.urdf')}.urdf"
+        stripped = write_urdf(target, folder / _TARGET, file_name=name, packages=packages)
+        left_out += [f"target: {remark}" for remark in stripped]
+        model |= {"debris": f"{_TARGET}/{name}", "grasp": f"debris::{target.grasp}"}
+        payload["body"] = f"debris::{target.body}"
+        mass, center, inertia = target.mass, target.center_of_mass, target.inertia
+    else:
+        mass, inertia = target, (rounded(target / 6.0),) * 3  # a cube of 1 m
+    for name, share in (("truth", 1.0), ("nominal", _NOMINAL_SHARE)):
+        payload[name] = {
+            "mass": float(f"{share * mass:.10g}"),
+            "center_of_mass": list(center),
+            "inertia": [float(f"{share * moment:.10g}") for moment in inertia],
+        }
+    return left_out
+
+
+def _filled(template: str, data: Mapping[str, Any]) -> str:
+    """The template with a scenario's data in place of its own, block by block; nested values on one
+    line where they are short, empty sections left out.
+    """
+    parts = list[str]()
+    for block in template.split("\n\n"):
+        comment = " ".join(re.findall("^# (.*)", block, re.MULTILINE))
+        wrapped = "".join(f"# {line}\n" for line in textwrap.wrap(comment, 116))
+        kept = {key: data[key] for key in yaml.safe_load(block) if data[key] != {}}
+        for key, value in kept.items():
+            is_nested = isinstance(value, Mapping) and any(
+                isinstance(each, (Mapping, list)) for each in value.values()
+            )
+            wrapped += write_yaml(
+                {key: value},
+                allow_unicode=True,
+                width=100,
+                default_flow_style=None if is_nested else False,
+            )
+        parts += [wrapped] if kept else []
+    return "\n".join(parts)
+
+
+def _limits(joint: Joint) -> str:
+    if not joint.is_limited:
+        return "no limits"
+    return f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}"
+
+
+def _relative(path: Path) -> Path:
+    """Relative to the working directory where that is shorter to type."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

@@ -1,0 +1,24 @@
+"""User-supplied URDFs: reading one, and writing a copy for Drake.
+
+URDFs contain elements of no use for a free-flying spacecraft in Drake: settings of controllers and
+simulators, collision shapes, friction, missing meshes. The copy omits these and lists them. A gap
+to be filled by the author, such as a missing mass, is an error with its remedy.
+"""
+
+from ffsm_drake.plugins.new.urdf.elements import Joint
+from ffsm_drake.plugins.new.urdf.mounting import Bus, make_bus
+from ffsm_drake.plugins.new.urdf.servicer import Servicer, Tip, read_urdf
+from ffsm_drake.plugins.new.urdf.target import Target, read_target
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
+
+__all__ = [
+    "Bus",
+    "Joint",
+    "Servicer",
+    "Target",
+    "Tip",
+    "make_bus",
+    "read_target",
+    "read_urdf",
+    "write_urdf",
+]

@@ -1,0 +1,103 @@
+"""Plain shapes for links without visuals, so that base and arm are visible without meshes."""
+
+import math
+from collections.abc import Collection, Iterator
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ffsm_drake.plugins.new.urdf.elements import (
+    end_of,
+    name_of,
+    read_inertia,
+    read_joint,
+    read_mass,
+    vector,
+)
+
+_COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": "0.48 0.50 0.54 1"}
+
+
+def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> int:
+    """Draw the links of a URDF that have no visual; returns their number.
+
+    A link of the base becomes the box with its moments of inertia. Any other becomes a ball at its
+    joint, with rods of the given radius (m) from there to the joints and frames on it, over the
+    stroke of a sliding joint, or, at the end of a chain, past its centre of mass. So the bodies
+    touch from joint to joint.
+    """
+    drawn = 0
+    for link in root.findall("link"):
+        if link.find("visual") is not None:
+            continue
+        name, has_mass = name_of(link), link.find("inertial") is not None
+        start, ends = np.zeros(3), list(_held_points(root, name))
+        center = vector(link.find("inertial/origin"), "xyz", f"link '{name}'")
+        if name in base_links:
+            box = _equivalent_box(link)
+            if box is not None:
+                _add_visual(link, "box", center, size=box)
+                start, ends = center, [start, *ends]
+        elif ends or has_mass:
+            _add_visual(link, "sphere", start, radius=f"{1.3 * radius:.4g}")
+            ends = [*(ends or [2.0 * center]), *_stroke(root, name)]
+        for end in ends:
+            if np.linalg.norm(end - start) > 0.1 * radius:
+                _add_rod(link, start, end, radius)
+        drawn += link.find("visual") is not None
+    return drawn
+
+
+def _held_points(root: Element, link: str) -> Iterator[np.ndarray]:
+    """The origins (3), in m, of the joints and frames that a link holds."""
+    for joint in root.findall("joint"):
+        if end_of(joint, "parent") == link:
+            yield vector(joint.find("origin"), "xyz", f"joint '{name_of(joint)}'")
+    for frame in root.findall("frame"):
+        if frame.get("link") == link:
+            yield vector(frame, "xyz", f"frame '{name_of(frame)}'")
+
+
+def _stroke(root: Element, link: str) -> Iterator[np.ndarray]:
+    """Ends (3) of a sliding link's stroke in its frame: one or both limits."""
+    for element in root.findall("joint"):
+        joint = read_joint(element)
+        if joint.child == link and joint.unit == "m" and joint.is_limited:
+            axis = vector(element.find("axis"), "xyz", f"joint '{joint.name}'", "1 0 0")
+            yield from (
+                -limit * axis / np.linalg.norm(axis) for limit in (joint.lower, joint.upper)
+            )
+
+
+def _add_rod(link: Element, start: np.ndarray, end: np.ndarray, radius: float) -> None:
+    length = float(np.linalg.norm(end - start))
+    x, y, z = (end - start) / length
+    rpy = f"0 {math.acos(max(-1.0, min(1.0, z))):.6g} {math.atan2(y, x):.6g}"
+    _add_visual(
+        link, "cylinder", 0.5 * (start + end), rpy, radius=f"{radius:.4g}", length=f"{length:.6g}"
+    )
+
+
+def _add_visual(link: Element, kind: str, xyz: np.ndarray, rpy: str = "0 0 0", **size: str) -> None:
+    visual = ElementTree.SubElement(link, "visual")
+    ElementTree.SubElement(visual, "origin", xyz=" ".join(f"{x:.6g}" for x in xyz), rpy=rpy)
+    ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), kind, size)
+    color_visual(visual, f"plain_{kind}", _COLORS[kind])
+
+
+def color_visual(visual: Element, name: str, rgba: str) -> None:
+    """Add a material that is defined in place: its name and colour."""
+    ElementTree.SubElement(
+        ElementTree.SubElement(visual, "material", name=name), "color", rgba=rgba
+    )
+
+
+def _equivalent_box(link: Element) -> str | None:
+    """Sides of the solid box with a link's moments of inertia, m; None if there is no such box."""
+    mass = read_mass(link)
+    if not mass:
+        return None
+    moments = np.diagonal(read_inertia(link))
+    squares = (moments.sum() - 2.0 * moments) * 6.0 / mass
+    return " ".join(f"{side:.4g}" for side in np.sqrt(squares)) if min(squares) > 0.0 else None

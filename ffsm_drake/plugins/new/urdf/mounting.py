@@ -1,0 +1,104 @@
+"""Mounting an arm on a bus: a box of uniform density, with the arm on its +z face."""
+
+import dataclasses
+import math
+from xml.etree.ElementTree import Element, SubElement
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, vector
+from ffsm_drake.spacecraft.checked_urdf import require
+
+DENSITY = 50.0  # kg/m^3, of a bus without a given size; that of the shipped servicer
+_NAME, _MOUNT = "bus", "bus_mount"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Bus:
+    """A box-shaped spacecraft."""
+
+    mass: float  # kg
+    size: tuple[float, float, float]  # m, along x, y, z
+
+    @property
+    def inertia(self) -> tuple[float, float, float]:
+        """Principal moments about its centre, kg m^2."""
+        x, y, z = (side * side for side in self.size)
+        return self.mass * (y + z) / 12.0, self.mass * (x + z) / 12.0, self.mass * (x + y) / 12.0
+
+
+def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
+    """A bus of given mass, kg, and size, m (side of a cube, or three); default: a cube of DENSITY.
+
+    Raises ScenarioError for values that are not positive.
+    """
+    if not (math.isfinite(mass) and mass > 0.0):
+        raise ScenarioError("--bus-mass", f"must be > 0 kg, not {mass:g}")
+    sides = size if size is not None else (round((mass / DENSITY) ** (1.0 / 3.0), 2) or 0.01,)
+    if len(sides) not in (1, 3) or not all(math.isfinite(side) and side > 0.0 for side in sides):
+        raise ScenarioError(
+            "--bus-size",
+            f"must be one side or three, > 0 m, not {','.join(f'{s:g}' for s in sides)}",
+        )
+    x, y, z = sides if len(sides) == 3 else 3 * sides
+    bus = Bus(mass=mass, size=(x, y, z))
+    if not all(0.0 < moment < math.inf for moment in bus.inertia):
+        raise ScenarioError("--bus-size", f"gives {mass:g} kg no usable inertia; use another size")
+    return bus
+
+
+def mount(root: Element, bus: Bus) -> str:
+    """Join the arm of a parsed URDF to a new base link, moving world-fixed links to its +z face.
+
+    Returns: the link of the bus. Raises ModelError if the arm's foot is ambiguous.
+    """
+    links = [name_of(link) for link in root.findall("link")]
+    for joint in root.findall("joint[@type='floating']"):
+        if joint.find(f"parent[@link='{WORLD}']") is not None:
+            root.remove(joint)
+    joints = root.findall("joint")
+    name, mount_name = _free(_NAME, links), _free(_MOUNT, [name_of(joint) for joint in joints])
+    standing = [joint for joint in joints if end_of(joint, "parent") == WORLD]
+    children = {end_of(joint, "child") for joint in joints}
+    roots = [link for link in links if link not in children and link != WORLD]
+    require(
+        len(roots) + bool(standing) == 1,
+        f"one link must be the arm's foot, without a parent, not {len(roots)} "
+        f"({', '.join(roots) or 'none'})"
+        + (" besides links fixed to the world" if standing else ""),
+    )
+    height = 0.5 * bus.size[2]
+    for joint in standing:  # its origin lies on the face
+        parent, origin = joint.find("parent"), joint.find("origin")
+        assert parent is not None
+        parent.set("link", name)
+        x, y, z = vector(origin, "xyz", f"joint '{name_of(joint)}'")
+        (SubElement(joint, "origin") if origin is None else origin).set(
+            "xyz", f"{x:.12g} {y:.12g} {z + height:.12g}"
+        )
+    if not standing:
+        joint = SubElement(root, "joint", name=mount_name, type="fixed")
+        SubElement(joint, "parent", link=name)
+        SubElement(joint, "child", link=roots[0])
+        SubElement(joint, "origin", xyz=f"0 0 {height:.12g}", rpy="0 0 0")
+    root.append(_link(name, bus))
+    return name
+
+
+def _link(name: str, bus: Bus) -> Element:
+    link = Element("link", name=name)
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "mass", value=f"{bus.mass:.12g}")
+    moments = {
+        key: f"{moment:.12g}"
+        for key, moment in zip(("ixx", "iyy", "izz"), bus.inertia, strict=True)
+    }
+    SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
+    geometry = SubElement(SubElement(link, "visual"), "geometry")
+    SubElement(geometry, "box", size=" ".join(f"{side:.12g}" for side in bus.size))
+    return link
+
+
+def _free(name: str, taken: list[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name

@@ -1,0 +1,195 @@
+"""Writing the copy of a URDF that Drake loads, with its meshes, and listing the omissions."""
+
+import copy
+import re
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from ffsm_drake.common.files import write_text
+from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
+from ffsm_drake.plugins.new.urdf.elements import WORLD, name_of, number
+from ffsm_drake.plugins.new.urdf.servicer import Servicer
+from ffsm_drake.plugins.new.urdf.target import Target
+from ffsm_drake.spacecraft.checked_urdf import DRAKE
+from ffsm_drake.spacecraft.model_files import DRAWABLE
+
+# A file name in a mesh: in quotes, between tags, or at the end of a line of a Wavefront file.
+_NAMED_FILE = re.compile(
+    r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
+)
+_REASONS = {
+    "dynamics": "damping and friction left out ({n} times): the equations of motion here have none",
+    "mimic": "<mimic> left out ({n} times): such a joint is controlled on its own",
+    "collision": "collision shapes left out ({n} times): contact is not modelled",
+}
+
+
+def write_urdf(
+    servicer: Servicer | Target, directory: Path, *, file_name: str, packages: Mapping[str, Path]
+) -> tuple[str, ...]:
+    """Write the copy for Drake, with its meshes. Returns the omissions, one per line.
+
+    Args:
+      servicer: the servicer or target read from the original.
+      directory: gets the URDF and a folder ``meshes``.
+      packages: folder of each ROS package in mesh addresses; other packages are searched above the
+        URDF.
+
+    Raises:
+      RecordError, OSError: the folder cannot be written.
+    """
+    root = copy.deepcopy(servicer.root)
+    left_out = _strip(root)
+    _inline_colors(root)
+    remarks = [
+        *_omissions(left_out),
+        *_copy_meshes(root, servicer.source.resolve(), directory / "meshes", packages),
+    ]
+    drawn = draw_bare_links(
+        root, base_links=servicer.base_links, radius=max(0.02 * servicer.reach, 0.01)
+    )
+    if drawn:
+        remarks.append(f"links without a picture drawn as plain bodies: {drawn}")
+    root.set("name", root.get("name") or "servicer")
+    ElementTree.indent(root)
+    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
+    listed = "".join(f"\n  - {remark}" for remark in remarks)
+    comment = f"Made from {servicer.source.name} by 'ffsm new'.{listed}".replace("--", "- -")
+    parts = (
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        *([servicer.header] if servicer.header else []),
+        f"<!-- {comment} -->",
+        ElementTree.tostring(root, encoding="unicode"),
+    )
+    write_text(directory / file_name, "\n".join(parts) + "\n")
+    return tuple(remarks)
+
+
+def _strip(root: Element) -> Counter[str]:
+    """Remove unused elements. Returns the number of meaningful ones removed, by kind."""
+    left_out: Counter[str] = Counter()
+    for element in list(root):
+        parent = element.find("parent")
+        name = element.get("name") if element.tag == "link" else None
+        if WORLD in (name, None if parent is None else parent.get("link")):
+            root.remove(element)
+        elif element.tag not in (
+            "link",
+            "joint",
+            "material",
+            "frame",
+        ) and not element.tag.startswith(DRAKE):
+            root.remove(element)
+            left_out[element.tag] += 1
+    for joint in root.iter("joint"):
+        place = f"joint '{name_of(joint)}'"
+        for tag in ("dynamics", "mimic", "calibration", "safety_controller"):
+            for element in joint.findall(tag):
+                joint.remove(element)
+                if tag != "dynamics" or any(
+                    number(element, key, place, "0") for key in ("damping", "friction")
+                ):
+                    left_out[tag] += 1
+    for link in root.iter("link"):
+        for element in link.findall("collision"):
+            link.remove(element)
+            left_out["collision"] += 1
+        for inertial in link.findall("inertial"):
+            if not any(float(mass.get("value") or 0.0) for mass in inertial.findall("mass")):
+                link.remove(inertial)
+    return left_out
+
+
+def _omissions(left_out: Counter[str]) -> Iterator[str]:
+    for tag, reason in _REASONS.items():
+        if left_out[tag]:
+            yield reason.format(n=left_out[tag])
+    others = [f"<{tag}> ({n} times)" for tag, n in left_out.items() if tag not in _REASONS and n]
+    if others:
+        yield f"left out, not used here: {', '.join(others)}"
+
+
+def _inline_colors(root: Element) -> None:
+    """Define every visual's colour in place, as Drake refuses repeated names; drop textures."""
+    colors: dict[str, str] = {}
+    for material in root.iter("material"):
+        rgba = next((color.get("rgba", "") for color in material.findall("color")), "")
+        if not material.get("name"):
+            material.set("name", rgba)
+        if rgba:
+            colors.setdefault(material.get("name", ""), rgba)
+    for parent in (root, *root.iter("visual")):
+        for material in parent.findall("material"):
+            parent.remove(material)
+            name = material.get("name", "")
+            if parent is not root and name in colors:
+                color_visual(parent, name, colors[name])
+
+
+def _copy_meshes(
+    root: Element, source: Path, folder: Path, packages: Mapping[str, Path]
+) -> Iterator[str]:
+    """Copy the drawable meshes and address the copies; drop other visuals. Yields remarks."""
+    missing: list[str] = []
+    undrawable: list[str] = []
+    places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is None:
+                continue
+            address = mesh.attrib.pop("uri", "")
+            address = mesh.get("filename") or address
+            file = _find_mesh(address, source, packages)
+            if file is None or file.suffix.lower() not in DRAWABLE:
+                link.remove(visual)
+                (missing if file is None else undrawable).append(address)
+                continue
+            place = places.setdefault(file.parent, f"{len(places) + 1}")
+            for each in _with_companions(file):
+                target = folder / place / each.relative_to(file.parent)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(each, target)
+            mesh.set("filename", f"{folder.name}/{place}/{file.name}")
+    for addresses, problem, remedy in (
+        (missing, "not found", "give --package NAME=FOLDER to have them drawn"),
+        (undrawable, "of an undrawable format", f"convert them to {', '.join(DRAWABLE)}"),
+    ):
+        if addresses:
+            # Only the name of an absolute path: the copy should not reveal its author's folders.
+            shown = [
+                each if each.startswith("package://") else Path(each).name
+                for each in dict.fromkeys(addresses)
+            ]
+            yield f"meshes {problem} ({len(addresses)} times, {', '.join(shown[:3])}): {remedy}"
+
+
+def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path | None:
+    """The file of a mesh address: a path relative to the URDF ``source``, or a URL."""
+    scheme, _, rest = address.rpartition("://")
+    if scheme in ("", "file"):
+        candidates = [source.parent / rest]
+    else:
+        package, _, inside = rest.partition("/")
+        folders = [packages[package]] if package in packages else []
+        folders += [above if above.name == package else above / package for above in source.parents]
+        candidates = [folder / inside for folder in folders]
+    return next((file.resolve() for file in candidates if file.is_file()), None)
+
+
+def _with_companions(mesh: Path) -> list[Path]:
+    """A mesh and the files in its folder that it names: materials, textures, buffers."""
+    files = [mesh]
+    for file in files:  # grows during the loop
+        if file.suffix.lower() not in (*DRAWABLE, ".mtl"):
+            continue
+        for named in _NAMED_FILE.findall(file.read_text(encoding="utf-8", errors="replace")):
+            for name in (named.strip(), named.split()[-1]):  # a texture may follow options
+                other = (mesh.parent / name).resolve()
+                if other not in files and other.is_relative_to(mesh.parent) and other.is_file():
+                    files.append(other)
+    return files

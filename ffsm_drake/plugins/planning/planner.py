@@ -1,0 +1,422 @@
+"""Planning of a scenario's motion: first guess, solution, and margins to every limit."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RotationMatrix
+
+from ffsm_drake.common.errors import FfsmError, ScenarioError
+from ffsm_drake.common.so3 import rotation_error
+from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics
+from ffsm_drake.plugins.planning.limits import Margin, MotionLimits, margins, motion_limits
+from ffsm_drake.plugins.planning.program import INSTANTS, PlanningProgram
+from ffsm_drake.plugins.task_space.free_motion import FreeMotion
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    position_errors,
+)
+from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.spacecraft.start import velocity_at_start
+from ffsm_drake.systems.plan import DEGREE, Plan
+from ffsm_drake.systems.reference import SplineMotion
+
+_FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
+_POSTURES = 100  # number of instants for the clearance
+_DURATIONS = np.geomspace(0.0025, 1.0, 31)  # durations of the first guess, as parts of the longest
+_ATTEMPTS = 5  # at limits that are exceeded between the solver's instants
+_ACCURACY = 1e-8  # relative accuracy of the undriven base's final pose
+_AT_REST = 1e-9  # N m s
+_DETOUR = 0.05  # rad; about each axis, of the base in the first guess
+_SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s; decay times of the rates at the end
+_MOST_SEGMENTS = 100  # upper bound of a scenario's setting
+
+
+class PlanningError(FfsmError):
+    """No motion was found that keeps every limit."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedMotionReport:
+    """A plan, and what it takes."""
+
+    plan: Plan
+    solve_time: float  # s of wall time
+    evaluations: int
+    effort: float  # integral of the squared force, up to the plan's duration, as in ISV
+    # by group: integral of the force's size summed over its coordinates, up to the duration
+    impulse: dict[str, float]
+    # |H0| about the centre of mass, N m s, and the least time in which torque on the base alone
+    # takes it out, s
+    angular_momentum: float
+    least_by_torque: float
+    momentum_left: float  # N m s; |H| about the centre of mass at ``plan.duration``
+    # rad; the largest, where momentum turns the base, from its first attitude
+    base_turn: float | None
+    margins: tuple[Margin, ...]
+    times: np.ndarray  # (n,), s, to the end of the plan
+    rows: np.ndarray  # [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
+    force: np.ndarray  # (n, nv), N m and N
+    limits: MotionLimits
+
+    @property
+    def exceeded(self) -> list[Margin]:
+        """Limits that the plan does not keep."""
+        return [margin for margin in self.margins if not margin.kept]
+
+
+def plan_motion(
+    scenario: Scenario,
+    *,
+    progress: Callable[[str], None] = lambda line: None,
+    time_limit: float = math.inf,
+) -> PlannedMotionReport:
+    """Plan the motion of ``scenario.planning``, with the nominal payload.
+
+    Args:
+      scenario: posture and velocity at the start, limits, goal.
+      progress: called with a line about once a second.
+      time_limit: s of wall time for the search; then the best plan within every limit is taken.
+
+    Raises:
+      PlanningError: no motion keeps every limit, or none was found; names the active limit.
+      ModelError, ScenarioError: the model or a value cannot be used.
+    """
+    planner = _Planner(scenario, progress, time_limit)
+    planner.check_momentum()
+    planner.check_ends()
+    return planner.plan()
+
+
+class _Planner:
+    """The steps of planning one motion."""
+
+    def __init__(
+        self, scenario: Scenario, progress: Callable[[str], None], time_limit: float
+    ) -> None:
+        self._begun, self._evaluations = time.perf_counter(), 0
+        self._time_limit = time_limit
+        self._scenario, self._progress = scenario, progress
+        model = self._model = make_nominal_plant(scenario)
+        self._limits = motion_limits(scenario, model)
+        self._clearance = Clearance(scenario.model)
+        self._start = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+        target = configuration(model.plant, scenario.target_posture, key="target_posture")
+        self._target = None if scenario.reference.goal == "stop" else target
+        self._rate = velocity_at_start(scenario, model)
+        self._dynamics = InverseDynamics(model, RotationMatrix(Quaternion(self._start[:4])))
+        if scenario.reference.frame is not None:
+            raise ScenarioError(
+                "reference.frame", "has no effect on a plan, which ends at a posture; leave it out"
+            )
+        if scenario.reference.duration is None:
+            raise ScenarioError(
+                "reference.duration", "is auto; a plan needs its longest duration, s"
+            )
+        self._longest = scenario.reference.duration
+        self._momentum = self._momentum_of(self._start, self._rate)
+        torque = float(np.max(self._limits.force[:3])) / (1.0 - scenario.planning.reserve)
+        self._least = self._momentum / torque  # s; by torque on the base alone
+
+    def _momentum_of(self, q: np.ndarray, v: np.ndarray) -> float:
+        """Angular momentum about the centre of mass, N m s."""
+        plant, context = self._model.plant, self._model.context
+        plant.SetPositionsAndVelocities(context, np.r_[q, v])
+        center = plant.CalcCenterOfMassPositionInWorld(context)
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, center).rotational()
+        return float(np.linalg.norm(momentum))
+
+    def check_momentum(self) -> None:
+        """Raise ScenarioError if joints alone would have to remove angular momentum."""
+        if "base_rotation" in self._scenario.undriven and self._momentum > _AT_REST:
+            raise ScenarioError(
+                "actuation.driven",
+                f"joints alone cannot take out the angular momentum of {self._momentum:.3g} N m s, "
+                "and this planner cannot handle it; have base_rotation driven, or take "
+                "reference.kind quintic",
+            )
+
+    def check_ends(self) -> None:
+        """Raise PlanningError if the start or the goal is beyond a limit, which no plan can
+        mend.
+        """
+        names, units = self._model.coordinates.names, self._model.coordinates.units
+        limits, rate = self._limits, self._rate
+        for i in np.flatnonzero(np.abs(rate) > limits.rate):
+            raise PlanningError(
+                f"no plan: {names[i]} starts at {rate[i]:.4g} {units[i]}/s, beyond its limit of "
+                f"{limits.rate[i]:.4g}"
+            )
+        for what, posture in (("initial_posture", self._start), ("target_posture", self._target)):
+            if posture is None:
+                continue
+            joints = np.r_[np.zeros(NUM_BASE_VELOCITIES), posture[NUM_BASE_POSITIONS:]]
+            for i in np.flatnonzero((joints < limits.lower) | (joints > limits.upper)):
+                span = f"{limits.lower[i]:.4g} to {limits.upper[i]:.4g} {units[i]}"
+                raise PlanningError(
+                    f"no plan: {what}: {names[i]} at {joints[i]:.4g}, outside its limits {span}"
+                )
+            nearest = self._clearance.nearest(posture)
+            if nearest.distance < self._scenario.clearance:
+                raise PlanningError(
+                    f"no plan: {what}: {nearest.first} and {nearest.second} are "
+                    f"{nearest.distance:.3g} m apart, below clearance "
+                    f"({self._scenario.clearance:g} m)"
+                )
+
+    def plan(self) -> PlannedMotionReport:
+        """The plan from the first guess that leads to one. Raises PlanningError if none does."""
+        undriven = bool(self._scenario.undriven)
+        dynamics = FreeDynamics(self._dynamics, self._model.coordinates) if undriven else None
+        # An impulse limit leaves no room for a detour; without, that comes first.
+        straight = self._scenario.planning.impulse_limit or undriven
+        failures = []
+        for angle in (0.0, _DETOUR) if straight else (_DETOUR, 0.0):
+            problem = self._problem(dynamics or self._dynamics)
+            found, said = self._solved(problem, self._first_guess(problem, angle))
+            if not found.exceeded:
+                return self._settled(found)
+            failures.append((said, found))
+            if self._is_over:
+                break
+            self._progress(f"first guess {len(failures)}: {said}")
+        raise PlanningError(self._why_not(failures))
+
+    @property
+    def _is_over(self) -> bool:
+        return time.perf_counter() - self._begun > self._time_limit
+
+    def _problem(self, dynamics: InverseDynamics | FreeDynamics) -> PlanningProgram:
+        scenario, driven = self._scenario, self._model.coordinates.driven
+
+        def report(evaluations: int, duration: float, worst: float) -> None:
+            self._progress(
+                f"{evaluations} evaluations in {time.perf_counter() - self._begun:.0f} s: "
+                f"duration {duration:.3f} s, force up to {worst:.2f} of its limit"
+            )
+
+        start, goal = self._driven_ends()
+        return PlanningProgram(
+            dynamics=dynamics, planning=scenario.planning, limits=self._limits.of(driven),
+            start=start, rate=self._rate[driven], goal=goal, shortest=scenario.sample_time,
+            longest=self._longest, clearance=self._clearance if scenario.clearance > 0.0 else None,
+            distance=scenario.clearance, report=report, is_over=lambda: self._is_over,
+        )  # fmt: skip
+
+    def _driven_ends(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """z at the start and at the goal, if there is one, of what is driven."""
+        driven, goal = self._model.coordinates.driven, self._target
+        start = np.r_[np.zeros(3), self._start[4:]][driven]
+        if goal is None:
+            return start, None
+        return start, np.r_[rotation_error(goal[:4], self._start[:4]), goal[4:]][driven]
+
+    def _first_guess(self, problem: PlanningProgram, angle: float) -> np.ndarray:
+        """The fifth-order polynomial from the start, at its rate, to rest, in the shortest feasible
+        of a few times, with a detour of the base's attitude, rad.
+
+        Without a detour a solver never leaves the plane of its first guess.
+        """
+        start, goal = self._driven_ends()
+        best, least = np.empty(0), np.inf
+        for duration in np.unique(np.clip(_DURATIONS * self._longest, *problem.durations)):
+            first = self._rate[self._model.coordinates.driven] * duration
+            change = 0.5 * first if goal is None else goal - start
+
+            def curve(
+                share: np.ndarray, change: np.ndarray = change, first: np.ndarray = first
+            ) -> np.ndarray:
+                x = share[:, None]
+                return (
+                    start
+                    + first * x
+                    + (10 * change - 6 * first) * x**3
+                    + (8 * first - 15 * change) * x**4
+                    + (6 * change - 3 * first) * x**5
+                )
+
+            guess = problem.guess(curve, duration)
+            worst = problem.worst(guess)
+            if worst < least:
+                best, least, taken = guess, worst, duration
+            if worst <= 1.0:
+                break
+        self._progress(f"first guess: fifth-order polynomial of {taken:.2f} s")
+        turned = np.arange(start.size) < 3
+        return best + problem.guess(
+            lambda share: angle * np.sin(np.pi * share[:, None]) ** 2 * turned, 0.0
+        )
+
+    def _solved(
+        self, problem: PlanningProgram, unknowns: np.ndarray
+    ) -> tuple[PlannedMotionReport, str]:
+        """A plan from a first guess, with the solver's message.
+
+        Between the solver's instants a limit may be exceeded: the search then continues with a
+        smaller share of it.
+        """
+        before = self._evaluations
+        unknowns, _ = problem.solve(unknowns, moving=False)
+        for attempt in range(_ATTEMPTS):
+            unknowns, said = problem.solve(unknowns, moving=attempt == 0)
+            self._evaluations = before + problem.evaluations
+            found = self._evaluated(self._plan_of(unknowns))
+            is_last = attempt == _ATTEMPTS - 1 or self._is_over
+            if not found.exceeded or said == "InfeasibleConstraints" or is_last:
+                break
+            driven = self._model.coordinates.driven
+            used = {margin.quantity: margin for margin in found.margins}
+            turn, near = used.get("turn"), used.get("clearance")
+            problem.tighten(
+                np.abs(found.force[:, driven]) / self._limits.force[driven],
+                0.0 if turn is None else turn.value / turn.limit,
+                0.0 if near is None else near.excess,
+                where=attempt < _ATTEMPTS // 2,
+            )
+        return found, said
+
+    def _plan_of(self, unknowns: np.ndarray) -> Plan:
+        """The plan with these unknowns.
+
+        Columns of undriven coordinates hold position and rate at the start alone, by which a run
+        knows their momentum.
+        """
+        coordinates, segments = self._model.coordinates, self._scenario.planning.segments
+        points, (duration,), change = np.split(unknowns, [-segments - 1, -segments])
+        lengths = duration / segments + change
+        every = np.tile(np.r_[np.zeros(3), self._start[4:]], (segments + DEGREE, 1))
+        every[1:] += self._rate * lengths[0] / DEGREE
+        second = every[1].copy()
+        every[:, coordinates.driven] = points.reshape(len(every), -1)
+        # Constraints met within the solver's tolerance are enforced exactly.
+        every[1] = second
+        if self._scenario.planning.end_rate == 0.0:
+            every[-2] = every[-1]
+        return Plan(
+            duration=float(duration),
+            settle=0.0,
+            first_attitude=tuple(self._start[:4].tolist()),
+            coordinates=coordinates.names,
+            knots=np.r_[0.0, np.cumsum(lengths[:-1]) / duration, 1.0],
+            control_points=every,
+        )
+
+    def _evaluated(self, plan: Plan) -> PlannedMotionReport:
+        """Cost and limits of a plan, between the solver's instants too."""
+        model, limits, times = self._model, self._limits, plan.instants(_FINE)
+        size = len(model.coordinates.names)
+        if model.coordinates.undriven:
+            sample_time = self._scenario.sample_time
+            planned = SplineMotion(plan, coordinates=model.coordinates, sample_time=sample_time)
+            followed = FreeMotion(planned, model=model, sample_time=sample_time)
+            followed.accuracy = _ACCURACY
+            rows = followed.rows(times)
+            force = model.calc_tracking_force(*np.split(rows, [size + 1, 2 * size + 1], axis=1))
+        else:
+            rows, force = plan.rows(times), self._dynamics.force(*plan.curve(times)).T
+        # The impulse is limited up to the planned duration.
+        main = times <= plan.duration
+        impulse = np.trapezoid(np.abs(force[main]), times[main], axis=0)
+        turns = np.linalg.norm(position_errors(rows, rows[:1])[:, :3], axis=1)
+        found = margins(limits, model, times, rows, force, impulse)
+        found += self._other_margins(times, rows[:, : size + 1], turns)
+        if (end_rate := self._scenario.planning.end_rate) > 0.0:
+            driven = model.coordinates.driven
+            last = rows[main][-1, size + 1 + driven]
+            k = int(np.argmax(np.abs(last)))
+            found.append(
+                Margin(
+                    quantity="end rate", name=model.coordinates.names[driven[k]],
+                    value=float(last[k]), limit=end_rate, time=plan.duration,
+                    unit=f"{model.coordinates.units[driven[k]]}/s",
+                )
+            )  # fmt: skip
+        return PlannedMotionReport(
+            plan=plan,
+            solve_time=time.perf_counter() - self._begun,
+            evaluations=self._evaluations,
+            effort=float(np.trapezoid((force[main] ** 2).sum(axis=1), times[main])),
+            impulse={
+                group: float(impulse[part].sum())
+                for group, part in model.coordinates.groups.items()
+            },
+            angular_momentum=self._momentum,
+            least_by_torque=self._least,
+            momentum_left=self._momentum_of(*np.split(rows[main][-1, : 2 * size + 1], [size + 1])),
+            base_turn=None if model.coordinates.is_driven[0] else float(turns.max()),
+            margins=tuple(found),
+            times=times,
+            rows=rows,
+            force=force,
+            limits=limits,
+        )
+
+    def _other_margins(
+        self, times: np.ndarray, positions: np.ndarray, turns: np.ndarray
+    ) -> Iterator[Margin]:
+        """Margins of the base's turn and of the distances between parts."""
+        limit, k = self._scenario.planning.base_attitude_limit, int(np.argmax(turns))
+        if limit is not None:
+            yield Margin(
+                quantity="turn", name="base", value=float(turns[k]), limit=limit,
+                time=float(times[k]), unit="rad",
+            )  # fmt: skip
+        if self._clearance.pairs:
+            every = max(1, len(times) // _POSTURES)
+            approach = self._clearance.along(positions[::every])
+            nearest = approach.nearest
+            yield Margin(
+                quantity="clearance", name=f"{nearest.first}, {nearest.second}",
+                value=nearest.distance, limit=self._scenario.clearance,
+                time=float(times[every * approach.index]), unit="m", at_least=True,
+            )  # fmt: skip
+
+    def _settled(self, found: PlannedMotionReport) -> PlannedMotionReport:
+        """The plan with the shortest time for the rates at its end to die away within limits.
+
+        Raises PlanningError if none is.
+        """
+        if self._scenario.planning.end_rate == 0.0:
+            return found
+        for settle in _SETTLES:
+            found = self._evaluated(dataclasses.replace(found.plan, settle=settle))
+            if not found.exceeded:
+                return found
+        raise PlanningError(
+            f"no plan: the rates left by planning.end_rate do not die away in {settle:g} s; "
+            f"active limit: {found.exceeded[0]}"
+        )
+
+    def _why_not(self, failures: list[tuple[str, PlannedMotionReport]]) -> str:
+        """One line: the active limit, and a suggestion."""
+        if self._least > self._longest:
+            return (
+                f"no plan: base torque within actuation.limit takes {self._least:.3g} s to take "
+                f"out the angular momentum of {self._momentum:.3g} N m s, more than "
+                f"reference.duration ({self._longest:g} s)"
+            )
+        tried = ", ".join(said for said, _ in failures)
+        worst = max(
+            (margin for _, found in failures for margin in found.exceeded),
+            key=lambda margin: margin.excess / max(abs(margin.limit), 1e-3),
+        )
+        if self._is_over:
+            return (
+                f"no plan that keeps every limit within {self._time_limit:g} s of search; active "
+                f"limit: {worst}; give it more time, or fewer planning.segments"
+            )
+        segments = self._scenario.planning.segments
+        more = min(2 * segments, _MOST_SEGMENTS)
+        segments = more if more > segments else segments // 2
+        return (
+            f"no plan in {self._longest:g} s keeps every limit ({tried}); active limit: {worst}; "
+            f"try planning.segments {segments} or a longer reference.duration"
+        )

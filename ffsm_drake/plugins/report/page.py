@@ -1,0 +1,339 @@
+"""The page: gathers results, panels, findings, stability and provenance of the runs, and renders
+them as one file.
+"""
+
+import functools
+import math
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ffsm_drake.common.errors import BlockError, FfsmError, RecordError, one_line
+from ffsm_drake.common.files import write_text
+from ffsm_drake.common.numbers import NONE, number
+from ffsm_drake.plugins.analysis import Finding, analyze
+from ffsm_drake.plugins.capture.page import grasp_of
+from ffsm_drake.plugins.design.panels import stability_views
+from ffsm_drake.plugins.design.stability import Margins, stability
+from ffsm_drake.plugins.design.verdict import helpful_remarks
+from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
+from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
+from ffsm_drake.plugins.report.provenance import provenance, software
+from ffsm_drake.plugins.report.time_panels import points_per_curve, run_views
+from ffsm_drake.runs.ending import (
+    DIVERGED,
+    FAILED,
+    GROWING,
+    INTERRUPTED,
+    NOT_CAPTURED,
+    NOT_SETTLED,
+    SETTLED,
+    SETTLED_OVER,
+)
+from ffsm_drake.runs.limits import broken_limits
+from ffsm_drake.runs.reading import IDENTIFIER
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.show.page import embedded, render
+from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.results import Result, results_of
+from ffsm_drake.show.style import GROUP_TITLES
+from ffsm_drake.show.tables import margins_data
+
+_STATUS_TONES = {
+    SETTLED: "good",
+    NOT_SETTLED: "warn",
+    INTERRUPTED: "warn",
+    GROWING: "bad",
+    **dict.fromkeys(NOT_CAPTURED, "bad"),
+    DIVERGED: "bad",
+    FAILED: "bad",
+}
+_FINDING_TONES = {
+    "holds": "good",
+    "does not hold": "bad",
+    "measured": "mute",
+    "not tested": "mute",
+    "not applicable": "mute",
+}
+# Section key -> title, text, and the sentence for records without data for it.
+_SECTIONS = {
+    "motion": (
+        "Motion",
+        "Attitude of the base, its position, and the joints; the reference dotted.",
+        "The records hold no motion.",
+    ),
+    "end_effector": (
+        "End effector",
+        "Path of the end effector, and its distance from the reference. Drag to turn, scroll "
+        "to zoom.",
+        "The records hold no path of the end effector.",
+    ),
+    "error": (
+        "Tracking error",
+        "Reference minus truth, e = q_d - q, by coordinate.",
+        "The records hold no errors.",
+    ),
+    "force": (
+        "Forces and torques",
+        "Commanded forces of base and joints, and the disturbance.",
+        "The records hold no forces.",
+    ),
+    "sliding": (
+        "Sliding variable and gains",
+        "The sliding variable s, and the gains K_s and G where the controller adapts them.",
+        "These controllers record no sliding variable and no adaptive gains.",
+    ),
+}
+
+T = TypeVar("T")
+Json = dict[str, Any]
+
+
+class MissingWarning(UserWarning):
+    """A section of a page has no content, since a block of the run's loop fails."""
+
+
+def write_report(
+    records: Sequence[RunRecord],
+    path: Path,
+    *,
+    title: str | None = None,
+    recording: str | None = None,
+    distances: Sequence[float] | None = None,
+) -> Path:
+    """Write one self-contained HTML page about one or several runs; it opens from disk, without a
+    network.
+
+    A section that does not apply to a run contains a note. The same records give the same bytes.
+    Returns the path.
+
+    Args:
+      records: the runs to show and compare, in the order of the table's columns.
+      path: the file to write.
+      title: the page's heading; default: the scenario's description.
+      recording: the text of a self-contained Meshcat page, to be played within this one.
+      distances: each run's controller's distance to the LQG limit (``control_design.limit``), for
+        the table.
+
+    Raises:
+      RecordError: there is no record, or the file cannot be written.
+    """
+    path = Path(path)
+    if not records:
+        raise RecordError(f"{path}: a report needs at least one record, none was given")
+    page = render_report(
+        records, folder=path.parent, title=title, recording=recording, distances=distances
+    )
+    write_text(path, page)
+    return path
+
+
+def render_report(
+    records: Sequence[RunRecord],
+    *,
+    folder: Path = Path(),
+    title: str | None = None,
+    recording: str | None = None,
+    distances: Sequence[float] | None = None,
+) -> str:
+    """The page of ``write_report`` as text; ``records`` holds at least one, and paths start at
+    ``folder``.
+    """
+    results = results_of(records)
+    thin = Thinning(points_per_curve(results))
+    margins = [
+        _attempt("stability", result, functools.partial(stability, result.record.scenario))
+        for result in results
+    ]
+    views = run_views(results, thin)
+    of_parts = {
+        f"part_{re.sub(r'[^a-z0-9]+', '_', title.lower())}": (title, part.about)
+        for title, part in part_sections(results).items()
+    }
+    views |= {key: part_views(results, thin, title) for key, (title, _) in of_parts.items()}
+    views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
+    sections = _SECTIONS | {
+        key: (heading, part_text(results, heading, about), "")
+        for key, (heading, about) in of_parts.items()
+    }
+    content: Json = {
+        **_heading(records, title),
+        "results": results,
+        "summary": _summary(results),
+        "remarks": [_remarks(result) for result in results],
+        "settled_rule": _settled_rule(records[0].scenario),
+        "table": table(results, distances),
+        "table_notes": table_notes(results, distances),
+        "rankings": rankings(results) if len(results) > 1 else [],
+        "recording": recording,
+        "sections": [
+            {"key": key, "title": heading, "text": text if key in views else nothing}
+            for key, (heading, text, nothing) in sections.items()
+        ],
+        "views": views,
+        "part_tables": {
+            key: part_tables(results, heading) for key, (heading, _) in of_parts.items()
+        },
+        "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],
+        "thinning": _thinning(thin),
+        "findings": [_findings(result) for result in results],
+        "stability": [
+            _stability(result, *margin) for result, margin in zip(results, margins, strict=True)
+        ],
+        "provenance": provenance(results, folder),
+        "software": software(records),
+        "tones": _STATUS_TONES,
+        "finding_tones": _FINDING_TONES,
+        "plots": embedded(views),
+    }
+    return render("report.html.j2", content)
+
+
+def _heading(records: Sequence[RunRecord], title: str | None) -> Json:
+    """Titles of the page, and which records it shows."""
+    descriptions = list(dict.fromkeys(record.scenario.description for record in records))
+    named = title or len(descriptions) > 1
+    return {
+        "title": title or descriptions[0] or "Run report",
+        "kicker": "; ".join(descriptions) if named else "free-flying space manipulator",
+        "identifier": IDENTIFIER,
+        "shown": [
+            (controller_key(record.scenario.controller), record.identifier)
+            for record in records
+            if record.identifier
+        ],
+        "version": records[0].software.get("ffsm-drake", ""),
+    }
+
+
+def _settled_rule(scenario: Scenario) -> str:
+    within = dict.fromkeys(
+        f"{1e3 * scenario.tolerance_of(group):g} m{'m' if group == 'base_position' else 'rad'}"
+        for group in GROUP_TITLES
+    )
+    return (
+        f"Settled means: over the last {SETTLED_OVER:g} s every error stays within "
+        f"{' and '.join(within)}."
+    )
+
+
+def _attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:
+    """Result of ``make``, or the reason for its absence: a failing section must not prevent the
+    report.
+
+    Warns (MissingWarning) if a block fails.
+    """
+    try:
+        return make(), ""
+    except FfsmError as error:
+        if isinstance(error, BlockError):
+            name = result.record.scenario.controller
+            text = f"{name}: the report lacks its {section}: {one_line(error)}"
+            warnings.warn(text, MissingWarning, stacklevel=4)
+        return None, one_line(error)
+    except KeyError as error:  # a variable missing in the record, a controller without a law
+        return None, (
+            "there is no "
+            f"{one_line(error).strip(chr(34)).removeprefix('No variable named ').split('. ')[0]}"
+        )
+
+
+def _summary(results: Sequence[Result]) -> str:
+    if len(results) == 1:
+        return f"One run of {results[0].label}, {results[0].record.outcome.time:g} s of flight."
+    counted = {
+        status: sum(result.status == status for result in results) for status in _STATUS_TONES
+    }
+    return f"{len(results)} runs compared: {_tally(counted)}."
+
+
+def _remarks(result: Result) -> Json:
+    """Limits exceeded in a run, and remedies for a failed run or saturated actuators."""
+    record = result.record
+    if not record.dataset.sizes.get("time", 0):
+        return {"broken": [], "helps": []}
+    broken, _ = _attempt(
+        "limits", result, functools.partial(broken_limits, record.scenario, record.dataset)
+    )
+    helps, _ = _attempt("advice", result, functools.partial(helpful_remarks, record))
+    said = [f"{remark[:1].upper()}{remark[1:]}." for remark in helps or ()]
+    return {"broken": broken or [], "helps": said}
+
+
+def _tally(counted: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {word}" for word, count in counted.items() if count)
+
+
+def _thinning(thin: Thinning) -> str:
+    if thin.longest <= thin.points:
+        return "The plots show every control sample."
+    return (
+        f"Curves of more than {thin.points} samples are thinned for display (the longest has "
+        f"{thin.longest}): the smallest and the largest value of each short interval are drawn, to "
+        f"keep all peaks. The record itself "
+        "is whole, and every figure on this page is computed from all samples."
+    )
+
+
+def _findings(result: Result) -> Json:
+    findings: tuple[Finding, ...] = ()
+    excuse = "The record has no sample to analyse."
+    if result.record.dataset.sizes.get("time", 0):
+        analysis, problem = _attempt("analysis", result, functools.partial(analyze, result.record))
+        findings = () if analysis is None else analysis.findings
+        excuse = problem and f"The analysis is not available for this run: {problem}."
+    counted = {
+        verdict: sum(finding.verdict == verdict for finding in findings)
+        for verdict in _FINDING_TONES
+    }
+    return {"result": result, "findings": findings, "excuse": excuse, "tally": _tally(counted)}
+
+
+def _stability(result: Result, margins: Margins | None, problem: str) -> Json:
+    """The run's line of the stability table and its limits by coordinate, or why there are none."""
+    if margins is None:
+        excuse = f"{result.label}: the stability of the loop is not available: {problem}."
+        return {"result": result, "excuse": excuse, "limits": {}}
+    axes, data = margins.axes, margins_data(margins)
+    adapts = axes is not None and axes.has_k_s
+    items = data["coordinates"]
+    limits = [item["k_s_limit"] for item in items.values() if math.isfinite(item["k_s_limit"])]
+    highest = [item["k_s_expected"] for item in items.values()]
+    period = f"{1e3 * margins.scenario.sample_time:.3g}"
+    longest = NONE if axes is None else f"{1e3 * axes.sample_time_limit.min():.3g}"
+    expected = max(loop.spectral_radius for loop in margins.loops_expected)
+    return {
+        "result": result,
+        "excuse": "",
+        "cells": [
+            _span(*data["eta"]),
+            f"{data['spectral_radius']:.5f}",
+            f"{expected:.5f}" if adapts else NONE,
+            f"{max(highest):.3g} / {min(limits):.3g}" if adapts else NONE,
+            f"{period} / {longest}",
+        ],
+        "tone": "bad"
+        if not margins.is_stable
+        else "good"
+        if margins.verdict == "stable"
+        else "warn",
+        "verdict": margins.verdict,
+        "limits": {
+            name: [
+                *(
+                    number(item[f"k_s_{key}"]) if adapts else NONE
+                    for key in ("start", "expected", "bound", "limit")
+                ),
+                number(1e3 * item["sample_time_limit"]),
+                _span(*item["eta_tolerated"]),
+            ]
+            for name, item in items.items()
+        },
+    }
+
+
+def _span(low: float, high: float) -> str:
+    return f"{number(low, 3)} to {number(high, 3)}"

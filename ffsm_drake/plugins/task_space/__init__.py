@@ -1,0 +1,1 @@
+"""Laws and references for a frame, and for undriven coordinates."""

@@ -1,0 +1,296 @@
+"""Resolved motion rate: joint rates for a frame's motion along its path, with J*.
+
+The joint rates u solve tasks by least squares in order of priority, each in the null space of its
+predecessors:
+
+    frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task),
+                                          V_0: the frame's twist with u = 0
+    hold    F u = 0                       F: rows of -H_uu^-1 H_ua for the held base coordinates
+
+and the rest of the null space goes to the joints' own rate: zero, or towards the target posture.
+The frame's task is damped where its Jacobian has singular values s below ``damping`` e: 1/s becomes
+s (2 e^2 - s^2) / e^4, the damped least squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2),
+once differentiable in s, and at most sqrt(32/27)/e = 1.09/e. (Nakamura 1991, "Advanced Robotics",
+chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
+"""
+
+import dataclasses
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.multibody.tree import Frame
+
+from ffsm_drake.common.so3 import quaternion_rate
+from ffsm_drake.plugins.task_space.free_motion import MomentumMotion
+from ffsm_drake.scenario import FrameGoal
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    position_errors,
+)
+from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.frame_path import FramePath
+from ffsm_drake.systems.planned_motion import PlannedMotion
+
+# rows of a twist
+_ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}
+_RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
+_STEP = 1e-4  # s; step of the difference quotient along the motion
+_INSTANTS = 201  # samples for a report
+_SLOWEST = 1e-3  # m/s; bound of the feedback for a frame at rest
+MISSED = 1e-6  # rad, m; smallest deviation that counts as missing the path
+
+
+def damped_inverse(sizes: np.ndarray, damping: float) -> np.ndarray:
+    """Damped inverses of singular values s: 1/s from ``damping`` on, less below, zero at zero.
+
+    At most 1.09/damping.
+    """
+    share = np.minimum(sizes / damping, 1.0)
+    return share * (2.0 - share**2) / np.maximum(sizes, damping)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Resolution:
+    """Accuracy of a resolved motion on its path, at times (n,)."""
+
+    times: np.ndarray  # (n) s
+    # (n) smallest non-zero singular value of the task's Jacobian; infinite without a task
+    smallest: np.ndarray
+    # (n) rad; angle between the frame's attitude and the path's; zero if not prescribed
+    attitude_miss: np.ndarray
+    position_miss: np.ndarray  # (n) m; distance of the frame's origin from the path's
+    joint_rate: np.ndarray  # (n) rad/s or m/s; norm of the joints' rates
+    base_turn: np.ndarray  # (n) rad; rotation of the base from its first attitude
+    base_shift: np.ndarray  # (n) m; distance of the base from its first position
+
+    @property
+    def missed(self) -> bool:
+        """True if the frame leaves the path."""
+        return bool(np.fmax(self.attitude_miss, self.position_miss).max() > MISSED)
+
+
+class _Resolved(NamedTuple):
+    """Velocities and task errors in configurations (n, nq)."""
+
+    v: np.ndarray  # (n, nv)
+    smallest: np.ndarray  # (n) singular value of the frame's task
+    error: np.ndarray  # (n, rows of the task) from the frame to its path
+
+
+class ResolvedMotion(MomentumMotion):
+    """Motion of a frame along its path; the null space follows the given motion."""
+
+    # the feedback corrects errors, and velocities follow from the configuration
+    accuracy = 1e-9
+
+    def __init__(
+        self,
+        wanted: PlannedMotion,
+        *,
+        path: FramePath,
+        goal: FrameGoal,
+        frame: Frame,
+        model: PlantModel,
+        sample_time: float,
+        content: tuple[Any, ...] = (),
+    ) -> None:
+        """Args:
+        wanted: the motion without the frame.
+        path: path of the frame.
+        goal: goal of the frame.
+        frame: the frame.
+        model, sample_time, content: see ``MomentumMotion``.
+        """
+        self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
+        coordinates = model.coordinates
+        # indices among the driven coordinates
+        self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)
+        self._base = coordinates.driven[: self._arm[0]]  # indices in v of driven base coordinates
+        held = coordinates.indices(goal.hold, key="reference.frame.hold")
+        # Indices among the undriven coordinates.
+        self._held = np.flatnonzero(
+            np.isin(np.delete(np.arange(len(coordinates.names)), coordinates.driven), held)
+        )
+        self._task = _ROWS[goal.task]
+        times = np.linspace(0.0, path.end, _INSTANTS)
+        # bounds of the feedback
+        self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))
+        self._fastest = float(path.blend.blend(times)[1].max())
+        q, v, _ = wanted.evaluate(0.0)
+        self._posture = goal.joints == "target_posture" or goal.task == "none"
+        self._first_rate = v[NUM_BASE_VELOCITIES:]
+        stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
+        self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
+        # True if the base moves while the joints rest.
+        self._moves = bool(self._base.size or stack.momentum(v).any())
+        super().__init__(
+            model=model,
+            position=q,
+            velocity=v,
+            sample_time=sample_time,
+            end=path.end,
+            content=content,
+        )
+
+    def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        return self._resolved(q[None], self._inputs(np.array([time]))[0]).v[0]
+
+    def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        return self.velocity(time, q)[self._driven]
+
+    def driven_motion(
+        self, times: np.ndarray, q: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        inputs, change = self._inputs(times)
+        v = self._resolved(q, inputs).v
+        # Inputs of the rates are extrapolated linearly: central differences need no more.
+        rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
+        after, before = (
+            self._resolved(q + h * rate, inputs + h * change).v for h in (_STEP, -_STEP)
+        )
+        return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
+
+    def velocities(self, times: np.ndarray) -> np.ndarray:
+        return self._resolved(self._integrated(times), self._inputs(times)[0]).v
+
+    def resolution(self, times: np.ndarray | None = None) -> Resolution:
+        """Accuracy on the path at times (n,), s; default: over the motion."""
+        times = np.linspace(0.0, self.end, _INSTANTS) if times is None else times
+        q = self._integrated(times)
+        found, miss = self._resolved(q, self._inputs(times)[0]), np.zeros((times.size, 6))
+        miss[:, self._task] = found.error
+        moved = position_errors(q, np.tile(self._first, (times.size, 1)))
+        return Resolution(
+            times=times,
+            smallest=found.smallest,
+            attitude_miss=np.linalg.norm(miss[:, :3], axis=1),
+            position_miss=np.linalg.norm(miss[:, 3:], axis=1),
+            joint_rate=np.linalg.norm(found.v[:, NUM_BASE_VELOCITIES:], axis=1),
+            base_turn=np.linalg.norm(moved[:, :3], axis=1),
+            base_shift=np.linalg.norm(moved[:, 3:6], axis=1),
+        )
+
+    def remarks(self) -> list[str]:
+        """Deviation from the path and its cause: a line, or none."""
+        found, damping = self.resolution(), self._goal.damping
+        if not found.missed:
+            return []
+        miss = np.hypot(found.attitude_miss, found.position_miss)
+        worst, nearest = int(np.argmax(miss)), int(np.argmin(found.smallest))
+        sizes = [
+            f"{found.position_miss[i]:.3g} m and {found.attitude_miss[i]:.3g} rad"
+            for i in (worst, -1)
+        ]
+        why = (
+            "the joints"
+            + (" and the held coordinates" if self._goal.hold else "")
+            + " leave too little freedom"
+        )
+        if found.smallest[nearest] < damping:
+            why = (
+                "it is damped near a dynamic singularity, with a singular value of "
+                f"{found.smallest[nearest]:.3g} at "
+                f"t = {found.times[nearest]:.3g} s (reference.frame.damping {damping:g})"
+            )
+        return [
+            f"reference.frame: the plan misses its path by up to {sizes[0]} at t = "
+            f"{found.times[worst]:.3g} s "
+            f"and by {sizes[1]} at its end: {why}"
+        ]
+
+    def _inputs(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs of the joint rates beside the configuration, (n, .), and their rates of change.
+
+        Pose (quaternion, position) and twist of the frame, driven base velocities, positions and
+        rates of the joints' own motion, the gain towards these positions, 1/s, and the fraction of
+        the first reaction.
+        """
+        path, coordinates, arm = (
+            self._path.rows(times),
+            self._model.coordinates,
+            self._first_rate.size,
+        )
+        turn = quaternion_rate(path[:, :4].T, path[:, 7:10].T).T
+        _, slow, slower = (column[:, None] for column in self._path.blend.stop(times))
+        _, speed, acceleration = (column[:, None] for column in self._path.blend.blend(times))
+        pull, rest = self._goal.feedback / self._fastest, np.zeros((times.size, arm))
+        q = v = a = rest
+        if self._posture or self._base.size:
+            wanted = self._wanted.rows(times)
+            q, v, a = np.split(
+                wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1
+            )
+        if self._posture:
+            joints, rate, change = (each[:, -arm:] for each in (q, v, a))
+            free, changing = [joints, rate, pull * speed], [rate, change, pull * acceleration]
+        else:
+            free = [rest, slow * self._first_rate, rest[:, :1]]
+            changing = [rest, slower * self._first_rate, rest[:, :1]]
+        return (
+            np.hstack([path[:, :13], v[:, self._base], *free, slow]),
+            np.hstack([turn, path[:, 10:], a[:, self._base], *changing, slower]),
+        )
+
+    def _resolved(self, q: np.ndarray, inputs: np.ndarray) -> _Resolved:
+        """Solution in configurations (n, nq) for inputs (n, .)."""
+        arm, count = self._arm, self._arm.size
+        ends = list(itertools.accumulate([7, 6, self._base.size, count, count, 1, 1], initial=0))
+        pose, twist, base, joints, rate, pull, slow = (
+            inputs[:, a:b] for a, b in itertools.pairwise(ends)
+        )
+        q = q.copy()
+        q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))
+        stack = self._stack(q)
+        jacobian, found = np.empty((len(q), 6, q.shape[1] - 1)), np.empty((len(q), 7))
+        for i, one in enumerate(q):
+            jacobian[i] = self._model.calc_jacobian(one, self._frame)
+            X_WF = self._frame.CalcPoseInWorld(self._model.context)
+            found[i] = *X_WF.rotation().ToQuaternion().wxyz(), *X_WF.translation()
+        error = position_errors(pose, found)[:, self._task]
+        feedback = self._goal.feedback * error
+        feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
+        jacobian = jacobian[:, self._task]
+        v = np.zeros((len(q), q.shape[1] - 1))  # with the joints at rest
+        if self._moves:
+            v = stack.velocity(np.hstack([base, v[:, -count:]]), self._momentum)
+        following = stack.following[..., arm]
+        tasks = [
+            (following[:, self._held], slow * self._first_reaction, 0.0),
+            (
+                jacobian[..., stack.driven[arm]] + jacobian[..., stack.undriven] @ following,
+                twist[:, self._task] + feedback - _times(jacobian, v),
+                self._goal.damping,
+            ),
+        ]
+        rates, free, smallest = (
+            np.zeros((len(q), count)),
+            np.tile(np.eye(count), (len(q), 1, 1)),
+            np.full(len(q), np.inf),
+        )
+        for matrix, target, damping in tasks if self._goal.priority == "hold" else tasks[::-1]:
+            if not target.shape[1]:
+                continue
+            left, sizes, right = np.linalg.svd(matrix @ free, full_matrices=False)
+            real = sizes > _RANK * np.sqrt((matrix * matrix).sum(axis=(1, 2)))[:, None]
+            if damping:
+                inverse = damped_inverse(sizes, damping)
+                smallest = np.where(real, sizes, np.inf).min(axis=1)
+            else:
+                inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=real)
+            right = np.swapaxes(right, 1, 2)
+            rates = rates + _times(
+                right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates))
+            )
+            free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
+        rates = rates + _times(free, rate + pull * (joints - q[:, NUM_BASE_POSITIONS:]))
+        v[:, NUM_BASE_VELOCITIES:] = rates
+        v[:, stack.undriven] += _times(following, rates)
+        return _Resolved(v, smallest, error)
+
+
+def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrices (n, m, k) times vectors (n, k)."""
+    return (matrix @ vector[..., None])[..., 0]

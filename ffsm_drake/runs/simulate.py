@@ -1,0 +1,246 @@
+"""simulate, simulate_many and compare: runs of scenarios, and their records."""
+
+import contextlib
+import dataclasses
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from pydrake.geometry import Meshcat
+
+from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.common.files import same_folder
+from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.settings import settings_of
+from ffsm_drake.loop.blocks import block_sources
+from ffsm_drake.plugins.capture.mission import MissionRollout, make_rollout
+from ffsm_drake.plugins.capture.momentum import momentum_budget
+from ffsm_drake.plugins.design.remarks import LimitWarning, plan_remarks
+from ffsm_drake.runs.batches import run_many
+from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.record import RunRecord, software_versions
+from ffsm_drake.runs.rollout import Rollout, user_supplied
+from ffsm_drake.scenario import Block, Scenario, as_dict, checked
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.reference import timed
+from ffsm_drake.systems.registry import Factory, address_of, module_folder
+
+
+def simulate(
+    scenario: Scenario,
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
+    progress: Callable[[float, float], None] | None = None,
+    check_stability: bool = True,
+) -> RunRecord:
+    """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
+
+    On divergence (a velocity beyond ``divergence_speed``, or not finite) or an interrupt from the
+    keyboard the run ends early with the record up to then; ``record.outcome`` gives the reason.
+
+    Args:
+      scenario: the scenario to run.
+      blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law)
+        in place of the scenario's choice, such as ``{"sensing": Vicon, "forces.friction":
+        Friction}``. The record's scenario names importable factories, to repeat the run from its
+        record. The diagram is freed with the run: the attributes of a system kept by a factory may
+        be read afterwards, but not its place in the diagram.
+      meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate``
+        to pace it).
+      progress: called with (simulated time, duration) in s, once per simulated second.
+      check_stability: check the mission before the run, see ``prepare``.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built, wired or run; the original
+        exception is its cause, and its ``record`` holds the samples before it, if there are any.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate
+      >>> record = simulate(load_scenario("postcapture", ["duration=0.5"]))
+      >>> record.outcome.status, record.dataset["error"].dims
+      ('completed', ('time', 'coordinate'))
+    """
+    start = time.perf_counter()
+    rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
+    try:
+        with guarded:
+            return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+    except BlockError as error:
+        if error.log is not None:
+            with contextlib.suppress(FfsmError), guarded:
+                error.record = make_record(error.log, blocks=blocks, start=start)
+        raise
+    finally:
+        rollout.release()
+
+
+def prepare(
+    scenario: Scenario,
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
+    check_stability: bool = True,
+) -> Rollout | MissionRollout:
+    """The preparations of ``simulate`` before the run, with the same arguments and errors.
+
+    With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as
+    planned (``verdict``, without a rehearsal) or adaptation may take the loop out of its stable
+    range, except with user-supplied blocks (a check would have to run them); and (LimitWarning) if
+    a posture or the plan leaves the joints' limits, or the scenario overrides the target's mass.
+    """
+    with guarded, same_folder():
+        scenario = checked(scenario)
+        if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
+            scenario = timed(scenario)
+        if check_stability:
+            for remark in plan_remarks(scenario):
+                warnings.warn(remark, LimitWarning, stacklevel=3)
+        if check_stability and not user_supplied(scenario, blocks):
+            # SciPy is slow
+            from ffsm_drake.plugins.design.stability import StabilityWarning
+            from ffsm_drake.plugins.design.verdict import verdict
+
+            for remark in verdict(scenario, rehearsal=False).warnings:
+                warnings.warn(remark, StabilityWarning, stacklevel=3)
+        return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
+
+
+def make_record(
+    log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None
+) -> RunRecord:
+    """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the
+    factories it had.
+    """
+    scenario = repeatable_scenario(log.scenario, blocks or {})
+    grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
+    if grasp is not None and (budget := momentum_budget(scenario)) is not None:
+        grasp["momentum_budget"] = dataclasses.asdict(budget)
+    return RunRecord(
+        scenario=scenario,
+        outcome=log.outcome,
+        dataset=make_table(log),
+        parts=log.part_records,
+        wall_time=log.wall_time | {"total": time.perf_counter() - start},
+        software=software_versions(),
+        blocks=block_sources(scenario),
+        grasp=grasp,
+    )
+
+
+def compare(
+    scenario: Scenario,
+    controllers: Sequence[str] = PAPER_LAWS,
+    *,
+    progress: Callable[[float, float], None] | None = None,
+) -> list[RunRecord]:
+    """Run several controllers on the same scenario with the same noise; a record for each, in their
+    order.
+
+    Args:
+      scenario: the scenario to run; its own ``controller`` is ignored.
+      controllers: names, see ``Scenario.controller``; default: the paper's four.
+      progress: see ``simulate``.
+
+    Raises:
+      ModelError, ScenarioError, BlockError: see ``simulate``.
+
+    Example:
+      >>> from ffsm_drake import compare, load_scenario
+      >>> records = compare(load_scenario("postcapture", ["duration=0.1"]), ["tdc", "asmc"])
+      >>> [record.scenario.controller for record in records]
+      ['tdc', 'asmc']
+    """
+    chosen = [dataclasses.replace(scenario, controller=name) for name in controllers]
+    return [simulate(each, progress=progress) for each in chosen]
+
+
+def simulate_many(
+    scenarios: Sequence[Scenario], *, batch: int | None = None, keep_errors: bool = False
+) -> list[RunRecord]:
+    """Run scenarios and return their records, in their order, with the same bits as ``simulate``,
+    but without checks before the run.
+
+    Compatible scenarios run side by side in one diagram, in about a third of the time: scenarios
+    with the same model, controller, blocks, integrator and number of samples. They may differ in
+    seed, payload, postures, and in the numbers of all other sections (docs/speed.md). The others
+    run alone; a diverging run is repeated alone.
+
+    Args:
+      scenarios: the scenarios to run.
+      batch: largest number side by side, 1: none; default: as many as fit the processor's
+        second-level cache.
+      keep_errors: put the exception of a failed run in the place of its record.
+
+    Raises: the errors of ``simulate``, for the first failed scenario, after all have run; nothing
+    with ``keep_errors``.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, simulate_many
+      >>> given = ("duration=0.1", "random_seed=1"), ("duration=0.1", "random_seed=2")
+      >>> records = simulate_many([load_scenario("postcapture", each) for each in given])
+      >>> [record.scenario.random_seed for record in records]
+      [1, 2]
+    """
+    start = time.perf_counter()
+    results: list[Any] = [None] * len(scenarios)
+    ready = dict[int, Scenario]()
+    with same_folder():
+        for index, given in enumerate(scenarios):
+            try:
+                scenario = checked(given)
+                has_own = scenario.blocks.reference is None
+                ready[index] = timed(scenario) if has_own else scenario
+            except Exception as error:
+                results[index] = error
+        places = list(ready)
+        for place, result in run_many(list(ready.values()), batch=batch):
+            results[places[place]] = (
+                result if isinstance(result, Exception) else make_record(result, start=start)
+            )
+    for index, result in enumerate(results):
+        if isinstance(result, Exception) and not keep_errors:
+            result.add_note(f"in run {index} of {len(results)}")
+            raise result
+    return results
+
+
+def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Scenario:
+    """The scenario from which a run can be repeated.
+
+    All gains of its controller are written out, the factories given in Python are named (one
+    without an address by its own name), and ``python_path`` leads to their modules.
+    """
+    if "controller" in blocks:
+        scenario = dataclasses.replace(scenario, controller=address_of(blocks["controller"]))
+    else:
+        scenario = complete_gains(scenario)
+    named = dataclasses.replace(
+        scenario.blocks,
+        forces=dict(scenario.blocks.forces),
+        sensing=dict(scenario.blocks.sensing),
+    )
+    for name, factory in blocks.items():
+        block = Block(system=address_of(factory))
+        if isinstance(factory, Part):
+            own: Any = type(factory)
+            settings = {name: as_dict(getattr(factory, name)) for name in settings_of(own)}
+            block = Block(system=address_of(own), settings=settings)
+        kind, _, label = name.partition(".")
+        if kind in ("forces", "sensing"):
+            getattr(named, kind)[label or kind] = block
+        elif name != "controller":
+            setattr(named, name, block)
+    scenario = dataclasses.replace(scenario, blocks=named)
+    addresses = [
+        scenario.controller,
+        *(block.system for block in scenario.blocks.choices().values()),
+    ]
+    folders = [str(folder) for folder in map(module_folder, addresses) if folder is not None]
+    return dataclasses.replace(
+        scenario, python_path=list(dict.fromkeys([*scenario.python_path, *folders]))
+    )

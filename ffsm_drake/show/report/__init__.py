@@ -1,7 +1,0 @@
-"""The run report: one self-contained HTML page about one or several runs, to open from disk and to
-send to others.
-"""
-
-from ffsm_drake.show.report.page import write_report
-
-__all__ = ["write_report"]
