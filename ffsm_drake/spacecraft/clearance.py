@@ -33,15 +33,15 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import usable
-from ffsm_drake.plugins.flexible.bodies import HIDDEN, flexible_bodies
 from ffsm_drake.scenario import Model
-from ffsm_drake.spacecraft.coordinates import joints_of
+from ffsm_drake.spacecraft.coordinates import HIDDEN, joints_of
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     add_combined_plant,
     cause_of,
     find_body,
     find_frame,
+    flexible_parts,
     make_plant,
     model_files,
 )
@@ -106,7 +106,8 @@ class Clearance:
                 for shape in inspector.GetAllGeometryIds(role)
             }
             collide = {instance[s] for s in inspector.GetAllGeometryIds(Role.kProximity)}
-            is_plate = {body.index(): plate for body, plate in flexible_bodies(self.plant, model)}
+            parts = flexible_parts().flexible_bodies(self.plant, model) if model.flexible else ()
+            is_plate = {body.index(): plate for body, plate in parts}
             for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
                 shape = inspector.GetShape(geometry)
                 body = self.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))

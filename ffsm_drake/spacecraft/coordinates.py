@@ -29,6 +29,8 @@ BASE_QUATERNION = (
     "base_quaternion_z",
 )
 GROUPS = ("base_rotation", "base_position", "joints")
+# Names of the joints of hidden coordinates (``model.flexible``) begin with it.
+HIDDEN = "flexible."
 
 NUM_BASE_POSITIONS = 7  # quaternion (w, x, y, z) of R_WB, then p_WB
 NUM_BASE_VELOCITIES = 6  # w_WB, v_WB, both in the world frame

@@ -14,19 +14,13 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.memo import each_once, memoized
 from ffsm_drake.common.products import applied
-from ffsm_drake.plugins.flexible.bodies import (
-    VibrationMode,
-    apparent_mass_matrix,
-    modes_of,
-    set_flexible,
-    take_masses,
-)
 from ffsm_drake.scenario import MassProperties, Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
 from ffsm_drake.spacecraft.plant import (
     coordinates_of,
     find_frame,
+    flexible_parts,
     make_plant,
     model_files,
     split_of,
@@ -79,18 +73,17 @@ class PlantModel:
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """Apparent mass matrix (nv, nv) of the known coordinates at high frequency, at q (nq).
 
-        Without flexible parts it is H itself; see ``flexible.apparent_mass_matrix``. Deflections
-        are zero.
+        Without flexible parts it is H itself; see ``_apparent``. Deflections are zero.
         """
         mass_matrix = PlantModel.calc_mass_matrix(self, self.split.whole_positions(q))
-        return apparent_mass_matrix(mass_matrix, self.split) if self.split.names else mass_matrix
+        return _apparent(mass_matrix, self.split) if self.split.names else mass_matrix
 
-    def modes(self, q: np.ndarray) -> list[VibrationMode]:
-        """Modes of vibration at rest in configuration q (nq), slowest first."""
+    def modes(self, q: np.ndarray) -> list[Any]:
+        """Modes of vibration (``VibrationMode``) at rest in configuration q (nq), slowest first."""
         if not self.split.names:
             return []
         self._set_state(self.split.whole_positions(q))
-        return modes_of(self.plant, self.context, self.split)
+        return flexible_parts().modes_of(self.plant, self.context, self.split)
 
     @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -216,7 +209,7 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
     Its q and v hold those of flexible parts too (``PlantModel.split``).
     """
     model = _make(scenario, scenario.payload.truth, flexible=True)
-    set_flexible(model.plant, model.context, scenario.model)
+    _set_flexible(model.plant, model.context, scenario.model)
     return model
 
 
@@ -239,7 +232,7 @@ def _parsed(model: Model, files: tuple[Path, ...], *, flexible: bool) -> Multibo
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
     """Set true masses and springs of a plant with flexible parts in a new context."""
     set_masses(plant, context, scenario, scenario.payload.truth)
-    set_flexible(plant, context, scenario.model)
+    _set_flexible(plant, context, scenario.model)
 
 
 def change_payload(
@@ -247,4 +240,22 @@ def change_payload(
 ) -> None:
     """Set another true payload in one context whose other masses are set."""
     set_payload(plant, context, body=scenario.payload.body, properties=properties)
-    take_masses(plant, context, scenario.model, body=scenario.payload.body)
+    if scenario.model.flexible:
+        flexible_parts().take_masses(plant, context, scenario.model, body=scenario.payload.body)
+
+
+def _set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
+    if model.flexible:
+        flexible_parts().set_flexible(plant, context, model)
+
+
+def _apparent(mass_matrix: np.ndarray, split: StateSplit) -> np.ndarray:
+    """Apparent mass matrix of the known coordinates (a) at high frequency, before the springs of
+    hidden ones (u) act: H_aa - H_au H_uu^-1 H_ua, from H (..., n, n).
+    """
+    known, hidden = split.known, split.hidden
+    known_rows, hidden_rows = mass_matrix[..., known, :], mass_matrix[..., hidden, :]
+    across = hidden_rows[..., known]
+    return known_rows[..., known] - np.swapaxes(across, -1, -2) @ np.linalg.solve(
+        hidden_rows[..., hidden], across
+    )

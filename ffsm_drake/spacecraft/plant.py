@@ -16,14 +16,14 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
+from ffsm_drake.common.plugins import service
 from ffsm_drake.common.so3 import rpy_of
-from ffsm_drake.plugins.flexible.bodies import HIDDEN, add_flexible, lock_joints
-from ffsm_drake.plugins.flexible.drawing import draw_on_plates
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
     GROUPS,
+    HIDDEN,
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
     Coordinates,
@@ -81,8 +81,8 @@ def add_combined_plant(
     plant.set_name("plant")
     scene_graph.set_name("scene_graph")
     _load(plant, model, apart=apart, flexible=flexible)
-    if flexible:
-        draw_on_plates(plant, scene_graph, model)
+    if flexible and model.flexible:
+        flexible_parts().draw_on_plates(plant, scene_graph, model)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
     nothing_touches = CollisionFilterDeclaration().ExcludeWithin(
         plant.CollectRegisteredGeometries(bodies)
@@ -106,7 +106,8 @@ def add_pictures_apart(
     plant = MultibodyPlant(time_step=0.0)
     plant.RegisterAsSourceForSceneGraph(scene_graph)
     _load(plant, model, apart=body, flexible=True)
-    draw_on_plates(plant, scene_graph, model)
+    if model.flexible:
+        flexible_parts().draw_on_plates(plant, scene_graph, model)
     poses: MultibodyPositionToGeometryPose = builder.AddNamedSystem(
         "poses", MultibodyPositionToGeometryPose(plant)
     )
@@ -114,6 +115,11 @@ def add_pictures_apart(
         poses.get_output_port(), scene_graph.get_source_pose_port(plant.get_source_id())
     )
     return poses
+
+
+def flexible_parts() -> Any:
+    """The plug-in that adds the parts of ``model.flexible``. Raises BlockError without it."""
+    return service("flexible", "model.flexible")
 
 
 def check_pictures(model: Model) -> None:
@@ -175,7 +181,9 @@ def _load(
         if apart is not None:
             _free(plant, apart, model.end_effector)
         try:
-            add_flexible(plant, model) if flexible else lock_joints(plant, model)
+            if model.flexible:
+                parts = flexible_parts()
+                (parts.add_flexible if flexible else parts.lock_joints)(plant, model)
         except DRAKE_ERRORS as error:
             raise ModelError(f"model.flexible: {cause_of(error)}") from error
         if copies > 1:  # the next one finds its names free

@@ -34,11 +34,9 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, did_you_mean
 from ffsm_drake.scenario import Flexible, Model
-from ffsm_drake.spacecraft.coordinates import StateSplit, joints_of
+from ffsm_drake.spacecraft.coordinates import HIDDEN, StateSplit, joints_of
 from ffsm_drake.spacecraft.inertia import spatial_inertia_about
 
-# Names of the joints of hidden coordinates begin with it.
-HIDDEN = "flexible."
 _INSTANCE = "flexible"  # the model instance of the bodies
 _COLOR = np.array([0.16, 0.33, 0.72, 0.85])
 _OF_A_JOINT = ("joint", "gear")
@@ -206,18 +204,6 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
             f"{total.get_mass():g} kg, and the rest has no physical mass or inertia; make the "
             "parts lighter or shorter"
         ) from error
-
-
-def apparent_mass_matrix(mass_matrix: np.ndarray, split: StateSplit) -> np.ndarray:
-    """Apparent mass matrix of the known coordinates (a) at high frequency, before the springs of
-    hidden ones (u) act: H_aa - H_au H_uu^-1 H_ua, from H (..., n, n).
-    """
-    known, hidden = split.known, split.hidden
-    known_rows, hidden_rows = mass_matrix[..., known, :], mass_matrix[..., hidden, :]
-    across = hidden_rows[..., known]
-    return known_rows[..., known] - np.swapaxes(across, -1, -2) @ np.linalg.solve(
-        hidden_rows[..., hidden], across
-    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,15 +1,14 @@
 """Visual shapes of panels, moved to the hinged plates that replace them."""
 
-import itertools
-
 import numpy as np
-from pydrake.geometry import GeometryId, Obb, Role, SceneGraph, SceneGraphInspector
+from pydrake.geometry import GeometryId, Role, SceneGraph, SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.plugins.flexible.bodies import labels_of
 from ffsm_drake.scenario import Flexible, Model
+from ffsm_drake.spacecraft.boxes import box_corners
 
 # Allowed excess of a shape beyond its panel, as fractions of width and length.
 _ASIDE, _INWARDS, _OUTWARDS, _ABOVE = 0.25, 0.05, 0.25, 0.1
@@ -61,23 +60,6 @@ def _drawn_of(
 ) -> list[GeometryId]:
     frame = plant.GetBodyFrameIdIfExists(body.index())
     return [] if frame is None else list(inspector.GetGeometries(frame, Role.kIllustration))
-
-
-def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
-    """The box around a geometry, in its frame; None if it is unbounded or COLLADA."""
-    try:
-        return inspector.GetObbInGeometryFrame(geometry)
-    except RuntimeError:
-        return None
-
-
-def box_corners(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """The corners (8, 3) of that box in the geometry's body, m."""
-    box = box_around(inspector, geometry)
-    if box is None:
-        return None
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * box.half_width()
-    return (inspector.GetPoseInFrame(geometry) @ box.pose() @ corners.T).T
 
 
 def _extent(

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.plugins.flexible.bodies import HIDDEN, labels_of
+from ffsm_drake.plugins.flexible.bodies import labels_of
 from ffsm_drake.scenario import Model
 from ffsm_drake.show.meshcat.arrows import magnification
-from ffsm_drake.spacecraft.coordinates import StateSplit
+from ffsm_drake.spacecraft.coordinates import HIDDEN, StateSplit
 from ffsm_drake.spacecraft.plant import find_frame
 
 if TYPE_CHECKING:

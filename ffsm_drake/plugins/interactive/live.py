@@ -52,8 +52,8 @@ class LiveReplay:
         self._visible = [True] * len(self._arrow_buttons)
         for label in self._arrow_buttons:
             self._controls.add_button(label)
-        if self._view.deflections.legend:  # Meshcat has no labels: a button that does nothing
-            self._controls.add_button(f"[ {self._view.deflections.legend} ]")
+        if self._view.magnified:  # Meshcat has no labels: a button that does nothing
+            self._controls.add_button(f"[ {self._view.magnified} ]")
         self._controls.add_button(QUIT, keycode="Escape")
         self.time = 0.0  # s of the run
         self.playing = True

@@ -19,10 +19,10 @@ import numpy as np
 
 from ffsm_drake.common.products import applied, product
 from ffsm_drake.common.so3 import turned_by
-from ffsm_drake.plugins.estimators.estimators import Estimate, Estimator, make_estimator
 from ffsm_drake.plugins.task_space.tasks import AccelerationLaw, TaskPoint, TaskSpace
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.controllers.estimation import Estimate, Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Sample,

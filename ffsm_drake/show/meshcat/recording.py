@@ -135,8 +135,8 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     ]
     if record.grasp is not None and record.grasp["time"] > 0.0:
         lines.append(f"grasp at t = {record.grasp['time']:g} s")
-    if view.deflections.legend:
-        lines.append(view.deflections.legend)
+    if view.magnified:
+        lines.append(view.magnified)
     lines += map(html.escape, view.legend)  # with names of the model
     if speed != 1.0:
         lines.append(f"{speed:g} times real time")

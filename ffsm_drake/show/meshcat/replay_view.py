@@ -1,16 +1,18 @@
 """A record on Meshcat's stage, one sample at a time, for the recorded page and the live replay."""
 
+from typing import Any
+
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.actuators.meshcat import SwitchedSolids
-from ffsm_drake.plugins.flexible.meshcat import Deflections
+from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.task_space.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.meshcat.arrows import ForceArrows
+from ffsm_drake.show.meshcat.solids import SwitchedSolids
 from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 
 FRAMES_PER_SECOND = 25.0
@@ -51,9 +53,13 @@ class ReplayView:
         self.spacecraft = SpacecraftView(
             meshcat, record.scenario, frames_per_second=frames_per_second
         )
-        self.deflections = Deflections(
-            dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split
-        )
+        self.magnified = ""  # legend of deflections drawn larger
+        self._deflections: Any = None  # of flexible parts, if any
+        if hidden := self.spacecraft.split.names:
+            self._deflections = service("flexible_view", ", ".join(hidden))(
+                dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split
+            )
+            self.magnified = self._deflections.legend
         if path and count > 1:
             every = max(1, count // _PATH_VERTICES)
             vertices = dataset["end_effector_position"].values[::every]
@@ -83,7 +89,7 @@ class ReplayView:
     def show(self, time: float, *, time_in_recording: float | None = None) -> None:
         """Show the sample at or next after a time of the run, s."""
         sample = min(int(np.searchsorted(self.times, time - 1e-9)), self.times.size - 1)
-        deflection = self.deflections.at(sample)
+        deflection = None if self._deflections is None else self._deflections.at(sample)
         self.spacecraft.show(
             self._positions[sample], deflection=deflection, time=time_in_recording or 0.0
         )

@@ -30,9 +30,9 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.door import random_loopback
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.actuators.meshcat import draw_solids, solids_of
-from ffsm_drake.plugins.flexible.drawing import box_around, box_corners
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.show.meshcat.solids import draw_solids, solids_of
+from ffsm_drake.spacecraft.boxes import box_around, box_corners
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
     base_body,

@@ -6,8 +6,8 @@ from typing import Any
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
-from ffsm_drake.plugins.estimators.filtering import make_filtered
-from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.common.plugins import service
+from ffsm_drake.scenario import CommandFilter, Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -89,9 +89,10 @@ def make_controller(
         place = f"controller '{scenario.controller}'"
         raise BlockError(f"{place} must be a control law or a Drake system, not a class of them")
     is_law = hasattr(made, "initial_state") and hasattr(made, "step")
-    law = make_filtered(
-        made, scenario.command_filter, setup.coordinates, sample_time=setup.sample_time
-    )
+    law, filters = made, scenario.command_filter
+    if filters != CommandFilter():
+        filtered = service("command_filter", "command_filter")
+        law = filtered(made, filters, setup.coordinates, sample_time=setup.sample_time)
     if is_law:
         return SampledController(
             law,

@@ -18,8 +18,8 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.products import matrix_vector
-from ffsm_drake.plugins.estimators.estimators import Estimator, make_estimator
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     ReachingGain,
