@@ -27,7 +27,7 @@ from ffsm_drake.plugins.report.time_panels import run_views
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
-from ffsm_drake.systems.registry import SHIPPED
+from ffsm_drake.systems.registry import shipped_names
 
 FOLDER = Path(__file__).parent
 RUNS = FOLDER / "runs"
@@ -174,7 +174,7 @@ def runs(scenario: str) -> dict[str, Any]:
     own = run(scenario)
     found = {own.scenario.controller: results(own)}
     reference = found[own.scenario.controller]["samples"]
-    for controller in SHIPPED["controller"] if scenario in WITH_EVERY_LAW else ():
+    for controller in shipped_names("controller") if scenario in WITH_EVERY_LAW else ():
         if controller in found:
             continue
         try:
