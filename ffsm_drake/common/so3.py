@@ -325,3 +325,19 @@ def in_body_axes(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     twice = 2.0 * np.cross(u, vectors)
     turned: np.ndarray = w * twice + np.cross(u, twice)
     return vectors + turned / (quaternions**2).sum(axis=1)[:, None]
+
+
+def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) of R(first) R(second)."""
+    a, u, b, v = first[..., :1], first[..., 1:], second[..., :1], second[..., 1:]
+    scalar = a * b - (u * v).sum(axis=-1, keepdims=True)
+    return np.concatenate([scalar, a * v + b * u + np.cross(u, v)], axis=-1)
+
+
+def turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3) d, in the first's axes, with R(second) = R(first) exp([d]x)."""
+    turn = composed(first * [1.0, -1.0, -1.0, -1.0], second)
+    turn = np.where(turn[..., :1] < 0.0, -turn, turn)
+    sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, turn[..., :1])
+    return turn[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)

@@ -8,7 +8,7 @@ from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, simulat
 from ffsm_drake.plugins.planning import PlanningError, plan_motion
 from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics, rotation_vector, turned
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 
 JOINTS = ("actuation.driven=[joints]",)
 ARM = (

@@ -13,7 +13,7 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.plugins.actuators.meshcat import SwitchedSolids, solids_of
+from ffsm_drake.show.meshcat.solids import SwitchedSolids, solids_of
 from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.scenario import load_scenario, thruster_layouts

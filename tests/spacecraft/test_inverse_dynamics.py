@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario
 from ffsm_drake.common.so3 import attitude_motion
-from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_true_plant
 
 

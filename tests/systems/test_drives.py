@@ -17,7 +17,7 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Drives, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import base_body
 

@@ -27,7 +27,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import StateSplit
-from ffsm_drake.spacecraft.free_body import (
+from ffsm_drake.plugins.capture.free_body import (
     SIZE,
     Target,
     inverse_inertia,

@@ -10,10 +10,10 @@ from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import quaternion_of
+from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
     Contact,

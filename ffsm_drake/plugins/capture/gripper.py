@@ -17,10 +17,10 @@ from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.common.so3 import skew
 from ffsm_drake.plugins.capture.contact import target_body
 from ffsm_drake.plugins.capture.contact_force import Jaws
+from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.free_body import Target
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import find_frame

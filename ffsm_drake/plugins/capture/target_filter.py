@@ -12,9 +12,8 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import matrix_of, quaternion_of
-from ffsm_drake.scenario import TargetSensor, TargetTracker
-from ffsm_drake.spacecraft.free_body import (
+from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of, turn_between
+from ffsm_drake.plugins.capture.free_body import (
     ARM,
     POSITION,
     RATE,
@@ -23,12 +22,11 @@ from ffsm_drake.spacecraft.free_body import (
     SIZE,
     VELOCITY,
     Target,
-    composed,
     path_of,
     shape_spread,
     steps_between,
-    turn_between,
 )
+from ffsm_drake.scenario import TargetSensor, TargetTracker
 from ffsm_drake.spacecraft.orbit import Orbit
 
 _POSE = np.r_[ROTATION, POSITION]

@@ -16,12 +16,12 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import attitude_motion, matrix_of, quaternion_of
+from ffsm_drake.common.so3 import attitude_motion, composed, matrix_of, quaternion_of, turn_between
+from ffsm_drake.plugins.capture.free_body import SIZE, Target
 from ffsm_drake.plugins.capture.retreat import RetreatReference
 from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilter, observed
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.target_sensing import Measured, TargetTracker
-from ffsm_drake.spacecraft.free_body import SIZE, Target, composed, turn_between
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion

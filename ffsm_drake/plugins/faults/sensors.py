@@ -10,11 +10,10 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import matrix_of, quaternion_of
+from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of
 from ffsm_drake.plugins.estimators.estimators import assumed_noise
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
-from ffsm_drake.spacecraft.free_body import composed
 from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
 from ffsm_drake.systems.setup import BlockSetup
 

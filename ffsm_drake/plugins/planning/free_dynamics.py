@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.so3 import attitude_motion
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics, complex_step
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics, complex_step
 
 _BASE = slice(0, NUM_BASE_VELOCITIES)
 

@@ -12,6 +12,7 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.plugins.planning.limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.plugins.planning.program import INSTANTS, PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
@@ -22,7 +23,6 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.spacecraft.start import velocity_at_start

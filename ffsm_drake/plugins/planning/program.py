@@ -24,11 +24,11 @@ from pydrake.solvers import (
 
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics, rotation_vector, turned
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics, complex_step
 from ffsm_drake.plugins.planning.limits import MotionLimits
 from ffsm_drake.scenario import Planning
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
-from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics, complex_step
 from ffsm_drake.systems.plan import DEGREE
 
 INSTANTS = 3  # per segment, at which force and clearance are evaluated

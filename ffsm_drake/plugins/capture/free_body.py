@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import matrix_of, quaternion_of, skew
+from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of, skew
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.orbit import Orbit
 
@@ -68,22 +68,6 @@ def shape_spread(shape: np.ndarray) -> np.ndarray:
     changes = root @ np.concatenate([BASIS, math.sqrt(2.0 / 3.0) * np.eye(3)[None]]) @ root
     changes -= np.trace(changes, axis1=1, axis2=2)[:, None, None] * G / 3.0
     return 0.5 * np.einsum("kij,lij->kl", BASIS, changes)
-
-
-def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) of R(first) R(second)."""
-    a, u, b, v = first[..., :1], first[..., 1:], second[..., :1], second[..., 1:]
-    scalar = a * b - (u * v).sum(axis=-1, keepdims=True)
-    return np.concatenate([scalar, a * v + b * u + np.cross(u, v)], axis=-1)
-
-
-def turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) d, in the first's axes, with R(second) = R(first) exp([d]x)."""
-    turn = composed(first * [1.0, -1.0, -1.0, -1.0], second)
-    turn = np.where(turn[..., :1] < 0.0, -turn, turn)
-    sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, turn[..., :1])
-    return turn[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
