@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of, skew
+from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of, skew, turn_between
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.orbit import Orbit
 
