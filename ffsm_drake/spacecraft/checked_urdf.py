@@ -103,6 +103,47 @@ def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, 
     return root, "\n".join(re.findall(r"<!--.*?-->", text.partition("<robot")[0], flags=re.DOTALL))
 
 
+def number(element: Element, attribute: str, place: str, default: str = "") -> float:
+    """An attribute as a number; ModelError, which begins with the place, for anything else."""
+    text = element.get(attribute, default)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    require(
+        not math.isnan(value),
+        f"{place}: <{element.tag} {attribute}> must be a number, not '{text}'",
+    )
+    return value
+
+
+def read_limits(joint: Element) -> tuple[float, float, float, float]:
+    """Lower and upper position, effort and velocity of a joint (rad, m, N, s); infinite if not
+    given.
+
+    Raises ModelError: a limit cannot be used.
+    """
+    place, limit = f"joint '{joint.get('name', '')}'", joint.find("limit")
+    lower, upper, effort, velocity = -math.inf, math.inf, math.inf, math.inf
+    if limit is not None:
+        moves = joint.get("type") in ("revolute", "prismatic")
+        if moves and (limit.get("lower") or limit.get("upper")):
+            lower, upper = (number(limit, side, place, "0") for side in ("lower", "upper"))
+            require(
+                lower <= upper,
+                f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}",
+            )
+        # Generators write zero for an unknown limit.
+        effort, velocity = (
+            number(limit, what, place, "0") or math.inf for what in ("effort", "velocity")
+        )
+        require(
+            min(effort, velocity) > 0.0,
+            f"{place}: its effort and velocity limits must not be negative",
+        )
+    return lower, upper, effort, velocity
+
+
 def check_directives(text: str) -> None:
     """Raise ModelError for the first number of model directives that cannot be a place or angle."""
     with contextlib.suppress(yaml.YAMLError):  # which Drake reports

@@ -8,8 +8,8 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.plugins.new.urdf.elements import read_joint
 from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.checked_urdf import read_limits
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.plant import coordinates_of, urdfs_of
 
@@ -112,13 +112,11 @@ def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
         for element in elements:
             if element.get("name") not in coordinates.joints or element.find("limit") is None:
                 continue
+            i = NUM_BASE_VELOCITIES + coordinates.joints.index(element.get("name", ""))
             try:
-                joint = read_joint(element)
+                lower[i], upper[i], effort[i], velocity[i] = read_limits(element)
             except ModelError as error:
                 raise ModelError(f"model: {path}: {error}") from None
-            i = NUM_BASE_VELOCITIES + coordinates.joints.index(element.get("name", ""))
-            lower[i], upper[i] = joint.lower, joint.upper
-            velocity[i], effort[i] = joint.velocity, joint.effort
     limit = Limit.of_coordinates
     return [
         limit(POSITION, "the URDF's position limits", coordinates, upper, lower),

@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ffsm_drake.spacecraft.checked_urdf import require
+from ffsm_drake.spacecraft.checked_urdf import number, read_limits, require
 
 WORLD = "world"
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -53,19 +53,6 @@ def end_of(joint: Element, role: str) -> str:
     return link
 
 
-def number(element: Element, attribute: str, place: str, default: str = "") -> float:
-    text = element.get(attribute, default)
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    require(
-        not math.isnan(value),
-        f"{place}: <{element.tag} {attribute}> must be a number, not '{text}'",
-    )
-    return value
-
-
 def vector(
     element: Element | None, attribute: str, place: str, default: str = "0 0 0"
 ) -> np.ndarray:
@@ -81,34 +68,18 @@ def vector(
 
 
 def read_joint(element: Element) -> Joint:
-    name, kind, limit = name_of(element), element.get("type", ""), element.find("limit")
-    place = f"joint '{name}'"
-    lower, upper, effort, velocity = -math.inf, math.inf, math.inf, math.inf
-    if limit is not None:
-        if kind in ("revolute", "prismatic") and (limit.get("lower") or limit.get("upper")):
-            lower, upper = (number(limit, side, place, "0") for side in ("lower", "upper"))
-            require(
-                lower <= upper,
-                f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}",
-            )
-        # Generators write zero for an unknown limit.
-        effort, velocity = (
-            number(limit, what, place, "0") or math.inf for what in ("effort", "velocity")
-        )
-        require(
-            min(effort, velocity) > 0.0,
-            f"{place}: its effort and velocity limits must not be negative",
-        )
+    name = name_of(element)
+    lower, upper, effort, velocity = read_limits(element)
     return Joint(
         name=name,
-        kind=kind,
+        kind=element.get("type", ""),
         parent=end_of(element, "parent"),
         child=end_of(element, "child"),
         lower=lower,
         upper=upper,
         effort=effort,
         velocity=velocity,
-        offset=float(np.linalg.norm(vector(element.find("origin"), "xyz", place))),
+        offset=float(np.linalg.norm(vector(element.find("origin"), "xyz", f"joint '{name}'"))),
     )
 
 

@@ -11,10 +11,10 @@ from xml.etree.ElementTree import Element
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
-from ffsm_drake.plugins.new.urdf.elements import WORLD, name_of, number
+from ffsm_drake.plugins.new.urdf.elements import WORLD, name_of
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
-from ffsm_drake.spacecraft.checked_urdf import DRAKE
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
 from ffsm_drake.spacecraft.model_files import DRAWABLE
 
 # A file name in a mesh: in quotes, between tags, or at the end of a line of a Wavefront file.
