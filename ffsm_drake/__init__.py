@@ -1,48 +1,16 @@
 """Simulate and evaluate controllers of a free-flying space manipulator that has just captured a
 piece of debris.
 
-The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``; those of installed
-plug-ins, such as ``run_campaign``, are names of this module too.
+The verbs: ``simulate``, ``compare``, and those of installed plug-ins, such as ``analyze``,
+``stability``, ``design`` and ``run_campaign``. Type checkers read ``__init__.pyi``.
 """
 
 import importlib
 
-# not from typing: nothing that takes a while is imported before the command line handles signals
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    from ffsm_drake.common.errors import (
-        BlockError,
-        FfsmError,
-        ModelError,
-        RecordError,
-        ScenarioError,
-    )
-    from ffsm_drake.common.settings import setting
-    from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
-    from ffsm_drake.plugins.analysis import analyze
-    from ffsm_drake.plugins.design.gains import design
-    from ffsm_drake.plugins.design.stability import stability
-    from ffsm_drake.runs.ending import Ending, Outcome
-    from ffsm_drake.runs.log import RunLog
-    from ffsm_drake.runs.record import RunRecord
-    from ffsm_drake.runs.rollout import Rollout
-    from ffsm_drake.runs.simulate import compare, simulate, simulate_many
-    from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
-    from ffsm_drake.show.outputs import write_outputs
-    from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-    from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
-    from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
-    from ffsm_drake.systems.part import Metric, Part, Signal
-    from ffsm_drake.systems.setup import BlockSetup
-
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
-    "plugins.analysis": ("analyze",),
     "common.errors": ("BlockError", "FfsmError", "ModelError", "RecordError", "ScenarioError"),
-    "plugins.design.gains": ("design",),
-    "plugins.design.stability": ("stability",),
+    "common.settings": ("setting",),
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
     "runs.ending": ("Ending", "Outcome"),
     "runs.log": ("RunLog",),
@@ -56,52 +24,13 @@ _HOMES = {
     "systems.controllers": ("ControlLaw", "InjectedDynamics", "Sample", "gain"),
     "systems.part": ("Metric", "Part", "Signal"),
     "systems.setup": ("BlockSetup",),
-    "common.settings": ("setting",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
-__all__ = [
-    "BlockError",
-    "BlockSetup",
-    "ClosedLoop",
-    "ControlLaw",
-    "Ending",
-    "FfsmError",
-    "FreeFloating",
-    "InjectedDynamics",
-    "Metric",
-    "ModelError",
-    "Outcome",
-    "Part",
-    "PlantModel",
-    "RecordError",
-    "Rollout",
-    "RunLog",
-    "RunRecord",
-    "Sample",
-    "Scenario",
-    "ScenarioError",
-    "Signal",
-    "add_closed_loop",
-    "analyze",
-    "compare",
-    "design",
-    "free_floating",
-    "gain",
-    "load_scenario",
-    "make_closed_loop",
-    "make_nominal_plant",
-    "make_true_plant",
-    "override_scenario",
-    "setting",
-    "simulate",
-    "simulate_many",
-    "stability",
-    "write_outputs",
-]
+__all__ = sorted(_HOME_OF)
 
 
-def __getattr__(name: str) -> "Any":
+def __getattr__(name: str) -> object:
     if name in _HOME_OF:
         return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
     if not name.startswith("_"):

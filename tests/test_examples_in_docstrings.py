@@ -1,6 +1,8 @@
 """The example in the docstring of each public name runs, and prints what it says."""
 
 import doctest
+import re
+from pathlib import Path
 
 import pytest
 
@@ -9,6 +11,11 @@ from ffsm_drake.common.plugins import VERBS, offered
 
 SLOW = {"design", "run_campaign"}
 NAMES = [*ffsm_drake.__all__, *offered(VERBS)]
+SEEN = Path(ffsm_drake.__file__).with_suffix(".pyi").read_text()  # by type checkers
+
+
+def test_type_checkers_see_each_name():
+    assert sorted(re.findall(r'^    "(\w+)",$', SEEN, re.MULTILINE)) == sorted(NAMES)
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,9 @@ import click
 
 from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.run import compare, run
-from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
+from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
 from ffsm_drake.common.workers import ONE_THREAD
-from ffsm_drake.plugins.design.command import analyze, design, stability
-from ffsm_drake.plugins.planning.command import plan
 
 
 @click.group(
@@ -45,7 +43,6 @@ def main() -> None:
 
 
 for command in (
-    new, plan, run, compare, analyze, stability, design, replay, plot,
-    diagram, scenarios, validate, schema, doctor, completion,
+    compare, completion, diagram, doctor, plot, replay, run, scenarios, schema, validate
 ):  # fmt: skip
     main.add_command(command)

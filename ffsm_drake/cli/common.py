@@ -66,13 +66,13 @@ class CommandGroup(click.Group):
 
 
 class ExtensibleGroup(CommandGroup):
-    """Commands, followed by those of plug-ins, imported on first use.
+    """Commands and those of plug-ins, imported on first use.
 
     A command with an unloadable plug-in reports this, in the list and when it runs.
     """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*self.commands, *(name for name in offered(COMMANDS) if name not in self.commands)]
+        return sorted({*self.commands, *offered(COMMANDS)})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         known = super().get_command(ctx, cmd_name)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.design.remarks import LimitWarning, plan_clearance, plan_remarks
-from ffsm_drake.plugins.planning import PlanningError, plan_motion
+from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
 from ffsm_drake.plugins.planning.limits import Margin
 from ffsm_drake.plugins.planning.program import spline_basis
 from ffsm_drake.runs.limits import saturation

@@ -4,24 +4,17 @@ Nothing here runs during a simulation. A run that ended early is analysed up to 
 sample.
 """
 
-from ffsm_drake.plugins.analysis import (
-    balances,
-    chattering,
-    estimation,
-    inertia,
-    lyapunov,
-    sliding_mode,
-)
-from ffsm_drake.plugins.analysis.evidence import Evidence
+from typing import TYPE_CHECKING
+
 from ffsm_drake.plugins.analysis.findings import TITLES, Analysis, Finding
-from ffsm_drake.runs.record import RunRecord
+
+if TYPE_CHECKING:
+    from ffsm_drake.runs.record import RunRecord
 
 __all__ = ["Analysis", "Finding", "analyze"]
 
-_SUBJECTS = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
 
-
-def analyze(record: RunRecord) -> Analysis:
+def analyze(record: "RunRecord") -> Analysis:
     """Evaluate every finding on a run, completed or not; inapplicable ones give their reason.
 
     Example:
@@ -30,6 +23,18 @@ def analyze(record: RunRecord) -> Analysis:
       >>> [each.key for each in analyze(record).findings if "momentum" in each.key]
       ['momentum_balance']
     """
+    # slow to import, and the command's help needs none of them
+    from ffsm_drake.plugins.analysis import (
+        balances,
+        chattering,
+        estimation,
+        inertia,
+        lyapunov,
+        sliding_mode,
+    )
+    from ffsm_drake.plugins.analysis.evidence import Evidence
+
     run = Evidence(record)
-    found = {finding.key: finding for subject in _SUBJECTS for finding in subject.findings(run)}
+    subjects = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
+    found = {finding.key: finding for subject in subjects for finding in subject.findings(run)}
     return Analysis(findings=tuple(found[key] for key in TITLES), series=run.dataset())

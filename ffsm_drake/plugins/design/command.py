@@ -1,4 +1,4 @@
-"""Commands before or after a run: stability, analyze, design."""
+"""Commands before or after a run: stability, design."""
 
 import dataclasses
 import sys
@@ -15,7 +15,6 @@ from ffsm_drake.cli.common import (
     out_option,
     print_result,
     rehearsal_option,
-    run_argument,
     save_figure,
     scenario_options,
     search_progress,
@@ -67,8 +66,8 @@ def stability(
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.plugins.design.tables import margins_data, margins_table
     from ffsm_drake.plugins.design.verdict import verdict
-    from ffsm_drake.show.tables import margins_data, margins_table
 
     if out is not None:
         check_writable(out)
@@ -96,7 +95,7 @@ def _further_margins(
     """The optional margins, as tables and plain data."""
     from ffsm_drake.plugins.design.stability.boundaries import find_boundaries
     from ffsm_drake.plugins.design.stability.disk import disk_margins
-    from ffsm_drake.show.tables import boundaries_table, disk_table
+    from ffsm_drake.plugins.design.tables import boundaries_table, disk_table
 
     if limits:
         boundaries = find_boundaries(scenario, time=margins.edge_time)
@@ -107,36 +106,6 @@ def _further_margins(
     if disk:
         found = disk_margins(scenario)
         yield disk_table(found), {"disk": found.as_data()}
-
-
-@click.command()
-@run_argument
-@out_option(help="Folder for analysis.png and analysis.json (default: RUN_DIR).")
-@json_option
-def analyze(run: Path, out: Path | None, as_json: bool) -> None:
-    """Check the paper's proofs and claims on a recorded run.
-
-    RUN_DIR is a folder with record.nc and manifest.json. Prints the findings and draws them.
-
-    \b
-    Example:
-      ffsm run --out out/mine
-      ffsm analyze out/mine
-    """
-    from ffsm_drake.common.files import check_writable, published, write_text
-    from ffsm_drake.plugins.analysis import analyze as analyze_record
-    from ffsm_drake.plugins.analysis.figure import plot_analysis
-    from ffsm_drake.runs.record import RunRecord, to_json
-
-    directory = out or run
-    check_writable(directory)
-    analysis = analyze_record(RunRecord.load(run))
-    findings = {finding.key: dataclasses.asdict(finding) for finding in analysis.findings}
-    print_result(as_json, findings, str(analysis))
-    with published(directory) as folder:
-        write_text(folder / "analysis.json", to_json(findings))
-        save_figure(plot_analysis(analysis), folder / "analysis.png")
-    click.echo(f"Written to {directory}: analysis.json, analysis.png", err=as_json)
 
 
 @click.command()
@@ -196,9 +165,9 @@ def design(
     from ffsm_drake.plugins.design.figure import plot_design
     from ffsm_drake.plugins.design.gains import INTERRUPT
     from ffsm_drake.plugins.design.gains import design as design_gains
+    from ffsm_drake.plugins.design.tables import design_data, design_table
     from ffsm_drake.plugins.design.verdict import verdict
     from ffsm_drake.scenario import scenario_to_yaml
-    from ffsm_drake.show.tables import design_data, design_table
 
     check_writable(out)
     missions = list[tuple["Scenario", "Verdict"]]()

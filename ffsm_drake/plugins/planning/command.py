@@ -47,10 +47,10 @@ def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: boo
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.plugins.design.verdict import verdict
-    from ffsm_drake.plugins.planning import plan_motion
     from ffsm_drake.plugins.planning.figure import plot_plan
+    from ffsm_drake.plugins.planning.planner import plan_motion
+    from ffsm_drake.plugins.planning.tables import plan_data, plan_table
     from ffsm_drake.scenario import override_scenario
-    from ffsm_drake.show.tables import plan_data, plan_table
     from ffsm_drake.systems.controllers import declared_gains
 
     directory = out or Path("out") / f"{scenario_stem()}_plan"

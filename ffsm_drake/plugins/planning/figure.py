@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from ffsm_drake.plugins.planning import PlannedMotionReport
+from ffsm_drake.plugins.planning.planner import PlannedMotionReport
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.figures.axes import plain, tidy
 from ffsm_drake.show.style import GREY, GROUP_TITLES, NEUTRAL, SERIES

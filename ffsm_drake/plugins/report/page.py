@@ -17,6 +17,7 @@ from ffsm_drake.plugins.analysis import Finding, analyze
 from ffsm_drake.plugins.capture.page import grasp_of
 from ffsm_drake.plugins.design.panels import stability_views
 from ffsm_drake.plugins.design.stability import Margins, stability
+from ffsm_drake.plugins.design.tables import margins_data
 from ffsm_drake.plugins.design.verdict import helpful_remarks
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
@@ -40,7 +41,6 @@ from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import Result, results_of
 from ffsm_drake.show.style import GROUP_TITLES
-from ffsm_drake.show.tables import margins_data
 
 _STATUS_TONES = {
     SETTLED: "good",
