@@ -34,7 +34,7 @@ def pytest_configure(config):
     # Tests run unstable loops on purpose. (Not in pyproject.toml, where it would load NumPy before
     # the lines above.)
     config.addinivalue_line(
-        "filterwarnings", "ignore::ffsm_drake.plugins.design.stability.StabilityWarning"
+        "filterwarnings", "ignore::ffsm_drake.runs.simulate.StabilityWarning"
     )
 
 

@@ -26,7 +26,7 @@ from ffsm_drake.cli.common import (
     scenario_stem,
 )
 from ffsm_drake.common.interrupts import exit_code
-from ffsm_drake.common.plugins import LIVE, load
+from ffsm_drake.common.plugins import LIVE, SERVICES, load, optional
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -192,13 +192,15 @@ def compare(
     )
 
 
-def _distances(records: Sequence["RunRecord"]) -> list[float]:
+def _distances(records: Sequence["RunRecord"]) -> list[float] | None:
     """Distance of each run's controller to the LQG limit; NaN, with a printed reason, if it is
-    unknown.
+    unknown; None without the service ``lqg_limit``.
     """
     from ffsm_drake.common.errors import FfsmError, one_line
-    from ffsm_drake.plugins.design.limit import find_limit
 
+    find_limit = optional(SERVICES, "lqg_limit")
+    if find_limit is None:
+        return None
     distances, missing = [], dict[str, list[str]]()  # reason -> controllers
     for record in records:
         try:
@@ -322,15 +324,15 @@ def _finish(
 ) -> int:
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.plugins.design.verdict import helpful_remarks
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
+    advice_on = optional(SERVICES, "advice") or (lambda record: ())
     said: dict[str, list[str]] = {}  # remark -> controllers
     for record in records:
-        for remark in (*run_remarks(record), *helpful_remarks(record)):
+        for remark in (*run_remarks(record), *advice_on(record)):
             said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)

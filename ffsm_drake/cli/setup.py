@@ -2,11 +2,9 @@
 completion.
 """
 
-import dataclasses
 import os
 import sys
 import warnings
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from ffsm_drake.cli.common import (
     print_result,
     rehearsal_option,
 )
+from ffsm_drake.common.plugins import SERVICES, optional
 
 
 @click.command()
@@ -87,7 +86,6 @@ def validate(
       ffsm validate postcapture --set payload.truth.mass=-5
     """
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.plugins.capture.momentum import momentum_lines
     from ffsm_drake.runs.limits import Closest
     from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
@@ -95,65 +93,54 @@ def validate(
     for name in scenarios:
         try:
             with located_errors(name, overrides):
-                found = results[name] = _validated(name, overrides, rehearsal=rehearsal)
+                found, lines = _validated(name, overrides, rehearsal=rehearsal)
         except FfsmError as error:
             results[name] = {"valid": False, "error": str(error)}
             if not as_json:
                 click.echo(f"error: {error}", err=True)
             continue
+        results[name] = found
         if as_json:
             continue
         for text in found["warnings"]:
             click.echo(f"warning: {name}: {text}", err=True)
-        nearest = "".join(f"; plan: {Closest(**each)}" for each in found["nearest"])
+        nearest = "".join(f"; plan: {Closest(**each)}" for each in found.get("nearest", ()))
         joints = len(found["coordinates"]) - NUM_BASE_VELOCITIES
         click.echo(f"{name}: valid; {found['controller']}, free base and {joints} joints{nearest}")
-        mission = found["mission"]
-        for line in (
-            *mission["lines"],
-            mission["conclusion"],
-            *momentum_lines(found.get("momentum_budget")),
-        ):
+        for line in lines:
             click.echo(f"{name}: {line}")
     if as_json:
         print_json(results)
     sys.exit(0 if all(result["valid"] for result in results.values()) else EXIT_BAD_INPUT)
 
 
-def _validated(name: str, overrides: tuple[str, ...], *, rehearsal: bool) -> dict[str, Any]:
-    """The results of ``validate`` for a scenario, as plain data."""
-    from ffsm_drake.common.errors import ModelError
-    from ffsm_drake.plugins.capture.momentum import momentum_budget
-    from ffsm_drake.plugins.design.remarks import plan_clearance, plan_remarks
-    from ffsm_drake.plugins.design.verdict import verdict
+def _validated(
+    name: str, overrides: tuple[str, ...], *, rehearsal: bool
+) -> tuple[dict[str, Any], list[str]]:
+    """The results of ``validate`` for a scenario, as plain data, and lines on the mission."""
     from ffsm_drake.runs.simulate import prepare
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
 
-    closest = []
+    found = dict[str, Any](warnings=[])
+    lines = ["no installed plug-in evaluates the mission"]
     with warnings.catch_warnings(record=True) as caught:
         scenario = load_scenario(name, overrides)
         check_pictures(scenario.model)
         rollout = prepare(scenario, check_stability=False)
         rollout.check()
         loop = rollout.loop
-        with suppress(ModelError):  # already among the warnings
-            closest = plan_clearance(scenario)
         rollout.release()
-        budget = momentum_budget(loop.scenario)
-        remarks = plan_remarks(loop.scenario)
-        mission = verdict(loop.scenario, rehearsal=rehearsal)
+        if (mission := optional(SERVICES, "mission")) is not None:
+            found, lines = mission(loop.scenario, rehearsal=rehearsal)
+    told = [*(str(item.message) for item in caught), *found["warnings"]]
     return {
         "valid": True,
         "controller": loop.scenario.controller,
         "coordinates": list(loop.coordinates.names),
-        "nearest": [dataclasses.asdict(each) for each in closest],
-        **({} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}),
-        "mission": mission.as_data(),
-        "warnings": list(
-            dict.fromkeys([*(str(item.message) for item in caught), *remarks, *mission.warnings])
-        ),
-    }
+        **found,
+        "warnings": list(dict.fromkeys(told)),
+    }, lines
 
 
 @click.command()

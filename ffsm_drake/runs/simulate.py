@@ -12,11 +12,10 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.plugins.capture.mission import MissionRollout, make_rollout
-from ffsm_drake.plugins.capture.momentum import momentum_budget
-from ffsm_drake.plugins.design.remarks import LimitWarning, plan_remarks
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.log import RunLog
@@ -27,6 +26,14 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
+
+
+class LimitWarning(UserWarning):
+    """A plan leaves the limits of the model."""
+
+
+class StabilityWarning(UserWarning):
+    """The sampled loop of a scenario is unstable, or adaptation may make it so."""
 
 
 def simulate(
@@ -88,8 +95,8 @@ def prepare(
 ) -> Rollout | MissionRollout:
     """The preparations of ``simulate`` before the run, with the same arguments and errors.
 
-    With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as
-    planned (``verdict``, without a rehearsal) or adaptation may take the loop out of its stable
+    With ``check_stability``, and the service ``preflight``, it warns (StabilityWarning) if the
+    mission is not expected to go as planned or adaptation may take the loop out of its stable
     range, except with user-supplied blocks (a check would have to run them); and (LimitWarning) if
     a posture or the plan leaves the joints' limits, or the scenario overrides the target's mass.
     """
@@ -97,16 +104,9 @@ def prepare(
         scenario = checked(scenario)
         if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
             scenario = timed(scenario)
-        if check_stability:
-            for remark in plan_remarks(scenario):
-                warnings.warn(remark, LimitWarning, stacklevel=3)
-        if check_stability and not user_supplied(scenario, blocks):
-            # SciPy is slow
-            from ffsm_drake.plugins.design.stability import StabilityWarning
-            from ffsm_drake.plugins.design.verdict import verdict
-
-            for remark in verdict(scenario, rehearsal=False).warnings:
-                warnings.warn(remark, StabilityWarning, stacklevel=3)
+        if check_stability and (preflight := optional(SERVICES, "preflight")) is not None:
+            for warning in preflight(scenario, predicts=not user_supplied(scenario, blocks)):
+                warnings.warn(warning, stacklevel=3)
         return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
 
 
@@ -118,8 +118,9 @@ def make_record(
     """
     scenario = repeatable_scenario(log.scenario, blocks or {})
     grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
-    if grasp is not None and (budget := momentum_budget(scenario)) is not None:
-        grasp["momentum_budget"] = dataclasses.asdict(budget)
+    if grasp is not None and (budget_of := optional(SERVICES, "momentum_budget")) is not None:
+        budget = budget_of(scenario)
+        grasp |= {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,

@@ -10,7 +10,6 @@ from scipy.optimize import brentq
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.plugins.design.stability import (
-    StabilityWarning,
     adaptation_remark,
     stability,
 )
@@ -27,6 +26,7 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import inertia_ratios
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.estimators.estimators import KalmanEstimator
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
+from ffsm_drake.runs.simulate import StabilityWarning
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 

@@ -8,8 +8,7 @@ from children import finished
 
 import ffsm_drake
 from ffsm_drake import load_scenario
-from ffsm_drake.plugins.design.remarks import LimitWarning
-from ffsm_drake.plugins.design.stability import StabilityWarning
+from ffsm_drake.runs.simulate import LimitWarning, StabilityWarning
 
 SHORT = ["duration=0.105", "sensing.delay=1"]  # no whole number of samples, and unstable
 

@@ -50,10 +50,6 @@ _LEAST_DAMPING = 1e-4
 _PHASE = 0.5
 
 
-class LimitWarning(UserWarning):
-    """A plan leaves the limits of the model."""
-
-
 def plan_remarks(scenario: Scenario) -> list[str]:
     """A line for each limit exceeded by a scenario, and for each overridden value of its model.
 

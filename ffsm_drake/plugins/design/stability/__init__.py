@@ -2,9 +2,8 @@
 
 from ffsm_drake.plugins.design.stability.margins import (
     Margins,
-    StabilityWarning,
     adaptation_remark,
     stability,
 )
 
-__all__ = ["Margins", "StabilityWarning", "stability", "adaptation_remark"]
+__all__ = ["Margins", "stability", "adaptation_remark"]

@@ -37,10 +37,6 @@ from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 
-class StabilityWarning(UserWarning):
-    """The sampled loop of a scenario is unstable, or adaptation may make it so."""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AxisMargins:
     """Limits of each coordinate alone (``one_axis``), for the worst eta along the planned
