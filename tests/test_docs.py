@@ -171,7 +171,7 @@ def test_every_command_of_a_task_page_runs(name, tmp_path, monkeypatch):
     stability section have tests of their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
     monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", PRICES[:1])
     monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 1)
     monkeypatch.chdir(tmp_path)
@@ -216,7 +216,7 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
     stability section and most prices of a design cost seconds and have tests of their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
     monkeypatch.setattr("ffsm_drake.plugins.design.gains.axis_search.PRICES", PRICES[:1])
     if page.name == "README.md":  # whose runs are as long as they come
         shortened = lambda name, overrides=(): load_scenario(name, [*overrides, "duration=2"])  # noqa: E731

@@ -83,7 +83,7 @@ def cheap(monkeypatch):
     their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
 
 
 @pytest.fixture

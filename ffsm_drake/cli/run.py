@@ -344,15 +344,18 @@ def _finish(
         placed = _places(records)
         shown = None if distances is None else [distances[k] for k in placed]
         click.echo(results_table([records[k] for k in placed], shown))
+    written = list[Path]()
     if report:
-        write_outputs(records, directory, figures=False, recording=False, distances=distances)
-    else:
+        written = write_outputs(
+            records, directory, figures=False, recording=False, distances=distances
+        )
+    if not written:
         (directory / REPORT_FILE).unlink(missing_ok=True)  # report of earlier runs
     if as_json:
         print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:
         click.echo(
-            f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else "")
+            f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if written else "")
         )
     broken = [broken_limits(record.scenario, record.dataset) for record in records]
     for record, beyond in zip(records, broken, strict=True):

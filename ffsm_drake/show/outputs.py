@@ -1,9 +1,11 @@
 """Outputs of a finished run: report page, figures and recording."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.reading import REPORT_FILE
 from ffsm_drake.runs.record import RunRecord
 
@@ -19,7 +21,7 @@ def write_outputs(
     distances: Sequence[float] | None = None,
 ) -> list[Path]:
     """Write report.html for one run, or several overlaid, with figures (PNG, SVG) and
-    recording.html.
+    recording.html; the report by the service ``report``.
 
     The recording shows the first run. Returns the files.
 
@@ -28,7 +30,7 @@ def write_outputs(
       directory: folder for the files.
       figures: also write the figures.
       recording: also write recording.html.
-      distances: distance of each run's controller to the LQG limit (``control_design.limit``).
+      distances: distance of each run's controller to the LQG limit (service ``lqg_limit``).
 
     Raises:
       RecordError: a file cannot be written.
@@ -41,13 +43,17 @@ def write_outputs(
       ['report.html']
     """
     # Here, because they are slow to import and not always needed.
-    from ffsm_drake.plugins.report import write_report
     from ffsm_drake.show.figures.run import save_figures
     from ffsm_drake.show.meshcat import recording_html
 
     directory = Path(directory)
+    write_report, written = optional(SERVICES, "report"), list[Path]()
     shown = recording_html(records[0], forces=True)
-    written = [write_report(records, directory / REPORT_FILE, recording=shown, distances=distances)]
+    if write_report is None:
+        warnings.warn("no report is written: no installed plug-in offers it", stacklevel=2)
+    else:
+        file = directory / REPORT_FILE
+        written.append(write_report(records, file, recording=shown, distances=distances))
     if recording:
         write_text(directory / RECORDING_FILE, shown)
         written.append(directory / RECORDING_FILE)

@@ -1,10 +1,11 @@
 """Self-contained HTML pages: one Jinja environment, one stylesheet, embedded Plotly figures."""
 
+import dataclasses
 import functools
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,18 @@ from ffsm_drake.show.style import PAGE, label_of
 _SYMBOL = re.compile(r"(?<![\w.])(K|G|s|q|τ|β|beta|N\*)_(si|s|d\d|[iDPd])\b")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Section:
+    """A section of the report that a plug-in gives by a service ``report_NAME``, a function of the
+    results and the page's ``Thinning``: its text, and the views that it names by NAME.
+    """
+
+    html: Markup
+    views: Sequence[View] = ()
+
+
 def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_drake.show") -> str:
-    """A self-contained page as text.
+    """A self-contained page, or a section of one, as text.
 
     ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content``
     its variables; ``plots``, from ``embedded``, adds plotly.js.

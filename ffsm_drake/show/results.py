@@ -2,17 +2,26 @@
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
+from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, NOT_CAPTURED
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
 
+T = TypeVar("T")
+
 HELD = ("generalized_force", "applied_force")  # from one sample to the next
+
+
+class MissingWarning(UserWarning):
+    """A section of a page has no content, since a block of the run's loop fails."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,3 +150,24 @@ def _magnitudes(
         )
         magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
     return magnitudes
+
+
+def attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:
+    """Result of ``make``, or the reason for its absence: a failing section must not prevent the
+    report.
+
+    Warns (MissingWarning) if a block fails.
+    """
+    try:
+        return make(), ""
+    except FfsmError as error:
+        if isinstance(error, BlockError):
+            name = result.record.scenario.controller
+            text = f"{name}: the report lacks its {section}: {one_line(error)}"
+            warnings.warn(text, MissingWarning, stacklevel=4)
+        return None, one_line(error)
+    except KeyError as error:  # a variable missing in the record, a controller without a law
+        return None, (
+            "there is no "
+            f"{one_line(error).strip(chr(34)).removeprefix('No variable named ').split('. ')[0]}"
+        )

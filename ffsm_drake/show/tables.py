@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.numbers import NONE, number
-from ffsm_drake.plugins.capture.momentum import momentum_lines
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import controller_key
@@ -74,9 +74,8 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
         for record in records
     ):
         yield "forces and ISV as commanded; the applied forces differ, see the report"
-    yield from (grasp_line(record.grasp) for record in records if record.grasp is not None)
-    # momentum of the plan, common to all
-    yield from momentum_lines((records[0].grasp or {}).get("momentum_budget"))
+    if (grasp_lines := optional(SERVICES, "grasp_lines")) is not None:
+        yield from grasp_lines([record.grasp for record in records if record.grasp is not None])
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
         sentences = (part.sentence for part in record.parts if part.sentence)
@@ -143,30 +142,6 @@ def _final_and_largest(figures: Mapping[str, Any]) -> Iterator[str]:
             f"{180.0 / math.pi * size:.4g} deg" if "rotation" in part else f"{1e3 * size:.4g} mm"
             for part, size in sorted(figures[moment].items())
         )
-
-
-def grasp_line(grasp: Mapping[str, Any]) -> str:
-    """The grasp of a run (``RunRecord.grasp``) in one line."""
-    size = {key: math.hypot(*grasp[key]) for key in ("impulse", "angular_impulse")}
-    before, after = (grasp[side]["kinetic_energy"] for side in ("before", "after"))
-    brakes = max(map(abs, grasp["brake_impulse"].values()), default=0.0)
-    miss, compliant = grasp["miss"], grasp["compliant"]
-    gripper = (
-        f"; the gripper bears at most {compliant['peak_force']:.3g} N and "
-        f"{compliant['peak_torque']:.3g} N m, over in "
-        f"{1e3 * compliant['time']:.3g} ms"
-        if compliant
-        else ""
-    )
-    return (
-        f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and "
-        f"{size['angular_impulse']:.3g} N m s"
-        + (f", of a brake at most {brakes:.3g} N m s" if brakes else "")
-        + f", kinetic energy {before:.4g} to {after:.4g} J; missed by "
-        f"{1e3 * miss['position']:.2g} mm and "
-        f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
-        f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
-    )
 
 
 def results_data(

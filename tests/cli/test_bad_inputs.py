@@ -835,8 +835,8 @@ def test_a_report_of_another_run_is_noticed(tmp_path, run, monkeypatch):
     """One in the run's folder that was copied; that of a comparison above, whose runs were made
     anew one by one.
     """
-    for section in ("analyze", "stability"):  # which cost most of a report
-        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{section}", left_out)
+    for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
+        monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
     records = [run("postcapture", "duration=0.1", f"controller={name}") for name in ("tdc", "asmc")]
     folders = [record.save(tmp_path / record.scenario.controller) for record in records]
     page = render_report(records[:1])

@@ -55,7 +55,7 @@ def test_help_needs_no_drake():
 
 def test_run_writes_record_and_report(tmp_path, monkeypatch):
     """A report with its stability section: ``show/test_report.py``."""
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
     result = ffsm("run", "postcapture", *SHORT, "--seed", 4, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     record = RunRecord.load(tmp_path)
@@ -103,7 +103,7 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
 
 @pytest.mark.slow
 def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)  # as above
+    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)  # as above
     result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     for name in ("tdc", "asmc", "aismc", "tde_aismc"):

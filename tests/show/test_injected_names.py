@@ -108,8 +108,8 @@ def no_analysis(monkeypatch):
     def absent(_):
         raise FfsmError("left out")
 
-    for name in ("stability", "analyze"):
-        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{name}", absent)
+    for name in ("analysis.page.analyze", "design.panels.stability"):
+        monkeypatch.setattr(f"ffsm_drake.plugins.{name}", absent)
 
 
 @pytest.fixture

@@ -327,8 +327,8 @@ def left_out(_):
 
 
 def test_the_report_tells_of_the_grasp(captured, monkeypatch):
-    for section in ("analyze", "stability"):  # which cost most of a report
-        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{section}", left_out)
+    for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
+        monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
     page = render_report([captured])
     assert '<section id="grasp">' in page
     assert "Angular momentum about the centre of mass [N m s]" in page

@@ -106,13 +106,13 @@ def absent(_):
 @pytest.fixture
 def without_stability(monkeypatch):
     """Leave out the stability map, which costs seconds and is not what the test is about."""
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
 
 
 @pytest.fixture
 def plain(monkeypatch, without_stability, no_remedies):
     """Leave out the analysis too."""
-    monkeypatch.setattr("ffsm_drake.plugins.report.page.analyze", absent)
+    monkeypatch.setattr("ffsm_drake.plugins.analysis.page.analyze", absent)
 
 
 @pytest.fixture(scope="module")
@@ -235,7 +235,7 @@ def test_diverged_runs_rank_last_and_never_best(short, diverged):
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_interrupted_after_few_samples(short, samples, monkeypatch):
     if samples:  # on which stability does not depend
-        monkeypatch.setattr("ffsm_drake.plugins.report.page.stability", absent)
+        monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
     page = page_of(shortened(short, samples))
     assert "interrupted" in page.text
     assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[
@@ -281,8 +281,8 @@ def test_failing_sections_leave_the_rest(short, monkeypatch):
     def fail(_):
         raise FfsmError("controller: has no margins; choose another")
 
-    for name in ("analyze", "stability"):
-        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{name}", fail)
+    for name in ("analysis.page.analyze", "design.panels.stability"):
+        monkeypatch.setattr(f"ffsm_drake.plugins.{name}", fail)
     page = page_of(short)
     assert page.text.count("controller: has no margins; choose another.") == 2
     assert "ITAE" in page.text

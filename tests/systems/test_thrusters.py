@@ -427,8 +427,8 @@ def test_failures_are_known(run):
 
 
 def test_the_report_draws_every_pulse(run, monkeypatch):
-    for section in ("analyze", "stability"):  # which cost most of a report
-        monkeypatch.setattr(f"ffsm_drake.plugins.report.page.{section}", left_out)
+    for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
+        monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
     record = run(*SHORT, "actuation.thrusters.layout=12x5N")
     (view,) = part_views(results_of([record]), Thinning(1000), "Actuators")
     (panel,) = view.panels

@@ -2,21 +2,34 @@
 of it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.capture.momentum import momentum_lines
+from ffsm_drake.plugins.capture.tables import grasp_line
+from ffsm_drake.show.page import Section, render
+from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import Result
-from ffsm_drake.show.tables import grasp_line
 
 _LEDGER = (
     ("linear_momentum", "Linear momentum", "N s"),
     ("angular_momentum", "Angular momentum about the world's origin", "N m s"),
     ("spin", "Angular momentum about the centre of mass", "N m s"),
 )
+
+
+def grasp_section(results: Sequence[Result], thin: Thinning) -> Section | None:
+    """The grasps of the runs; None without any."""
+    grasps = [grasp for result in results if (grasp := grasp_of(result)) is not None]
+    if not grasps:
+        return None
+    content = {"grasps": grasps, "several": len(results) > 1}
+    text = render("grasp.html.j2", content, package="ffsm_drake.plugins.capture")
+    return Section(html=Markup(text))
 
 
 def grasp_of(result: Result) -> dict[str, Any] | None:

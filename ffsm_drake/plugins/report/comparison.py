@@ -10,7 +10,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
-from ffsm_drake.plugins.design.remarks import plan_remarks
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
@@ -248,11 +248,13 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
     """The limits of the models exceeded by the plans and the runs, or the reason for a missing
     comparison; a sentence each.
     """
-    sentences = []
+    sentences, preflight = list[str](), optional(SERVICES, "preflight")
     for result in results:
         name = f"{result.label}: " if len(results) > 1 else ""
         try:
-            sentences += [f"Plan: {remark}." for remark in plan_remarks(result.record.scenario)]
+            if preflight is not None:
+                remarks = preflight(result.record.scenario, predicts=False)
+                sentences += [f"Plan: {remark}." for remark in remarks]
             sentences += [
                 f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)
             ]

@@ -3,22 +3,14 @@ them as one file.
 """
 
 import functools
-import math
 import re
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from ffsm_drake.common.errors import BlockError, FfsmError, RecordError, one_line
+from ffsm_drake.common.errors import RecordError
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.numbers import NONE, number
-from ffsm_drake.plugins.analysis import Finding, analyze
-from ffsm_drake.plugins.capture.page import grasp_of
-from ffsm_drake.plugins.design.panels import stability_views
-from ffsm_drake.plugins.design.stability import Margins, stability
-from ffsm_drake.plugins.design.tables import margins_data
-from ffsm_drake.plugins.design.verdict import helpful_remarks
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
 from ffsm_drake.plugins.report.provenance import provenance, software
@@ -39,7 +31,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.results import Result, results_of
+from ffsm_drake.show.results import Result, attempt, results_of
 from ffsm_drake.show.style import GROUP_TITLES
 
 _STATUS_TONES = {
@@ -50,13 +42,6 @@ _STATUS_TONES = {
     **dict.fromkeys(NOT_CAPTURED, "bad"),
     DIVERGED: "bad",
     FAILED: "bad",
-}
-_FINDING_TONES = {
-    "holds": "good",
-    "does not hold": "bad",
-    "measured": "mute",
-    "not tested": "mute",
-    "not applicable": "mute",
 }
 # Section key -> title, text, and the sentence for records without data for it.
 _SECTIONS = {
@@ -88,12 +73,9 @@ _SECTIONS = {
     ),
 }
 
-T = TypeVar("T")
+_FROM_PLUGINS = ("grasp", "findings", "stability")  # see ``Section``
+
 Json = dict[str, Any]
-
-
-class MissingWarning(UserWarning):
-    """A section of a page has no content, since a block of the run's loop fails."""
 
 
 def write_report(
@@ -115,7 +97,7 @@ def write_report(
       path: the file to write.
       title: the page's heading; default: the scenario's description.
       recording: the text of a self-contained Meshcat page, to be played within this one.
-      distances: each run's controller's distance to the LQG limit (``control_design.limit``), for
+      distances: each run's controller's distance to the LQG limit (service ``lqg_limit``), for
         the table.
 
     Raises:
@@ -144,17 +126,19 @@ def render_report(
     """
     results = results_of(records)
     thin = Thinning(points_per_curve(results))
-    margins = [
-        _attempt("stability", result, functools.partial(stability, result.record.scenario))
-        for result in results
-    ]
+    given = {
+        name: section
+        for name in _FROM_PLUGINS
+        if (make := optional(SERVICES, f"report_{name}")) is not None
+        and (section := make(results, thin)) is not None
+    }
     views = run_views(results, thin)
     of_parts = {
         f"part_{re.sub(r'[^a-z0-9]+', '_', title.lower())}": (title, part.about)
         for title, part in part_sections(results).items()
     }
     views |= {key: part_views(results, thin, title) for key, (title, _) in of_parts.items()}
-    views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
+    views |= {name: list(section.views) for name, section in given.items()}
     sections = _SECTIONS | {
         key: (heading, part_text(results, heading, about), "")
         for key, (heading, about) in of_parts.items()
@@ -177,19 +161,14 @@ def render_report(
         "part_tables": {
             key: part_tables(results, heading) for key, (heading, _) in of_parts.items()
         },
-        "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],
+        "given": given,
         "thinning": _thinning(thin),
-        "findings": [_findings(result) for result in results],
-        "stability": [
-            _stability(result, *margin) for result, margin in zip(results, margins, strict=True)
-        ],
         "provenance": provenance(results, folder),
         "software": software(records),
         "tones": _STATUS_TONES,
-        "finding_tones": _FINDING_TONES,
         "plots": embedded(views),
     }
-    return render("report.html.j2", content)
+    return render("report.html.j2", content, package="ffsm_drake.plugins.report")
 
 
 def _heading(records: Sequence[RunRecord], title: str | None) -> Json:
@@ -220,27 +199,6 @@ def _settled_rule(scenario: Scenario) -> str:
     )
 
 
-def _attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:
-    """Result of ``make``, or the reason for its absence: a failing section must not prevent the
-    report.
-
-    Warns (MissingWarning) if a block fails.
-    """
-    try:
-        return make(), ""
-    except FfsmError as error:
-        if isinstance(error, BlockError):
-            name = result.record.scenario.controller
-            text = f"{name}: the report lacks its {section}: {one_line(error)}"
-            warnings.warn(text, MissingWarning, stacklevel=4)
-        return None, one_line(error)
-    except KeyError as error:  # a variable missing in the record, a controller without a law
-        return None, (
-            "there is no "
-            f"{one_line(error).strip(chr(34)).removeprefix('No variable named ').split('. ')[0]}"
-        )
-
-
 def _summary(results: Sequence[Result]) -> str:
     if len(results) == 1:
         return f"One run of {results[0].label}, {results[0].record.outcome.time:g} s of flight."
@@ -255,10 +213,11 @@ def _remarks(result: Result) -> Json:
     record = result.record
     if not record.dataset.sizes.get("time", 0):
         return {"broken": [], "helps": []}
-    broken, _ = _attempt(
+    broken, _ = attempt(
         "limits", result, functools.partial(broken_limits, record.scenario, record.dataset)
     )
-    helps, _ = _attempt("advice", result, functools.partial(helpful_remarks, record))
+    advice_on = optional(SERVICES, "advice") or (lambda record: ())
+    helps, _ = attempt("advice", result, functools.partial(advice_on, record))
     said = [f"{remark[:1].upper()}{remark[1:]}." for remark in helps or ()]
     return {"broken": broken or [], "helps": said}
 
@@ -276,64 +235,3 @@ def _thinning(thin: Thinning) -> str:
         f"keep all peaks. The record itself "
         "is whole, and every figure on this page is computed from all samples."
     )
-
-
-def _findings(result: Result) -> Json:
-    findings: tuple[Finding, ...] = ()
-    excuse = "The record has no sample to analyse."
-    if result.record.dataset.sizes.get("time", 0):
-        analysis, problem = _attempt("analysis", result, functools.partial(analyze, result.record))
-        findings = () if analysis is None else analysis.findings
-        excuse = problem and f"The analysis is not available for this run: {problem}."
-    counted = {
-        verdict: sum(finding.verdict == verdict for finding in findings)
-        for verdict in _FINDING_TONES
-    }
-    return {"result": result, "findings": findings, "excuse": excuse, "tally": _tally(counted)}
-
-
-def _stability(result: Result, margins: Margins | None, problem: str) -> Json:
-    """The run's line of the stability table and its limits by coordinate, or why there are none."""
-    if margins is None:
-        excuse = f"{result.label}: the stability of the loop is not available: {problem}."
-        return {"result": result, "excuse": excuse, "limits": {}}
-    axes, data = margins.axes, margins_data(margins)
-    adapts = axes is not None and axes.has_k_s
-    items = data["coordinates"]
-    limits = [item["k_s_limit"] for item in items.values() if math.isfinite(item["k_s_limit"])]
-    highest = [item["k_s_expected"] for item in items.values()]
-    period = f"{1e3 * margins.scenario.sample_time:.3g}"
-    longest = NONE if axes is None else f"{1e3 * axes.sample_time_limit.min():.3g}"
-    expected = max(loop.spectral_radius for loop in margins.loops_expected)
-    return {
-        "result": result,
-        "excuse": "",
-        "cells": [
-            _span(*data["eta"]),
-            f"{data['spectral_radius']:.5f}",
-            f"{expected:.5f}" if adapts else NONE,
-            f"{max(highest):.3g} / {min(limits):.3g}" if adapts else NONE,
-            f"{period} / {longest}",
-        ],
-        "tone": "bad"
-        if not margins.is_stable
-        else "good"
-        if margins.verdict == "stable"
-        else "warn",
-        "verdict": margins.verdict,
-        "limits": {
-            name: [
-                *(
-                    number(item[f"k_s_{key}"]) if adapts else NONE
-                    for key in ("start", "expected", "bound", "limit")
-                ),
-                number(1e3 * item["sample_time_limit"]),
-                _span(*item["eta_tolerated"]),
-            ]
-            for name, item in items.items()
-        },
-    }
-
-
-def _span(low: float, high: float) -> str:
-    return f"{number(low, 3)} to {number(high, 3)}"

@@ -1,0 +1,40 @@
+"""Lines below the table of results: grasps, and the momentum after them."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from ffsm_drake.plugins.capture.momentum import momentum_lines
+
+
+def grasp_lines(grasps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """A line for each grasp (``RunRecord.grasp``), and lines on the momentum of the plan, common to
+    all.
+    """
+    yield from map(grasp_line, grasps)
+    for grasp in grasps[:1]:
+        yield from momentum_lines(grasp.get("momentum_budget"))
+
+
+def grasp_line(grasp: Mapping[str, Any]) -> str:
+    """The grasp of a run (``RunRecord.grasp``) in one line."""
+    size = {key: math.hypot(*grasp[key]) for key in ("impulse", "angular_impulse")}
+    before, after = (grasp[side]["kinetic_energy"] for side in ("before", "after"))
+    brakes = max(map(abs, grasp["brake_impulse"].values()), default=0.0)
+    miss, compliant = grasp["miss"], grasp["compliant"]
+    gripper = (
+        f"; the gripper bears at most {compliant['peak_force']:.3g} N and "
+        f"{compliant['peak_torque']:.3g} N m, over in "
+        f"{1e3 * compliant['time']:.3g} ms"
+        if compliant
+        else ""
+    )
+    return (
+        f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and "
+        f"{size['angular_impulse']:.3g} N m s"
+        + (f", of a brake at most {brakes:.3g} N m s" if brakes else "")
+        + f", kinetic energy {before:.4g} to {after:.4g} J; missed by "
+        f"{1e3 * miss['position']:.2g} mm and "
+        f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
+        f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
+    )
