@@ -4,7 +4,7 @@ Each is imported on first use.
 """
 
 import functools
-import importlib.util
+import re
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -69,14 +69,18 @@ def load(group: str, name: str, place: str) -> Any:
 
 
 def optional(group: str, name: str) -> Any:
-    """As ``load``; None where no package offers the name, or its plug-in has been deleted."""
-    known = offered(group)
-    if name not in known:
+    """As ``load``; None where no package offers the name, or a plug-in that it needs has been
+    deleted.
+    """
+    if name not in offered(group):
         return None
-    package = ".".join(known[name].module.split(".")[:3])
-    if is_ours(known[name]) and importlib.util.find_spec(package) is None:
-        return None
-    return load(group, name, name)
+    try:
+        return load(group, name, name)
+    except BlockError as error:
+        missing = str(getattr(error.__cause__, "name", ""))  # of a ModuleNotFoundError
+        if re.fullmatch(r"ffsm_drake\.plugins\.\w+", missing):
+            return None
+        raise
 
 
 def service(name: str, place: str) -> Any:

@@ -95,18 +95,26 @@ def prepare(
 ) -> Rollout | MissionRollout:
     """The preparations of ``simulate`` before the run, with the same arguments and errors.
 
-    With ``check_stability``, and the service ``preflight``, it warns (StabilityWarning) if the
-    mission is not expected to go as planned or adaptation may take the loop out of its stable
-    range, except with user-supplied blocks (a check would have to run them); and (LimitWarning) if
-    a posture or the plan leaves the joints' limits, or the scenario overrides the target's mass.
+    With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as
+    planned (service ``verdict``, without a rehearsal) or adaptation may take the loop out of its
+    stable range, except with user-supplied blocks (a check would have to run them); and
+    (LimitWarning, service ``plan_remarks``) if a posture or the plan leaves the joints' limits, or
+    the scenario overrides the target's mass.
     """
     with guarded, same_folder():
         scenario = checked(scenario)
         if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
             scenario = timed(scenario)
-        if check_stability and (preflight := optional(SERVICES, "preflight")) is not None:
-            for warning in preflight(scenario, predicts=not user_supplied(scenario, blocks)):
-                warnings.warn(warning, stacklevel=3)
+        if check_stability and (plan_remarks := optional(SERVICES, "plan_remarks")) is not None:
+            for remark in plan_remarks(scenario):
+                warnings.warn(remark, LimitWarning, stacklevel=3)
+        if (
+            check_stability
+            and not user_supplied(scenario, blocks)
+            and (verdict := optional(SERVICES, "verdict")) is not None
+        ):
+            for remark in verdict(scenario, rehearsal=False).warnings:
+                warnings.warn(remark, StabilityWarning, stacklevel=3)
         return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
 
 

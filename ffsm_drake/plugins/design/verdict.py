@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.errors import BlockError, ModelError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.capture.mission import make_rollout
-from ffsm_drake.plugins.design.remarks import plan_limits
+from ffsm_drake.plugins.capture.momentum import momentum_budget, momentum_lines
+from ffsm_drake.plugins.design.remarks import plan_clearance, plan_limits, plan_remarks
 from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
@@ -293,6 +294,24 @@ def verdict(
         if advises and rehearsal and expected.is_alarm
         else (),
     )
+
+
+def mission(scenario: Scenario, *, rehearsal: bool) -> tuple[dict[str, Any], list[str]]:
+    """The plan's clearance, the momentum after a grasp, the verdict and all warnings for ``ffsm
+    validate``, as plain data; and lines on them, without the warnings. Errors as ``verdict``.
+    """
+    closest, budget = [], momentum_budget(scenario)
+    with suppress(ModelError):  # already among the remarks
+        closest = plan_clearance(scenario)
+    remarks, found = plan_remarks(scenario), verdict(scenario, rehearsal=rehearsal)
+    momentum = {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
+    data = {
+        "nearest": [dataclasses.asdict(each) for each in closest],
+        **momentum,
+        "mission": found.as_data(),
+        "warnings": [*remarks, *found.warnings],
+    }
+    return data, [*found.lines, found.conclusion, *momentum_lines(momentum.get("momentum_budget"))]
 
 
 def helps(found: Iterable[Advice]) -> str:

@@ -248,12 +248,12 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
     """The limits of the models exceeded by the plans and the runs, or the reason for a missing
     comparison; a sentence each.
     """
-    sentences, preflight = list[str](), optional(SERVICES, "preflight")
+    sentences, plan_remarks = list[str](), optional(SERVICES, "plan_remarks")
     for result in results:
         name = f"{result.label}: " if len(results) > 1 else ""
         try:
-            if preflight is not None:
-                remarks = preflight(result.record.scenario, predicts=False)
+            if plan_remarks is not None:
+                remarks = plan_remarks(result.record.scenario)
                 sentences += [f"Plan: {remark}." for remark in remarks]
             sentences += [
                 f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)
