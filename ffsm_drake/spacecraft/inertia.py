@@ -1,4 +1,4 @@
-"""Inertia matrices as Drake's types."""
+"""Inertia matrices: as Drake's types, and how two of them compare."""
 
 import numpy as np
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
@@ -19,3 +19,12 @@ def spatial_inertia_about(mass: float, center: np.ndarray, matrix: np.ndarray) -
     return SpatialInertia(
         mass=mass, p_PScm_E=center, G_SP_E=UnitInertia(rotational_inertia(matrix) / mass)
     )
+
+
+def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
+    """Eigenvalues eta of H^-1 Hhat, ascending (nv); above 1 the inertia is over-estimated.
+
+    They have no units, since both matrices have the same.
+    """
+    scale = np.linalg.inv(np.linalg.cholesky(true_mass_matrix))
+    return np.linalg.eigvalsh(scale @ nominal_mass_matrix @ scale.T)

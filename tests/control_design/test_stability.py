@@ -22,11 +22,11 @@ from ffsm_drake.plugins.design.stability.one_axis import (
     tolerated_eta,
     with_sample_time,
 )
-from ffsm_drake.plugins.design.stability.planned_dynamics import inertia_ratios
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.estimators.estimators import KalmanEstimator
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
 from ffsm_drake.runs.simulate import StabilityWarning
+from ffsm_drake.spacecraft.inertia import inertia_ratios
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ffsm_drake.plugins.analysis.evidence import Evidence, mass_matrices
 from ffsm_drake.plugins.analysis.findings import Finding, finding, not_applicable
-from ffsm_drake.plugins.design.stability.planned_dynamics import inertia_ratios
+from ffsm_drake.spacecraft.inertia import inertia_ratios
 
 POSTURE_INTERVAL = 0.1  # s, between the postures where inertias are compared
 UNITS_OF_LENGTH = {"centimetres": 0.01, "decimetres": 0.1, "metres": 1.0, "decametres": 10.0}

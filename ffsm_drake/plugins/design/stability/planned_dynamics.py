@@ -11,6 +11,7 @@ from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
+from ffsm_drake.spacecraft.inertia import inertia_ratios
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     make_flexible_plant,
@@ -21,15 +22,6 @@ from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import make_motion
 
 _POINTS = 101  # instants at which the lightest coordinates are sought
-
-
-def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
-    """Eigenvalues eta of H^-1 Hhat, ascending (nv); above 1 the inertia is over-estimated.
-
-    They have no units, since both matrices have the same.
-    """
-    scale = np.linalg.inv(np.linalg.cholesky(true_mass_matrix))
-    return np.linalg.eigvalsh(scale @ nominal_mass_matrix @ scale.T)
 
 
 class PlannedDynamics:
