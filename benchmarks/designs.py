@@ -21,9 +21,9 @@ import numpy as np
 
 from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.common.files import write_text
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.design.gains import Design, design
 from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.runs.rollout import make_rollout
 
 PAIRS = (
     ("postcapture", "tdc"),

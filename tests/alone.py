@@ -9,7 +9,8 @@ import pytest
 
 children.preload(
     "ffsm_drake.cli", "ffsm_drake.show.outputs",
-    "ffsm_drake.plugins.analysis", "ffsm_drake.plugins.analysis.figure", "ffsm_drake.show.figures.run",
+    "ffsm_drake.plugins.analysis", "ffsm_drake.plugins.analysis.figure",
+    "ffsm_drake.show.figures.run",
     "ffsm_drake.show.meshcat", "hypothesis", "pytest",
 )  # fmt: skip
 

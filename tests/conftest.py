@@ -33,9 +33,7 @@ def pytest_configure(config):
     gc.set_threshold(100_000)
     # Tests run unstable loops on purpose. (Not in pyproject.toml, where it would load NumPy before
     # the lines above.)
-    config.addinivalue_line(
-        "filterwarnings", "ignore::ffsm_drake.runs.simulate.StabilityWarning"
-    )
+    config.addinivalue_line("filterwarnings", "ignore::ffsm_drake.runs.simulate.StabilityWarning")
 
 
 def pytest_collection_finish():

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import user_supplied
+from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
 

@@ -24,6 +24,7 @@ from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
+from ffsm_drake.common.plugins import service
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.blame import bad_output, failure_of
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
@@ -548,3 +549,17 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
             **changes,
         )
     )
+
+
+def make_rollout(
+    scenario: Scenario | Sequence[Scenario],
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
+) -> Any:
+    """The rollout of a scenario, or of several with the same blocks: a ``Rollout``, or with a
+    capture one with the same methods. Arguments and errors: see ``Rollout``.
+    """
+    first = scenario if isinstance(scenario, Scenario) else scenario[0]
+    kind = service("capture_rollout", "capture") if first.grasps else Rollout
+    return kind(scenario, blocks=blocks, meshcat=meshcat)

@@ -15,12 +15,11 @@ from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.loop.blocks import block_sources
-from ffsm_drake.plugins.capture.mission import MissionRollout, make_rollout
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.runs.rollout import Rollout, user_supplied
+from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Part
@@ -92,7 +91,7 @@ def prepare(
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
     check_stability: bool = True,
-) -> Rollout | MissionRollout:
+) -> Any:
     """The preparations of ``simulate`` before the run, with the same arguments and errors.
 
     With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as

@@ -2,24 +2,30 @@
 
 import numpy as np
 
-from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.common.plugins import service
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 
 
 def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """Initial velocity (nv) of the motion with the target held; errors as ``planned_contact``."""
+    """Initial velocity (nv) of the motion with the target held; errors as those of a grasp."""
     if scenario.grasps:
-        return planned_contact(scenario, model).grasp.velocity
+        return _after_grasp(scenario, model)
     return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
 
 
 def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """The plant's own [q; v] at the start; errors as ``planned_contact``."""
+    """The plant's own [q; v] at the start; errors as those of a grasp."""
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     v = model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
     state = model.split.whole(np.concatenate([q, v]))
     if scenario.grasps:
-        state[model.plant.num_positions() :] += planned_contact(scenario, model).grasp.velocity
+        state[model.plant.num_positions() :] += _after_grasp(scenario, model)
     return state
+
+
+def _after_grasp(scenario: Scenario, model: PlantModel) -> np.ndarray:
+    """Velocity (nv) right after the grasp of the target with the model's payload."""
+    velocity: np.ndarray = service("planned_contact", "capture")(scenario, model).grasp.velocity
+    return velocity

@@ -22,9 +22,7 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.plugins.capture.approach import planned_approach
-from ffsm_drake.plugins.task_space.free_motion import FreeMotion
-from ffsm_drake.plugins.task_space.resolved_motion import ResolvedMotion
+from ffsm_drake.common.plugins import service
 from ffsm_drake.scenario import Posture, Scenario, planned_part, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
@@ -157,7 +155,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     if scenario.grasp_time == 0.0:
         return _follow(scenario, nominal, stop)
     period = scenario.sample_time
-    approach = Backwards(planned_approach(scenario, nominal), sample_time=period)
+    planned = service("planned_approach", "capture.approach")(scenario, nominal)
+    approach = Backwards(planned, sample_time=period)
     grasp, end = approach.end, approach.end + stop.end
     return InTurn([(0.0, approach), (grasp, stop)], begin=grasp, end=end, sample_time=period)
 
@@ -180,8 +179,10 @@ def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> P
     # All inputs of the quantities derived from the motion.
     content, period = (part, files_read(scenario), motion.end), scenario.sample_time
     if scenario.reference.frame is None:
-        return FreeMotion(motion, model=nominal, sample_time=period, content=content)
-    return ResolvedMotion(
+        follow = service("free_motion", "actuation.driven")
+        followed: PlannedMotion = follow(motion, model=nominal, sample_time=period, content=content)
+        return followed
+    resolved: PlannedMotion = service("resolved_motion", "reference.frame")(
         motion,
         path=make_frame_path(scenario, nominal, duration=motion.end),
         goal=scenario.reference.frame,
@@ -190,6 +191,7 @@ def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> P
         sample_time=period,
         content=content,
     )
+    return resolved
 
 
 def timed(scenario: Scenario) -> Scenario:

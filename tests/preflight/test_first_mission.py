@@ -16,10 +16,10 @@ from outside_urdfs import OUTSIDE, gripper, seven_joints, simple_arm, six_joints
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ScenarioError
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, wheel_units
 from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import base_limits
 from ffsm_drake.systems.reference import make_motion

@@ -26,9 +26,8 @@ from ffsm_drake import (
     simulate_many,
 )
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.batches import batches_of, usual_batch
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.scenario.layers import flatten

@@ -12,11 +12,11 @@ from pydrake.math import RigidTransform
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.capture.closing import ClosingRun
 from ffsm_drake.plugins.capture.contact import coast
+from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.gripper import GripperForce
 from ffsm_drake.plugins.capture.supervisor import Mode
 from ffsm_drake.runs.batches import batches_of
 from ffsm_drake.runs.metrics import phases_of
-from ffsm_drake.plugins.capture.free_body import Target
 
 # From a posture near that at the grasp, so that two seconds are enough.
 NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"

@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 from ffsm_drake import load_scenario, make_closed_loop
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import compute_metrics, isv, itae, momentum_residual
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.table import Table
 
 PERIOD, DURATION = 0.01, 20.0

@@ -13,13 +13,13 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.show.meshcat.solids import SwitchedSolids, solids_of
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.report.page import render_report
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.show.meshcat import recording_html, start_meshcat, write_recording
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import ReplayView
+from ffsm_drake.show.meshcat.solids import SwitchedSolids, solids_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.plan import load_plan
 

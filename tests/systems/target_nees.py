@@ -9,8 +9,8 @@ import numpy as np
 import test_target_filter as filters
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake.scenario import inertia_matrix
 from ffsm_drake.plugins.capture.free_body import shape_of
+from ffsm_drake.scenario import inertia_matrix
 
 SHARE = 0.1
 BODIES = {

@@ -7,8 +7,8 @@ from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.plugins.capture.approach import approach_posture, given_approach, without_target
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.capture.handover import Handover
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.limits import CLEARANCE, closest_of, distances_in, limits_left
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion

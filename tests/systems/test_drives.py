@@ -14,10 +14,10 @@ from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nomi
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.analysis.balances import energy_residual
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Drives, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import base_body
 

@@ -13,10 +13,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.plugins.analysis.balances import energy_residual
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.environment.environment import EnvironmentForce, OrbitalForce
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import NOTHING

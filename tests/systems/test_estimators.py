@@ -10,7 +10,6 @@ from flight_settings import FLIGHT, NO_NOISE
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.estimators.estimators import (
     KINDS,
     CoupledEstimator,
@@ -25,6 +24,7 @@ from ffsm_drake.plugins.estimators.filter_gains import (
     kalman_gain,
     late_gains,
 )
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.time_delay import time_delay_force

@@ -13,10 +13,10 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.actuators.base import LOST
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.faults.detection import KINDS
 from ffsm_drake.plugins.faults.residuals import slope_of, suspect
 from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Thrusters
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant

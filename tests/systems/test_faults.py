@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, simulate, simulate_many
 from ffsm_drake.loop.blocks import settle_faults
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, Faults, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant

@@ -7,8 +7,8 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.capture.supervisor import Cause, Mode, NewPlan
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.part import figures_of, nested, recorded
 

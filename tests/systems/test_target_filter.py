@@ -15,6 +15,12 @@ from scipy.stats import chi2
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.capture.contact import coast
+from ffsm_drake.plugins.capture.free_body import (
+    SIZE,
+    Target,
+    inverse_inertia,
+    shape_spread,
+)
 from ffsm_drake.plugins.capture.gripper import GripperForce
 from ffsm_drake.plugins.capture.target_filter import TargetFilter, observed
 from ffsm_drake.scenario import (
@@ -27,12 +33,6 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import StateSplit
-from ffsm_drake.plugins.capture.free_body import (
-    SIZE,
-    Target,
-    inverse_inertia,
-    shape_spread,
-)
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.setup import BlockSetup
 

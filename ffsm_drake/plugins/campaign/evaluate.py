@@ -24,13 +24,13 @@ from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of
 from ffsm_drake.plugins.campaign.prediction import predict
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS

@@ -31,9 +31,9 @@ from ffsm_drake.plugins.campaign.evaluate import (
 )
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.runs.batches import usual_batch
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some

@@ -29,6 +29,7 @@ from ffsm_drake.plugins.capture.approach import (
 from ffsm_drake.plugins.capture.contact import coast, target_body
 from ffsm_drake.plugins.capture.gripper import Gripper
 from ffsm_drake.plugins.capture.handover import Handover
+from ffsm_drake.plugins.capture.phases import Mission, Phase, Progress, given_up
 from ffsm_drake.plugins.capture.retreat import Move, RetreatReference
 from ffsm_drake.plugins.capture.supervisor import SupervisorPart
 from ffsm_drake.plugins.capture.target_filter import Path
@@ -36,7 +37,6 @@ from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget,
 from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Mission, Phase, Progress, given_up
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Compliance, Retreat

@@ -15,8 +15,8 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.approach import without_target
 from ffsm_drake.plugins.capture.closing import ClosingRun
 from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
+from ffsm_drake.plugins.capture.phases import ApproachAndStop, Progress
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import ApproachAndStop, Progress
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.registry import Factory
@@ -103,14 +103,3 @@ class MissionRollout:
 
 def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
     return (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
-
-
-def make_rollout(
-    scenario: Scenario | Sequence[Scenario],
-    *,
-    blocks: Mapping[str, Factory] | None = None,
-    meshcat: Meshcat | None = None,
-) -> Rollout | MissionRollout:
-    """The rollout of a scenario, or of several; arguments and errors: see ``Rollout``."""
-    kind = MissionRollout if _as_tuple(scenario)[0].grasps else Rollout
-    return kind(scenario, blocks=blocks, meshcat=meshcat)

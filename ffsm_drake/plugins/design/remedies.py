@@ -16,12 +16,12 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.loop.blocks import is_rehearsed
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.design.stability.adaptation import axis_law, expected_gains, is_euler
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
 from ffsm_drake.plugins.design.stability.rehearsal import MANY, rehearse
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, controller_key, override_scenario
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers import complete_gains, declared_gains

@@ -19,7 +19,6 @@ from ffsm_drake.common.errors import BlockError, ModelError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.loop.blocks import is_rehearsed
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.capture.momentum import momentum_budget, momentum_lines
 from ffsm_drake.plugins.design.remarks import plan_clearance, plan_limits, plan_remarks
 from ffsm_drake.plugins.design.remedies import remedies
@@ -39,6 +38,7 @@ from ffsm_drake.runs.ending import NOT_SETTLED, Ending
 from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, checked, from_grasp
 from ffsm_drake.systems.part import Advice
 

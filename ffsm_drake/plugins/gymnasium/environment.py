@@ -15,7 +15,6 @@ import numpy as np
 
 from ffsm_drake.common.aside import Aside
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.policy.policy import (
     ACTIONS,
     FURTHEST,
@@ -27,6 +26,7 @@ from ffsm_drake.plugins.policy.policy import (
 )
 from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw

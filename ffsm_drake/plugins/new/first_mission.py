@@ -14,7 +14,6 @@ from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
 from ffsm_drake.plugins.design.stability import Margins, stability
@@ -22,6 +21,7 @@ from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.asked import Asked, wheel_units
 from ffsm_drake.plugins.new.urdf import Joint, Servicer
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_dict
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES

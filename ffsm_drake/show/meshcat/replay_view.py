@@ -9,9 +9,9 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.plugins import service
-from ffsm_drake.plugins.task_space.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.meshcat.arrows import ForceArrows
+from ffsm_drake.show.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.show.meshcat.solids import SwitchedSolids
 from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 

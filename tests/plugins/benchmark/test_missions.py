@@ -5,9 +5,9 @@ import pytest
 
 from ffsm_drake.plugins.benchmark.missions import bounds_of, load_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
-from ffsm_drake.plugins.capture.mission import make_rollout
 from ffsm_drake.plugins.task_space.torque_against_momentum import angular_momentum
 from ffsm_drake.runs.metrics import base_drift
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 # ETS-VII in OnOrbitROS: base, then links: mass, inertia (xx, yy, zz, xy, xz, yz), joint's place,
