@@ -76,23 +76,24 @@ ENTRY_POINT_GROUPS = {
 def block_names(block: str) -> tuple[str, ...]:
     """Names of the systems that can fill a block: shipped, then installed."""
     own = SHIPPED.get(block, {})
-    offering = entry_points(group=ENTRY_POINT_GROUPS[block])
-    ours = {each.name for each in offering if is_ours(each)} - {*own}
-    installed = {*offering.names} - {*own} - ours
-    return (*own, *sorted(ours), *sorted(installed))
+    offered = {*entry_points(group=ENTRY_POINT_GROUPS[block]).names} - {*own}
+    return (*own, *sorted(offered & _of_plugins(block)), *sorted(offered - _of_plugins(block)))
 
 
 def shipped_names(block: str) -> tuple[str, ...]:
     """Names of the systems of this package, its plug-ins included, that can fill a block."""
-    ours = {each.name for each in entry_points(group=ENTRY_POINT_GROUPS[block]) if is_ours(each)}
-    return tuple(
-        name for name in block_names(block) if name in SHIPPED.get(block, {}) or name in ours
-    )
+    return tuple(name for name in block_names(block) if is_shipped(block, name))
 
 
 def is_shipped(block: str, name: str) -> bool:
     """True if a name stands for a system of this package."""
-    return name in shipped_names(block)
+    return name in SHIPPED.get(block, {}) or name in _of_plugins(block)
+
+
+@functools.cache
+def _of_plugins(block: str) -> frozenset[str]:
+    offering = entry_points(group=ENTRY_POINT_GROUPS[block])
+    return frozenset(each.name for each in offering if is_ours(each))
 
 
 def section_parts(
