@@ -54,12 +54,12 @@ class ReplayView:
             meshcat, record.scenario, frames_per_second=frames_per_second
         )
         self.magnified = ""  # legend of deflections drawn larger
-        self._deflections: Any = None  # of flexible parts, if any
+        self.deflections: Any = None  # of flexible parts, if any
         if hidden := self.spacecraft.split.names:
-            self._deflections = service("flexible_view", ", ".join(hidden))(
+            self.deflections = service("flexible_view", ", ".join(hidden))(
                 dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split
             )
-            self.magnified = self._deflections.legend
+            self.magnified = self.deflections.legend
         if path and count > 1:
             every = max(1, count // _PATH_VERTICES)
             vertices = dataset["end_effector_position"].values[::every]
@@ -89,7 +89,7 @@ class ReplayView:
     def show(self, time: float, *, time_in_recording: float | None = None) -> None:
         """Show the sample at or next after a time of the run, s."""
         sample = min(int(np.searchsorted(self.times, time - 1e-9)), self.times.size - 1)
-        deflection = None if self._deflections is None else self._deflections.at(sample)
+        deflection = None if self.deflections is None else self.deflections.at(sample)
         self.spacecraft.show(
             self._positions[sample], deflection=deflection, time=time_in_recording or 0.0
         )
