@@ -105,11 +105,10 @@ def section_parts(
     ``of``: only the parts within one block, such as the actuators of ``actuation``.
     """
     filled = {*scenario.blocks.choices(), *given}
+    # the error of a missing plug-in
     for name in set(SECTIONS) - set(section_kinds()):
         if not filled & {name, kind_of(name)} and SECTIONS[name](scenario):
-            load(
-                plugins.SECTIONS, name, f"the scenario's section '{name}'"
-            )  # it says what is missing
+            load(plugins.SECTIONS, name, f"the scenario's section '{name}'")
     found = {
         name: kind.of(scenario)
         for name, kind in section_kinds().items()
