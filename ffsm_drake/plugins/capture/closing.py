@@ -29,7 +29,7 @@ from ffsm_drake.plugins.capture.approach import (
 from ffsm_drake.plugins.capture.contact import coast, target_body
 from ffsm_drake.plugins.capture.gripper import Gripper
 from ffsm_drake.plugins.capture.handover import Handover
-from ffsm_drake.plugins.capture.phases import Mission, Phase, Progress, given_up
+from ffsm_drake.plugins.capture.phases import Captures, given_up
 from ffsm_drake.plugins.capture.retreat import Move, RetreatReference
 from ffsm_drake.plugins.capture.supervisor import SupervisorPart
 from ffsm_drake.plugins.capture.target_filter import Path
@@ -37,6 +37,7 @@ from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget,
 from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import Phase, Progress
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Compliance, Retreat
@@ -56,7 +57,7 @@ _PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # tried, times a 
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
 
-class ClosingRun(Mission):
+class ClosingRun(Captures):
     """One run with its tries to close the gripper.
 
     ``scenario``, ``blocks`` and ``handover`` are those of the last try.
@@ -72,7 +73,7 @@ class ClosingRun(Mission):
         blocks: Mapping[str, Factory] | None,
         progress: Progress | None,
     ) -> None:
-        """Args: scenario of the first try; blocks and viewer, see ``Rollout``; see ``Mission``."""
+        """Args: scenario of the first try; blocks and viewer, see ``Rollout``; see ``Captures``."""
         super().__init__([handover], progress)
         self._chosen = self.scenario = scenario = handover.scenario
         self.blocks = dict(blocks or {})

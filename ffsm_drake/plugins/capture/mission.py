@@ -15,8 +15,9 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.approach import without_target
 from ffsm_drake.plugins.capture.closing import ClosingRun
 from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
-from ffsm_drake.plugins.capture.phases import ApproachAndStop, Progress
+from ffsm_drake.plugins.capture.phases import ApproachAndStop
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import Progress
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.registry import Factory

@@ -1,91 +1,31 @@
-"""Phases of a mission as data, and the runner that goes through them with one log.
-
-A phase says which loop runs (its reference, what the gripper holds, the law), from which state on,
-until which sample, and what follows. Runs side by side go through the same phases.
-"""
+"""Phases of a capture: what they share, and those of a gripper that closes at once."""
 
 import dataclasses
-import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.handover import Handover, stored_at_start
 from ffsm_drake.plugins.capture.supervisor import Mode
-from ffsm_drake.runs.ending import MISSED, Outcome
+from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.runs.phases import Mission, Phase, Progress
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 
-Begin = Callable[[ClosedLoop, Context], None]
-Progress = Callable[[float, float], None]
 
+class Captures(Mission):
+    """Runs that go through the phases of a capture; see ``Mission``."""
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Phase:
-    """A part of a mission that one loop runs through."""
-
-    loop: Rollout
-    # names of its samples in the record, in turn, with the sample before which each ends; None: the
-    # end of the run
-    names: tuple[tuple[str, int | None], ...]
-    begin: Begin  # sets the initialized loop to where the phase begins
-    scenarios: Sequence[Scenario] | None = None  # scenarios of the loop; None: those of its build
-    next: Callable[[], "Phase | None"] = lambda: None  # called where not all runs have ended
-
-
-class Mission:
-    """Runs that go through phases, side by side or one alone.
-
-    ``before`` is the loop of the last phase and ``context`` its context at the end, ``sample`` the
-    first one of the next phase, ``ended`` holds the runs that came to their end.
-    """
-
-    before: ClosedLoop
-    context: Context
     afresh: tuple[str, ...] = ()  # blocks that start afresh with the target held
 
     def __init__(self, handovers: Sequence[Handover], progress: Progress | None = None) -> None:
         """Args: handover of each run; progress, see ``Rollout.run``."""
-        self.handovers, self._progress = list(handovers), progress
-        self._scenarios = [each.scenario for each in handovers]
-        self._start, self.sample = time.perf_counter(), 0
-        self._names: list[tuple[str, int]] = []  # phases before the grasp, with their samples
-        self.logs: list[list[RunLog]] = [[] for _ in handovers]
-        self.failed: dict[int, Outcome] = {}  # outcomes of the runs without a capture
-        self.ended: set[int] = set()
-        self._lost: set[int] = set()  # runs without a log
-        self._own: list[Rollout] = []  # loops of this mission alone
-
-    def run(self, phase: Phase | None) -> list[RunLog | None]:
-        """Run through a phase and its successors: a log for each run, None for one to run alone.
-
-        Errors as ``Rollout.run`` and ``Rollout.run_all`` raise them.
-        """
-        try:
-            while phase is not None:
-                self._note(phase, self._through(phase))
-                phase = phase.next() if len(self.ended) < len(self.logs) else None
-        except BlockError as error:
-            if error.log is not None and phase is not None:
-                self._note(phase, [error.log])
-                error.log = self._joined(0)
-            raise
-        finally:
-            for loop in self._own:
-                loop.release()
-        copies = range(len(self.logs))
-        return [None if copy in self._lost else self._joined(copy) for copy in copies]
-
-    def _loop(self, scenario: Scenario, **how: Any) -> Rollout:
-        """A loop, released at the end of the run; arguments: see ``Rollout``."""
-        self._own.append(Rollout(scenario, **how))
-        return self._own[-1]
+        super().__init__([each.scenario for each in handovers], progress)
+        self.handovers = list(handovers)
 
     def put_at_start(self, loop: ClosedLoop, root_context: Context) -> None:
         """Put the servicers where their approaches start."""
@@ -109,80 +49,27 @@ class Mission:
         # to the blocks, which resume with nothing in the gripper
         loop.set_payloads(root_context, [each.payload for each in self.handovers])
 
-    def _through(self, phase: Phase) -> Sequence[RunLog | None]:
-        last = phase.names[-1][1]
-        leg = Leg(first=self.sample, last=last, begin=phase.begin, end=self._keep)
-        given = phase.scenarios
-        if len(self.logs) > 1:
-            return phase.loop.run_all(given, leg=leg, without=self.ended)
-        return [phase.loop.run(given[0] if given else None, progress=self._progress, leg=leg)]
-
-    def _keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        self.before, self.context = loop, root_context
-
     def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
-        """Keep the logs of a phase, and which runs have ended in it."""
-        for name, last in phase.names:
-            if last is not None:
-                self._names.append((name, last))
-                self.sample = last
-        for copy, log in enumerate(logs):
-            if copy in self.ended:
-                continue
-            if log is None:
-                self._lost.add(copy)
-            else:
-                self.logs[copy].append(_without_contact(log))
-            if log is None or not log.outcome.completed:
-                self.ended.add(copy)
-
-    def _fail(self, copy: int, status: str, message: str) -> None:
-        self.failed[copy] = Outcome(status=status, time=0.0, message=message)
+        super()._note(phase, [None if log is None else _without_contact(log) for log in logs])
 
     def _path(self, copy: int) -> np.ndarray:
         """The motion of a target before its grasp, at the samples from the start."""
         return self.handovers[copy].path
 
     def _joined(self, copy: int) -> RunLog:
-        """The log of all phases of a run."""
-        logs, handover = self.logs[copy], self.handovers[copy]
-        last, time_of = logs[-1], np.concatenate([log.time for log in logs])
-        grasp = handover.log
+        log, grasp = super()._joined(copy), self.handovers[copy].log
         if grasp is None:
             truth = self._scenarios[copy].payload.truth
-            target = self._path(copy)[: time_of.size]
-            grasp = GraspLog(sample=time_of.size, contact=None, payload=truth, target=target)
+            target = self._path(copy)[: log.time.size]
+            grasp = GraspLog(sample=log.time.size, contact=None, payload=truth, target=target)
         else:
-            grasp = dataclasses.replace(grasp, stored=stored_at_start(last))
-        names = set.intersection(*(set(log.series) for log in logs))
-        spent = {key: sum(log.wall_time[key] for log in logs) for key in last.wall_time}
+            grasp = dataclasses.replace(grasp, stored=stored_at_start(self.logs[copy][-1]))
         return dataclasses.replace(
-            last,
-            scenario=self._scenarios[copy],
-            outcome=dataclasses.replace(
-                self.failed.get(copy, last.outcome), time=float(time_of[-1])
-            ),
-            time=time_of,
-            series={
-                name: np.concatenate([log.series[name] for log in logs])
-                for name in last.series
-                if name in names
-            },
-            wall_time={**spent, "total": time.perf_counter() - self._start},
-            grasp=dataclasses.replace(grasp, legs=self._legs(grasp.sample)),
+            log, grasp=dataclasses.replace(grasp, legs=self._legs(grasp.sample))
         )
 
-    def _legs(self, samples: int) -> tuple[tuple[str, int], ...]:
-        """Name and number of samples of the parts before a number of samples."""
-        legs, first = list[tuple[str, int]](), 0
-        for name, last in self._names:
-            if (count := min(last, samples) - first) > 0:
-                legs.append((name, count))
-                first += count
-        return tuple(legs)
 
-
-class ApproachAndStop(Mission):
+class ApproachAndStop(Captures):
     """Runs whose grippers close at once, at the end of the approach."""
 
     def first(
