@@ -82,6 +82,11 @@ class Mission:
         self._own.append(Rollout(scenario, **how))
         return self._own[-1]
 
+    def go_on(self, loop: ClosedLoop, root_context: Context, *afresh: str) -> None:
+        """Put a loop, but for the blocks ``afresh``, where the last phase ended."""
+        loop.set_whole_states(root_context, self.before.whole_states(self.context))
+        loop.resume(root_context, self.before, self.context, afresh=afresh)
+
     def _through(self, phase: Phase) -> Sequence[RunLog | None]:
         last = phase.names[-1][1]
         leg = Leg(first=self.sample, last=last, begin=phase.begin, end=self._keep)

@@ -46,9 +46,16 @@ class Approach:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check for whole samples, time left after the approach, every coordinate driven and no
-        frame.
+        """Check for whole samples, time left after the approach, every coordinate driven, no frame
+        and a rigid target.
         """
+        for name, part in scenario.model.flexible.items():
+            if part.kind not in ("joint", "gear") and part.body == scenario.payload.body:
+                yield (
+                    f"model.flexible.{name}.body",
+                    f"'{part.body}' is the target, which cannot be flexible before it is held; "
+                    f"leave {key} out",
+                )
         if scenario.undriven:
             yield key, "needs every coordinate driven (actuation.driven); leave it out"
         if scenario.reference.frame is not None:
@@ -272,9 +279,28 @@ class Capture:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check for speeds below the divergence limit and for settings without effect."""
+        """Check for speeds below the divergence limit, settings without effect, and time to follow
+        a measured target.
+        """
         if self.retreat is not None and self.closing is None:
             yield f"{key}.retreat", "has no effect without capture.closing; give that too"
+        if self.measured is not None:
+            if self.closing is None:
+                yield (
+                    f"{key}.measured",
+                    f"needs {key}.closing: the gripper meets a target that is elsewhere",
+                )
+            if scenario.blocks.reference is not None:
+                yield (
+                    f"{key}.measured",
+                    "has no effect with blocks.reference; leave one of them out",
+                )
+            lasts = self.measured.last + (0.0 if self.closing is None else self.closing.duration)
+            if self.closing and self.approach and lasts >= self.approach.duration:
+                yield (
+                    f"{key}.measured.last",
+                    f"must leave time to follow the target in {key}.approach.duration",
+                )
         for name in ("rate", "velocity"):
             fastest = max(map(abs, getattr(self, name)))
             if fastest > scenario.divergence_speed:

@@ -122,12 +122,6 @@ class Flexible:
                 yield f"{key}.frequencies", f"are of a beam; a {self.kind} takes frequency"
             if given != 1:
                 yield f"{key}.frequency", "give either frequency (Hz) or stiffness"
-        if scenario.grasp_time > 0 and not of_joint and self.body == scenario.payload.body:
-            yield (
-                f"{key}.body",
-                f"'{self.body}' is the target, which cannot be flexible before it is held; leave "
-                "capture.approach out",
-            )
         drives = scenario.actuation.drives
         rotors = {} if drives is None else drives.rotor_inertia or {}
         rotor = next((rotors[key] for key in (self.joint, "joints", "all") if key in rotors), 0.0)

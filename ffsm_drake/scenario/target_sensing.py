@@ -1,9 +1,8 @@
 """A sensor of a target's pose, and the filter of its motion: their settings."""
 
 from dataclasses import dataclass
-from typing import Any
 
-from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.common.settings import setting
 from ffsm_drake.scenario.fields import in_samples, unitless
 
 
@@ -88,13 +87,3 @@ class Measured:
         "estimate is too uncertain",
         above=0,
     )
-
-    def check(self, key: str, scenario: Any) -> Problems:
-        """Check for a closing gripper and a reference that can follow the target."""
-        if scenario.capture.closing is None:
-            yield key, "needs capture.closing: the gripper meets a target that is elsewhere"
-        if scenario.blocks.reference is not None:
-            yield key, "has no effect with blocks.reference; leave one of them out"
-        closing, approach = scenario.capture.closing, scenario.capture.approach
-        if closing and approach and self.last + closing.duration >= approach.duration:
-            yield f"{key}.last", "must leave time to follow the target in capture.approach.duration"

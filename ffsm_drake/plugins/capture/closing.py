@@ -165,11 +165,9 @@ class ClosingRun(Captures):
             count = self.logs[0][-1].time.size
             self._motion = np.vstack([self._motion[:first], *gripper.motions[:count]])
 
-    def _go_on(self, loop: ClosedLoop, root_context: Context, *afresh: str) -> None:
-        """Put a loop, but for some blocks, where the last phase ended."""
-        loop.set_whole_states(root_context, self.before.whole_states(self.context))
+    def go_on(self, loop: ClosedLoop, root_context: Context, *afresh: str) -> None:
         own = afresh if self._measured else (*afresh, "reference")
-        loop.resume(root_context, self.before, self.context, afresh=own)
+        super().go_on(loop, root_context, *own)
 
     def _close(self) -> Phase | None:
         """Close the gripper, unless it misses."""
@@ -189,7 +187,7 @@ class ClosingRun(Captures):
         )
 
         def begin(loop: ClosedLoop, root_context: Context) -> None:
-            self._go_on(loop, root_context)
+            self.go_on(loop, root_context)
             force, context = _gripper(loop, root_context)
             force.begin(
                 context,
@@ -301,7 +299,7 @@ class ClosingRun(Captures):
         self.blocks = self._supervised(self.blocks, begin=begin)
 
         def go_on(loop: ClosedLoop, root_context: Context) -> None:
-            self._go_on(loop, root_context, "controller", "supervisor")
+            self.go_on(loop, root_context, "controller", "supervisor")
             if self._measured:
                 block: Any = loop.blocks["reference"]
                 block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
