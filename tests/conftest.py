@@ -3,8 +3,10 @@
 import functools
 import gc
 import os
+import re
 import signal
 import sys
+import traceback
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,9 @@ from ffsm_drake.common.workers import ONE_THREAD
 os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
 
 from alone import rough_drawing
-from children import heed_signals
+from children import CompletedProcess, heed_signals
+from click.testing import Result
+from entry_points import is_there
 from hypothesis import settings
 
 from ffsm_drake import RunRecord, load_scenario, simulate
@@ -80,6 +84,61 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: order.get(item.path.name, len(order)))
 
 
+# A plug-in that was deleted: named in an error, or in what a command says.
+MISSING = re.compile(r"No module named '(?:ffsm_drake\.plugins\.(\w+)[\w.]*)'")
+PLUGINS = Path(__file__).with_name("plugins")
+TOGETHER = {"matrix"}  # folders in it whose tests are of many plug-ins
+
+
+def skip_without(report, path, text):
+    """Report a skip where a text calls a plug-in missing that is not there indeed."""
+    for name in MISSING.findall(text):
+        if not is_there(name):
+            report.outcome = "skipped"
+            report.longrepr = (str(path), 0, f"plug-in {name} is not installed")
+
+
+def said_by(error):
+    """What an exception says, those that it came from, and commands in the frames that it left."""
+    texts = []
+    while error is not None:
+        texts.append(str(error))
+        for frame, _ in traceback.walk_tb(error.__traceback__):
+            for value in frame.f_locals.values():
+                if isinstance(value, Result):
+                    texts += [value.output, str(value.exception)]
+                elif isinstance(value, CompletedProcess):
+                    texts += [str(value.stdout), str(value.stderr)]
+        error = error.__cause__ or error.__context__
+    return "\n".join(texts)
+
+
+def pytest_runtest_setup(item):
+    """The tests of a plug-in that was deleted are skipped."""
+    if PLUGINS in item.path.parents:
+        name = item.path.relative_to(PLUGINS).parts[0]
+        if (PLUGINS / name).is_dir() and name not in TOGETHER and not is_there(name):
+            pytest.skip(f"plug-in {name} is not installed")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """A test that fails only as a plug-in was deleted is skipped."""
+    report = yield
+    if report.failed:
+        skip_without(report, item.path, f"{report.longreprtext}\n{said_by(call.excinfo.value)}")
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """So are the tests of a module that cannot be imported without one."""
+    report = yield
+    if report.failed:
+        skip_without(report, collector.path, report.longreprtext)
+    return report
+
+
 @pytest.fixture(autouse=True)
 def no_handler_stays():
     """Some libraries take hold of Ctrl-C when they are imported."""
@@ -104,7 +163,8 @@ def rough_pictures():
 @pytest.fixture
 def no_remedies(monkeypatch):
     """Leave out the search for what helps a mission that fails; its own tests have it."""
-    monkeypatch.setattr("ffsm_drake.plugins.design.verdict.remedies", lambda *_, **__: ())
+    if is_there("design"):
+        monkeypatch.setattr("ffsm_drake.plugins.design.verdict.remedies", lambda *_, **__: ())
 
 
 @pytest.fixture

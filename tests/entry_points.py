@@ -9,10 +9,14 @@ from ffsm_drake.common.plugins import offered
 from ffsm_drake.systems.registry import block_names
 
 
+def is_there(plugin):
+    """False where a plug-in of this package has been deleted."""
+    return find_spec(f"ffsm_drake.plugins.{plugin}") is not None
+
+
 def needs(plugin):
     """A mark of tests that are skipped where a plug-in of this package has been deleted."""
-    is_there = find_spec(f"ffsm_drake.plugins.{plugin}") is not None
-    return pytest.mark.skipif(not is_there, reason=f"needs the plug-in {plugin}")
+    return pytest.mark.skipif(not is_there(plugin), reason=f"plug-in {plugin} is not installed")
 
 
 def install(folder: Path, modules: dict[str, str], groups: dict[str, dict[str, str]]) -> None:

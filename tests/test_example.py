@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from children import finished
-from entry_points import needs
+from entry_points import is_there, needs
 
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
@@ -83,7 +83,8 @@ def cheap(monkeypatch):
     their own.
     """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
-    monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
+    if is_there("design"):
+        monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
+import ffsm_drake
 from ffsm_drake import load_scenario
-from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.mass_properties import set_payload
@@ -183,7 +183,8 @@ def test_dynamics_agree_with_mujoco(payload):
 
 @pytest.mark.parametrize("controller", PAPER_LAWS)
 def test_sampled_loop_is_stable(controller):
-    assert stability(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
+    scenario = load_scenario("seven_joint", [f"controller={controller}"])
+    assert ffsm_drake.stability(scenario).verdict == "stable"
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
 from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
-from ffsm_drake.systems.registry import SHIPPED, find_factory
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 MARK = "<!-- table -->"
 # keys of Drake's own settings that not every version has
@@ -159,7 +159,7 @@ def scenario_keys() -> Iterator[Section]:
             )
             yield Section(path, "" if cls in described else summary or "", found)
             described.add(cls)
-    for controller in SHIPPED["controller"]:
+    for controller in shipped_names("controller"):
         yield Section(f"controllers.{controller}", "", _gains(controller))
 
 

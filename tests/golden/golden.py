@@ -21,9 +21,6 @@ from click.testing import CliRunner
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main as ffsm
-from ffsm_drake.plugins.report.comparison import table
-from ffsm_drake.plugins.report.part_panels import part_sections, part_views
-from ffsm_drake.plugins.report.time_panels import run_views
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
@@ -106,12 +103,16 @@ def report_outline(record: RunRecord) -> dict[str, Any]:
     """The panels of a report (section, view, title, unit, number of curves) and the rows of its
     table.
     """
+    comparison, parts, time = (
+        importlib.import_module(f"ffsm_drake.plugins.report.{name}")
+        for name in ("comparison", "part_panels", "time_panels")
+    )
     shown, thin = results_of([record]), Thinning(1000)
     sections = {
-        **run_views(shown, thin),
+        **time.run_views(shown, thin),
         **{
-            title.lower().partition(" ")[0]: part_views(shown, thin, title)
-            for title in part_sections(shown)
+            title.lower().partition(" ")[0]: parts.part_views(shown, thin, title)
+            for title in parts.part_sections(shown)
         },
     }
     panels = [
@@ -121,7 +122,7 @@ def report_outline(record: RunRecord) -> dict[str, Any]:
         for view in views
         for panel in view.panels
     ]
-    rows = [f"{row.head} / {row.label} [{row.unit}]" for row in table(shown)]
+    rows = [f"{row.head} / {row.label} [{row.unit}]" for row in comparison.table(shown)]
     return {"panels": panels, "table": rows}
 
 

@@ -2,34 +2,55 @@
 
 import json
 import os
+import re
 import shutil
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 from children import finished
 from click.testing import CliRunner
+from test_layout import NEEDS
 
 import ffsm_drake
 from ffsm_drake.cli import main
 from ffsm_drake.common.plugins import COMMANDS, offered
 
 PACKAGE = Path(ffsm_drake.__file__).parent
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "plugins.md"
+LEFT_OUT = shutil.ignore_patterns("__pycache__", ".git", ".*_cache", "out", "site")
 SHORT = ["run", "postcapture", "--set", "duration=0.5", "--no-report", "--out", "out"]
 # plug-in -> commands that need it
 NEEDED = {
+    "actuators": [[*SHORT, "--set", "actuation.limit.joints=1"]],
+    "analysis": [["analyze", "out"]],
     "audit": [["audit", "log.csv", "--urdf", "craft.urdf"]],
     "benchmark": [["benchmark", "paper"]],
     "campaign": [["campaign", "status", "c.db"]],
+    "capture": [["run", "tumbling_capture", "--no-report", "--out", "out"]],
+    "design": [["stability"], ["design"]],
+    "environment": [[*SHORT, "--set", "environment={}"]],
+    "estimators": [
+        [*SHORT, "--set", "estimator.kind=kalman"],
+        [*SHORT, "--set", "command_filter.low_pass=20"],
+    ],
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
+    "faults": [[*SHORT, "--set", "faults={}"]],
+    "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
     "gymnasium": [],
     "interactive": [
         [*SHORT, "--meshcat"],
         [*SHORT, "--controls"],
         ["replay", "out", "--live"],
     ],
+    "new": [["new", "mine", "--urdf", "craft.urdf"]],
     "paper": [["reproduce", "table2"]],
+    "planning": [["plan", "postcapture"], [*SHORT, "--controller", "tvlqr"]],
     "policy": [["validate", "postcapture", "--set", "controller=policy:a.onnx"]],
+    "report": [],
+    "task_space": [[*SHORT, "--controller", "resolved_rate"]],
 }
 # Of a copy of the package: what is left is imported, and commands run.
 CODE = """
@@ -49,6 +70,45 @@ print(json.dumps([ffsm_drake.__file__, [[each.exit_code, each.stderr] for each i
 
 def test_every_plugin_is_here():
     assert set(NEEDED) == {path.parent.name for path in PACKAGE.glob("plugins/*/__init__.py")}
+
+
+def test_the_documentation_lists_each_with_its_entry_points():
+    table = re.findall(r"^\| `(\w+)` \|(.+)\|(.*)\|(.*)\|$", PAGE.read_text(), re.MULTILINE)
+    assert [name for name, *_ in table] == sorted(NEEDED)
+    offers = {name: set[str]() for name in NEEDED}
+    for group in entry_points().groups:
+        for each in entry_points(group=group) if group.startswith("ffsm_drake.") else ():
+            if each.module.startswith("ffsm_drake.plugins."):
+                offers[each.module.split(".")[2]].add(each.name)
+    named = {name: {*re.findall(r"`([\w.]+)`", points)} for name, _, points, _ in table}
+    assert named == offers
+    imports = {name: {*re.findall(r"`(\w+)`", others)} for name, *_, others in table}
+    assert {name: others for name, others in imports.items() if others} == NEEDS
+
+
+def copied(folder, deleted):
+    """A copy of the checkout without plug-ins."""
+    shutil.copytree(ROOT, folder, ignore=LEFT_OUT)
+    for name in deleted:
+        shutil.rmtree(folder / "ffsm_drake" / "plugins" / name)
+
+
+@pytest.mark.long
+def test_the_core_passes_its_tests_without_any(tmp_path):
+    """Tests that need a plug-in are skipped, none of the others fails."""
+    copied(tmp_path / "copy", NEEDED)
+    command = "-m pytest -q -n 2 -p no:cacheprovider --ignore tests/plugins tests"
+    done = finished(
+        [sys.executable, *command.split()],
+        longest=3000.0,
+        cwd=tmp_path / "copy",
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "copy")},
+    )
+    assert done.returncode == 0, done.stdout[-5000:]
+    passed, skipped = (
+        int(re.search(rf"(\d+) {word}", done.stdout)[1]) for word in ("passed", "skipped")
+    )
+    assert passed > 5 * skipped, done.stdout[-5000:]
 
 
 @pytest.mark.parametrize(

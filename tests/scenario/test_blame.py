@@ -15,17 +15,15 @@ from hypothesis import strategies as st
 
 from ffsm_drake import (
     ScenarioError,
-    design,
     load_scenario,
     make_closed_loop,
     override_scenario,
     simulate,
     simulate_many,
-    stability,
 )
 from ffsm_drake.cli import main
+from ffsm_drake.common.plugins import SERVICES, VERBS, optional
 from ffsm_drake.common.settings import Setting, settings_of
-from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.scenario.resolving import schema_fields, without_null
 
@@ -176,9 +174,9 @@ def test_of_an_override(case):
 ENTRIES = {
     "simulate": simulate,
     "simulate_many": lambda scenario: simulate_many([scenario, scenario]),
-    "verdict": verdict,
-    "stability": stability,
-    "design": design,
+    "verdict": optional(SERVICES, "verdict"),
+    "stability": optional(VERBS, "stability"),
+    "design": optional(VERBS, "design"),
 }
 
 
@@ -189,6 +187,7 @@ ENTRIES = {
 @example((DURATION, math.nan), "stability")
 def test_of_a_scenario_made_in_python(case, entry):
     place, value = case
+    assume(ENTRIES[entry] is not None)  # its plug-in is installed
     if place.key.startswith("simulator_config."):
         assume(isinstance(value, float))  # Drake's own struct refuses or converts others
     scenario = checked(Scenario())

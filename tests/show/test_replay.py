@@ -13,7 +13,6 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.show.meshcat import recording_html, start_meshcat, write_recording
@@ -320,17 +319,3 @@ def test_the_ghost_stands_where_a_plan_ends(meshcat, run):
         last[4:7], abs=1e-6
     )
     assert np.linalg.norm(last[4:7]) > 0.01  # it starts at the origin
-
-
-def left_out(_):
-    raise FfsmError("left out")
-
-
-def test_the_report_tells_of_the_grasp(captured, monkeypatch):
-    for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
-        monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
-    page = render_report([captured])
-    assert '<section id="grasp">' in page
-    assert "Angular momentum about the centre of mass [N m s]" in page
-    assert f"Grasp at t = 2 s: impulse {np.linalg.norm(captured.grasp['impulse']):.3g} N s" in page
-    assert page.count("<td") > 40

@@ -18,7 +18,7 @@ from ffsm_drake.systems.controllers.laws.asmc import Asmc
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.registry import SHIPPED, find_factory
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 PERIOD = 0.01
 ONE = np.ones(1)
@@ -379,7 +379,7 @@ def test_first_update_takes_no_acceleration_and_no_previous_force():
     assert controller.EvalUniquePeriodicDiscreteUpdate(context).value(0) == pytest.approx(2 * first)
 
 
-@pytest.mark.parametrize("name", SHIPPED["controller"])
+@pytest.mark.parametrize("name", shipped_names("controller"))
 def test_starting_gains_are_declared(name):
     kind = find_factory("controller", name)
     matrices = np.tile(np.diag(np.arange(1.0, 12.0)), (2, 1, 1))

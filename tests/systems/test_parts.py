@@ -13,6 +13,7 @@ from entry_points import needs
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import PassThrough
 
+import ffsm_drake
 from ffsm_drake import (
     BlockError,
     Metric,
@@ -23,13 +24,10 @@ from ffsm_drake import (
     load_scenario,
     setting,
     simulate,
-    stability,
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
-from ffsm_drake.plugins.report import write_report
-from ffsm_drake.plugins.report.comparison import rankings, table
-from ffsm_drake.plugins.report.part_panels import part_views
+from ffsm_drake.common.plugins import service
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout, user_supplied
@@ -95,7 +93,7 @@ def test_it_goes_through_compare_stability_and_validate():
     shown = ffsm(f"compare {common} -c tdc -c asmc --out both")
     assert shown.count("Magnetorquers: largest dipole") == 2
     linear, without = (
-        stability(load_scenario(SCENARIO[0], [*SCENARIO[1], *more])).loops[0]
+        ffsm_drake.stability(load_scenario(SCENARIO[0], [*SCENARIO[1], *more])).loops[0]
         for more in ([BLOCK], [])
     )
     assert linear.spectral_radius == pytest.approx(without.spectral_radius, abs=1e-6)
@@ -238,7 +236,8 @@ def test_signals_that_are_computed_and_figures_that_are_no_numbers(tmp_path):
     record.save(tmp_path / "run")
     loaded = RunRecord.load(tmp_path / "run")
     assert loaded.figures == record.figures
-    assert write_report([loaded], tmp_path / "report.html").stat().st_size > 0
+    page = service("report", "the test")([loaded], tmp_path / "report.html")
+    assert page.stat().st_size > 0
 
 
 class Drag(LeafSystem):
@@ -400,9 +399,10 @@ def test_all_that_a_part_can_say_of_itself(tmp_path):
     listed = f"a figure left 1.000, a figure right {NONE}, energy 250.0 J, a figure 50.0 %"
     assert f"Heaters: {listed}, switchings 3" in shown
     results = results_of([loaded, without])
+    comparison = pytest.importorskip("ffsm_drake.plugins.report.comparison")
     rows = [
         (row.head, row.label, *(cell.text for cell in row.cells), row.unit)
-        for row in table(results)
+        for row in comparison.table(results)
     ]
     at = rows.index(("A figure", "left", "1.000", NONE, ""))
     assert rows[at : at + 5] == [
@@ -412,14 +412,15 @@ def test_all_that_a_part_can_say_of_itself(tmp_path):
         ("", "A figure", "50.0 %", NONE, ""),
         ("", "Switchings", "3", NONE, ""),
     ]
-    assert rankings(results)[-1]["title"] == "By energy (J)"
-    (view,) = part_views(results, Thinning(100), "Motion & heat")
+    assert comparison.rankings(results)[-1]["title"] == "By energy (J)"
+    panels = pytest.importorskip("ffsm_drake.plugins.report.part_panels")
+    (view,) = panels.part_views(results, Thinning(100), "Motion & heat")
     assert view.label == "Switched on"
     assert [trace.name for trace in view.panels[0].figure.data] == [
         "TDC, run 1, left",
         "TDC, run 1, right",
     ]
-    page = write_report([loaded], tmp_path / "report.html").read_text()
+    page = service("report", "the test")([loaded], tmp_path / "report.html").read_text()
     for text in (
         ">Motion &amp; heat<",
         "By heater",

@@ -10,10 +10,10 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant, simulate
-from ffsm_drake.plugins.estimators.estimators import make_estimator
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.systems.controllers import Sample, SampledController, gain_vectors
+from ffsm_drake.systems.controllers.estimation import make_estimator
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.sensing import quantize
 

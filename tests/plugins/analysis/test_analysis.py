@@ -571,7 +571,7 @@ def test_the_figure_can_be_drawn(analysis, overrides):
 
 @pytest.mark.smoke
 def test_every_finding_is_documented():
-    page = Path(__file__).parents[2] / "docs" / "findings.md"
+    page = Path(__file__).parents[3] / "docs" / "findings.md"
     headings = [
         line.removeprefix("## ").strip("`")
         for line in page.read_text().splitlines()

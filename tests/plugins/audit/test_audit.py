@@ -138,7 +138,7 @@ def test_a_log_of_pinocchio_is_physics(tmp_path):
     assert "follows the work" in statement(found, "energy")
 
 
-ARM = Path(__file__).parent / "basilisk_arm.urdf"  # and .csv, which tests/basilisk_arm.py wrote
+ARM = Path(__file__).parent / "basilisk_arm.urdf"  # and .csv, which basilisk_arm.py wrote
 
 
 @pytest.fixture(scope="module")

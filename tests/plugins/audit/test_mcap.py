@@ -95,7 +95,7 @@ def named(values, names="xyz"):
 
 
 class Recorder:
-    """Messages as ROS 2 records them, of the motion in tests/basilisk_arm.py."""
+    """Messages as ROS 2 records them, of the motion in basilisk_arm.py."""
 
     def __init__(self, path, definitions, *, every=1):
         with ARM.with_suffix(".csv").open(newline="") as file:

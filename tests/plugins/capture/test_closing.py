@@ -100,7 +100,7 @@ def test_the_loops_of_a_run_are_freed():
 
 @pytest.mark.long
 def test_the_second_try_captures_what_a_push_made_the_first_one_miss():
-    file = Path(__file__).parents[2] / "docs" / "animate.py"
+    file = Path(__file__).parents[3] / "docs" / "animate.py"
     spec = importlib.util.spec_from_file_location("animate", file)
     animate = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(animate)

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.common.numbers import number
+from ffsm_drake.plugins.capture import momentum
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.capture.momentum import MomentumBudget, momentum_budget, momentum_lines
-from ffsm_drake.plugins.capture import momentum
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.tables import results_table

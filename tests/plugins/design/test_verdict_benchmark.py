@@ -19,7 +19,7 @@ TIME = np.arange(0.0, 20.0, 0.01)
 @pytest.fixture(scope="module")
 def verdicts():
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+        patch.syspath_prepend(str(Path(__file__).parents[3] / "benchmarks"))
         import verdicts
 
         yield verdicts

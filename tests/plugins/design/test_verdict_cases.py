@@ -42,7 +42,7 @@ FIGURES = {
 def verdicts():
     """The benchmark that asks for verdicts and tells how runs end."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+        patch.syspath_prepend(str(Path(__file__).parents[3] / "benchmarks"))
         import verdicts
 
         yield verdicts

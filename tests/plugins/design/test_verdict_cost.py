@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from ffsm_drake.preflight import verdict as room
 
 from ffsm_drake import load_scenario
+from ffsm_drake.plugins.design import verdict as room
 from ffsm_drake.plugins.design.stability import margins
 from ffsm_drake.plugins.design.verdict import verdict
 
@@ -15,7 +15,7 @@ SHORT = ["duration=2"]
 @pytest.fixture(scope="module")
 def cost():
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+        patch.syspath_prepend(str(Path(__file__).parents[3] / "benchmarks"))
         import verdict_cost
 
         yield verdict_cost

@@ -10,13 +10,11 @@ from flight_settings import FLIGHT, NO_NOISE
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
+from ffsm_drake.common.plugins import SERVICES, offered
 from ffsm_drake.plugins.estimators.estimators import (
-    KINDS,
     CoupledEstimator,
     KalmanEstimator,
     LateKalmanEstimator,
-    OneSampleEstimator,
-    make_estimator,
 )
 from ffsm_drake.plugins.estimators.filter_gains import (
     SensedAxis,
@@ -27,6 +25,7 @@ from ffsm_drake.plugins.estimators.filter_gains import (
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors
+from ffsm_drake.systems.controllers.estimation import OneSampleEstimator, make_estimator
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 from ffsm_drake.systems.reference import make_motion
 
@@ -158,7 +157,8 @@ def test_gain_is_the_steady_state_of_the_riccati_iteration():
 
 
 def test_every_kind_that_a_scenario_can_name_is_there():
-    assert tuple(KINDS) == ESTIMATOR_KINDS
+    offers = {f"estimator_{kind}" for kind in ESTIMATOR_KINDS if kind != "one_sample"}
+    assert offers == {name for name in offered(SERVICES) if name.startswith("estimator_")}
 
 
 def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():

@@ -141,6 +141,7 @@ def test_sensors(coordinates, sensor, kind):
     assert np.all(measured[broken][:, columns] == last)
 
 
+@pytest.mark.smoke
 def test_a_sensor_that_falls_silent_says_so():
     """An estimator that hears of it goes on without it; a frozen one it believes."""
     kalman = ("estimator.kind=kalman", "sensing.position_period=2")

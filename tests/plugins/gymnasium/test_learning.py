@@ -17,7 +17,7 @@ pytest.importorskip("onnxruntime", reason="needs onnxruntime, an extra")
 from ffsm_drake.plugins.gymnasium.environment import MissionEnv
 from ffsm_drake.systems.registry import find_factory
 
-REACH = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "train_reach.py"))
+REACH = runpy.run_path(str(Path(__file__).parents[3] / "docs" / "train_reach.py"))
 
 
 def flown(act):

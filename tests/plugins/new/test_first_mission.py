@@ -40,7 +40,7 @@ CHOICES = {
     "capture": [None, "1deg/s", "3deg/s"],
     "driven": [None, "all", "base_rotation,joints", "joints"],
 }
-MODELS = Path(__file__).parents[2] / "models" / "urdf"
+MODELS = Path(__file__).parents[3] / "models" / "urdf"
 # Folder with public arms, which are not part of this repository, and what each is mounted on, kg.
 PUBLIC = Path(os.environ.get("FFSM_PUBLIC_URDFS", "nowhere"))
 PUBLIC_ARMS = {"ur5_robot": 400.0, "panda": 300.0, "kinova": 250.0}

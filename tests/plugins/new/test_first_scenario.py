@@ -240,7 +240,7 @@ def test_refused_arguments(tmp_path):
 @pytest.mark.slow
 def test_the_tutorial(tmp_path):
     """The URDF that docs/own_arm.md prints, through the command that it prints."""
-    page = (Path(__file__).parents[2] / "docs" / "own_arm.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "own_arm.md").read_text()
     urdf = tmp_path / "courier.urdf"
     urdf.write_text(
         page.partition("```xml\n")[2].partition("```")[0].replace('effort="20"', 'effort="0"')

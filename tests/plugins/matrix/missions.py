@@ -9,7 +9,7 @@ from outside_urdfs import BOX, joint, link, robot, rod
 
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 # The first value of each factor is the plain one.
 FACTORS = {

@@ -1,9 +1,9 @@
 """The cases of rigid_bus.py on Basilisk (https://avslab.github.io/basilisk/): its spacecraft and
 what that carries.
 
-    PYTHONPATH=tests python tests/basilisk_oracle.py
+    python tests/plugins/actuators/basilisk_oracle.py
 
-writes systems/basilisk.json, with which tests/systems/test_basilisk.py compares ours; ``pip install
+writes basilisk.json, with which test_basilisk.py compares ours; ``pip install
 bsk`` brings Basilisk. Its wheels are the "balanced" ones, whose mass and inertia, about the axis
 too, are in the hub's, as ours are in the base's. Thrusters do not lose mass. Masses on springs
 stand beside the hub's; ours are part of the bus's.
@@ -30,7 +30,7 @@ from Basilisk.utilities import SimulationBaseClass, fswSetupThrusters, macros
 
 from ffsm_drake.scenario import Flexible
 
-TABLE = Path(__file__).parent / "systems" / "basilisk.json"
+TABLE = Path(__file__).parent / "basilisk.json"
 
 
 class Commands(sysModel.SysModel):

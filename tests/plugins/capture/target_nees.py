@@ -1,6 +1,6 @@
 """NEES of a target's filter where the inertia is drawn otherwise than the filter assumes.
 
-python tests/systems/target_nees.py
+python tests/plugins/capture/target_nees.py
 """
 
 import dataclasses

@@ -1,10 +1,10 @@
 """A free-floating spacecraft with an arm on Basilisk (https://avslab.github.io/basilisk/), logged
 as its users would: what ``ffsm audit`` is tested on.
 
-    PYTHONPATH=tests python tests/basilisk_arm.py
+    PYTHONPATH=tests/plugins/actuators python tests/plugins/audit/basilisk_arm.py
 
-writes plugins/audit/basilisk_arm.csv; ``pip install bsk`` brings Basilisk (2.12.1 wrote the file).
-Its hub and chain of spinning bodies are read from plugins/audit/basilisk_arm.urdf, their axes
+writes basilisk_arm.csv; ``pip install bsk`` brings Basilisk (2.12.1 wrote the file).
+Its hub and chain of spinning bodies are read from basilisk_arm.urdf, their axes
 driven by torques that are held over each period; fourth-order Runge-Kutta, Basilisk's default.
 """
 
@@ -18,7 +18,7 @@ from Basilisk.simulation import spacecraft, spinningBodyNDOFStateEffector
 from Basilisk.utilities import RigidBodyKinematics
 from basilisk_oracle import Commands, Simulation
 
-URDF = Path(__file__).parent / "plugins" / "audit" / "basilisk_arm.urdf"
+URDF = Path(__file__).parent / "basilisk_arm.urdf"
 PERIOD, SAMPLES = 0.05, 201
 ANGLES, RATES = [0.3, -0.8, 0.5], [0.1, -0.15, 0.2]
 SIZES, SPEEDS = np.array([6.0, 4.0, 0.6]), np.array([0.8, 1.3, 2.0])  # of the torques: N m, rad/s

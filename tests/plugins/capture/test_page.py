@@ -1,0 +1,24 @@
+"""The report's section of a grasp."""
+
+import numpy as np
+
+from ffsm_drake import FfsmError
+from ffsm_drake.plugins.report.page import render_report
+
+
+def left_out(_):
+    raise FfsmError("left out")
+
+
+def test_the_report_tells_of_the_grasp(run, monkeypatch):
+    near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
+    posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"
+    approach = f"capture.approach={{duration: 2, posture: {posture}}}"
+    captured = run("tumbling_capture", "duration=2.5", approach)
+    for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
+        monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
+    page = render_report([captured])
+    assert '<section id="grasp">' in page
+    assert "Angular momentum about the centre of mass [N m s]" in page
+    assert f"Grasp at t = 2 s: impulse {np.linalg.norm(captured.grasp['impulse']):.3g} N s" in page
+    assert page.count("<td") > 40
