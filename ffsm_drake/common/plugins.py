@@ -21,6 +21,8 @@ EXPORTERS = "ffsm_drake.exporters"
 LIVE = "ffsm_drake.live"
 # Beginning of ``KIND:FILE@LAW`` -> function of the file's Path and ``law``, gives a law's factory.
 CONTROLLER_FILES = "ffsm_drake.controller_files"
+# Name -> class derived from ``spacecraft.dynamics.Dynamics``, made without arguments.
+DYNAMICS = "ffsm_drake.dynamics"
 
 
 @functools.cache  # searches the installed packages once per process

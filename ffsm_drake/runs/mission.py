@@ -18,6 +18,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import ApproachAndStop, Progress
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.systems.approach import without_target
 from ffsm_drake.systems.registry import Factory
 
@@ -31,10 +32,11 @@ class MissionRollout:
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
+        dynamics: Dynamics | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
         self._blocks = blocks
-        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
+        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)
         self._scenarios = _as_tuple(scenario)
         self._approach = None
         first = self._scenarios[0]
@@ -45,6 +47,7 @@ class MissionRollout:
                 blocks=blocks,
                 meshcat=meshcat,
                 target=target,
+                dynamics=dynamics,
             )
 
     @property
@@ -110,7 +113,8 @@ def make_rollout(
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
+    dynamics: Dynamics | None = None,
 ) -> Rollout | MissionRollout:
     """The rollout of a scenario, or of several; arguments and errors: see ``Rollout``."""
     kind = MissionRollout if _as_tuple(scenario)[0].grasps else Rollout
-    return kind(scenario, blocks=blocks, meshcat=meshcat)
+    return kind(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)

@@ -22,6 +22,7 @@ NEEDED = {
     "benchmark": [["benchmark", "paper"]],
     "campaign": [["campaign", "status", "c.db"]],
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
+    "generated": [],
     "gymnasium": [],
     "interactive": [
         [*SHORT, "--meshcat"],
