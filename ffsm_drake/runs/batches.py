@@ -56,14 +56,18 @@ _OF_ONE_KIND = (
 _EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
 _CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
 _FEWEST, _USUAL, _MOST = 4, 16, 24
+_MEMORY, _OF_A_SAMPLE = 400 * 2**20, 3 * 2**10  # bytes of the logs of a batch, and of a sample
 
 
-def usual_batch(dynamics: Dynamics | None = None) -> int:
+def usual_batch(dynamics: Dynamics | None = None, *, samples: int = 1) -> int:
     """How many runs go side by side by default: as many as the second-level cache holds, 4 to
-    24; 16 where its size is not known. Other dynamics than Drake's may say a number.
+    24; 16 where its size is not known.
+
+    Other dynamics than Drake's may say a number; runs of so many samples then log at most
+    ``_MEMORY``.
     """
     if dynamics is not None and dynamics.batch is not None:
-        return dynamics.batch
+        return min(dynamics.batch, max(_FEWEST, _MEMORY // (_OF_A_SAMPLE * samples)))
     try:
         size = os.sysconf("SC_LEVEL2_CACHE_SIZE")
     except (AttributeError, ValueError, OSError):
@@ -101,9 +105,11 @@ def run_many(
       KeyboardInterrupt: interrupted from the keyboard.
     """
     chosen = find_dynamics(dynamics)
+    samples = max((scenario.num_control_periods for scenario in scenarios), default=1)
+    most = batch or usual_batch(chosen.dynamics, samples=samples)
     runs = _Runs(chosen)
     try:
-        for indices in batches_of(scenarios, batch or usual_batch(chosen.dynamics)):
+        for indices in batches_of(scenarios, most):
             results = runs.results([scenarios[index] for index in indices])
             yield from zip(indices, results, strict=True)
     finally:
