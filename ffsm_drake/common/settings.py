@@ -121,7 +121,7 @@ def fresh(value: Any) -> Any:
         return [fresh(item) for item in value]
     if not dataclasses.is_dataclass(kind):
         return copy.deepcopy(value)
-    result = object.__new__(kind)
+    result = object.__new__(type(value))
     for field in dataclasses.fields(kind):
         object.__setattr__(result, field.name, fresh(getattr(value, field.name)))
     return result

@@ -16,9 +16,9 @@ _SEED = 1
 class Differences:
     """The largest differences in random states, as shares of what is compared."""
 
-    def __init__(self, kernels: Kernels, reader: Reader, plant: MultibodyPlant) -> None:
-        """Args: the code of a plant of one spacecraft, its reader, and the plant."""
-        tree, random = kernels.tree, np.random.default_rng(_SEED)
+    def __init__(self, kernels: Kernels, plant: MultibodyPlant) -> None:
+        """Args: the code of a plant of one spacecraft, and the plant."""
+        tree, reader, random = kernels.tree, Reader(plant), np.random.default_rng(_SEED)
         context = _varied(plant, random)
         q, v, force = _states(tree, random)
         own = np.repeat(reader.parameters(context)[None], STATES, axis=0)

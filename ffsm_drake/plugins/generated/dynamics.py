@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.plugins.generated.comparison import Differences
 from ffsm_drake.plugins.generated.compiling import llvm
 from ffsm_drake.plugins.generated.copies import GeneratedCopies, GeneratedModel, model_of
@@ -39,26 +42,21 @@ class Generated(Dynamics):
         """See Dynamics."""
         single = make_plant(model, flexible=True)
         reader = Reader(single)
-        kernels = _held_to_drake(reader, single)
+        kernels = held_to_drake(reader.tree, plant=single)
         plant: Any = GeneratedPlant(kernels, number)
         return GeneratedCopies(number=number, plant=plant, single=single, reader=reader)
 
     def models(self, models: Sequence[PlantModel], scenario: Scenario) -> GeneratedModel:
         """See Dynamics."""
         first = models[0].plant
-        return model_of(models, _held_to_drake(Reader(first), first))
+        return model_of(models, held_to_drake(Reader(first).tree, plant=first))
 
 
-_HELD = dict[Tree, Kernels]()  # trees that were compared with Drake in this process
-
-
-def _held_to_drake(reader: Reader, plant: Any) -> Kernels:
-    """The compiled code of a plant. Raises NotCovered: it differs from Drake's."""
-    tree = reader.tree
-    if tree not in _HELD:
-        kernels = Kernels(tree)
-        found = Differences(kernels, reader, plant).largest
-        if not found <= LARGEST_DIFFERENCE:
-            raise NotCovered(f"code that differs from Drake by {found:.1e}")
-        _HELD[tree] = kernels
-    return _HELD[tree]
+@memoized(maxsize=16, besides="plant")  # compared once in a process
+def held_to_drake(tree: Tree, *, plant: MultibodyPlant) -> Kernels:
+    """The compiled code of a plant's tree. Raises NotCovered: it differs from the plant."""
+    kernels = Kernels(tree)
+    found = Differences(kernels, plant).largest
+    if not found <= LARGEST_DIFFERENCE:
+        raise NotCovered(f"code that differs from Drake by {found:.1e}")
+    return kernels

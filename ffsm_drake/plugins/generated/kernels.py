@@ -31,13 +31,8 @@ class Lanes:
         self._flat = self._staged.reshape(-1)[: copies * rows]
 
     def fill(self, values: np.ndarray) -> None:
-        """Give each copy its row; lanes beyond the last copy keep what they have."""
+        """Give each copy its row; what the lanes beyond the last one hold affects none."""
         self._flat[:] = values.reshape(-1)
-        self.values[:] = self._as_blocks
-
-    def pad(self, row: np.ndarray) -> None:
-        """Give the lanes beyond the last copy a row."""
-        self._staged[self._copies :] = row
         self.values[:] = self._as_blocks
 
     def read(self) -> np.ndarray:

@@ -22,6 +22,7 @@ from ffsm_drake.spacecraft.dynamics import NotCovered
 _INERTIA = 10  # parameters of a body: mass, mass times centre of mass, inertia xx yy zz xy xz yz
 _JOINT = 3  # parameters of a joint: damping, reflected inertia of its rotor, stiffness
 _AXES = {"revolute": "revolute_axis", "prismatic": "translation_axis"}
+_MOST_LINKS = 60  # whose code is made in 5 s
 _EXACT = 1e-15  # entries of rotations nearer than this to -1, 0 or 1 are these
 
 
@@ -122,6 +123,8 @@ class Reader:
                 self._groups.append(group)
                 self._joints.append(joint)
             waiting = [each for each in waiting if each not in ready]
+        if len(links) > _MOST_LINKS:
+            raise NotCovered(f"{len(links)} joints (at most {_MOST_LINKS})")
         if plant.num_velocities() != 6 + len(links):
             raise NotCovered("parts of the model apart from the floating base")
         return links

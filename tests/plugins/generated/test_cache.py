@@ -32,8 +32,7 @@ def compilations(monkeypatch):
 
 
 def works(plant):
-    reader = Reader(plant)
-    return Differences(Kernels(reader.tree), reader, plant).largest < 1e-13
+    return Differences(Kernels(Reader(plant).tree), plant).largest < 1e-13
 
 
 @pytest.mark.smoke

@@ -45,8 +45,7 @@ def kernels_of(tree):
 
 
 def differences(plant):
-    reader = Reader(plant)
-    return Differences(kernels_of(reader.tree), reader, plant)
+    return Differences(kernels_of(Reader(plant).tree), plant)
 
 
 @pytest.mark.parametrize(
@@ -223,6 +222,11 @@ def with_placed_base(plant, base, arm):
         FixedOffsetFrame("at", base.body_frame(), RigidTransform(Quaternion(), [1.0, 0.0, 0.0]))
     )
     plant.AddJoint(QuaternionFloatingJoint("floating", plant.world_frame(), frame))
+
+
+def test_code_that_takes_long_to_make_is_refused():
+    with pytest.raises(NotCovered, match="61 joints"):
+        Reader(drawn_tree(0, 61))
 
 
 @pytest.mark.parametrize(
