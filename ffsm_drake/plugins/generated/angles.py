@@ -1,15 +1,14 @@
-"""LLVM code of sine and cosine of eight angles at once, within a unit in the last place.
+"""LLVM code of sine and cosine of several angles at once, within a unit in the last place.
 
 The angle less a multiple k of pi / 2, as a sum of two numbers, then polynomials between -pi / 4 and
 pi / 4, with the constants of fdlibm (Sun Microsystems, 1993; freely usable). Beyond a million
 radians the results are not numbers.
 """
 
-import struct
 from collections.abc import Iterator
 
-LANES = 8
-_V, _I, _B = f"<{LANES} x double>", f"<{LANES} x i64>", f"<{LANES} x i1>"
+from ffsm_drake.plugins.generated.registers import Registers
+
 _LARGEST = 1e6  # rad
 _ROUNDING = 1.5 * 2.0**52  # a number plus this holds its nearest integer in its last bits
 _QUARTERS = 6.36619772367581382433e-01  # 2 / pi
@@ -30,19 +29,13 @@ _COSINE = (
 )  # fmt: skip
 
 
-def constant(value: float) -> str:
-    """A number in every lane."""
-    bits = struct.pack(">d", value).hex().upper()
-    return f"<{', '.join([f'double 0x{bits}'] * LANES)}>"
-
-
-def sine_and_cosine(angle: str, name: str) -> Iterator[str]:
+def sine_and_cosine(registers: Registers, angle: str, name: str) -> Iterator[str]:
     """Lines that make ``name.sine`` and ``name.cosine``, as bits, from an angle."""
     lines = list[str]()
 
     def made(what: str, operation: str, *operands: str | float) -> str:
-        texts = [constant(each) if isinstance(each, float) else each for each in operands]
-        lines.append(f"  {name}.{what} = {operation} {_V} {', '.join(texts)}")
+        texts = [registers.real(each) if isinstance(each, float) else each for each in operands]
+        lines.append(f"  {name}.{what} = {operation} {registers.reals} {', '.join(texts)}")
         return f"{name}.{what}"
 
     def polynomial(what: str, coefficients: tuple[float, ...], x: str) -> str:
@@ -73,31 +66,31 @@ def sine_and_cosine(angle: str, name: str) -> Iterator[str]:
     s = made("s", "fsub", x, inner)
     fourth = polynomial("c", _COSINE, z)
     hz = made("hz", "fmul", z, 0.5)
-    w = made("w", "fsub", constant(1.0), hz)
-    correction = made("fix", "fsub", made("onew", "fsub", constant(1.0), w), hz)
+    w = made("w", "fsub", 1.0, hz)
+    correction = made("fix", "fsub", made("onew", "fsub", 1.0, w), hz)
     tail = made("zzc", "fmul", made("zz", "fmul", z, z), fourth)
     tail = made("tail", "fsub", tail, made("xy", "fmul", x, y))
     c = made("c", "fadd", w, made("fixed", "fadd", correction, tail))
     yield from lines
-    yield from _in_quadrant(angle, shifted, s, c, name)
+    yield from _in_quadrant(registers, angle, shifted, s, c, name)
 
 
-def _in_quadrant(angle: str, shifted: str, s: str, c: str, name: str) -> Iterator[str]:
+def _in_quadrant(
+    registers: Registers, angle: str, shifted: str, s: str, c: str, name: str
+) -> Iterator[str]:
     """Exchange sine and cosine and change their signs as the multiple of pi / 2 says."""
-
-    def whole(value: int) -> str:
-        return f"<{', '.join([f'i64 {value}'] * LANES)}>"
-
-    yield f"  {name}.n = bitcast {_V} {shifted} to {_I}"
-    yield f"  {name}.odd = trunc {_I} {name}.n to {_B}"
-    yield f"  {name}.next = add {_I} {name}.n, {whole(1)}"
-    yield f"  {name}.square = fmul {_V} {angle}, {angle}"
-    yield f"  {name}.near = fcmp olt {_V} {name}.square, {constant(_LARGEST**2)}"
+    reals, wholes, truths = registers.reals, registers.wholes, registers.truths
+    yield f"  {name}.n = bitcast {reals} {shifted} to {wholes}"
+    yield f"  {name}.odd = trunc {wholes} {name}.n to {truths}"
+    yield f"  {name}.next = add {wholes} {name}.n, {registers.whole(1)}"
+    yield f"  {name}.square = fmul {reals} {angle}, {angle}"
+    yield f"  {name}.near = fcmp olt {reals} {name}.square, {registers.real(_LARGEST**2)}"
+    none = registers.real(float("nan"))
     for kind, count, own, other in (("sine", "n", s, c), ("cosine", "next", c, s)):
         at = f"{name}.{kind}"
-        yield f"  {at}.o = select {_B} {name}.odd, {_V} {other}, {_V} {own}"
-        yield f"  {at}.f = select {_B} {name}.near, {_V} {at}.o, {_V} {constant(float('nan'))}"
-        yield f"  {at}.b = bitcast {_V} {at}.f to {_I}"
-        yield f"  {at}.two = and {_I} {name}.{count}, {whole(2)}"
-        yield f"  {at}.sign = shl {_I} {at}.two, {whole(62)}"
-        yield f"  {at} = xor {_I} {at}.b, {at}.sign"
+        yield f"  {at}.o = select {truths} {name}.odd, {reals} {other}, {reals} {own}"
+        yield f"  {at}.f = select {truths} {name}.near, {reals} {at}.o, {reals} {none}"
+        yield f"  {at}.b = bitcast {reals} {at}.f to {wholes}"
+        yield f"  {at}.two = and {wholes} {name}.{count}, {registers.whole(2)}"
+        yield f"  {at}.sign = shl {wholes} {at}.two, {registers.whole(62)}"
+        yield f"  {at} = xor {wholes} {at}.b, {at}.sign"

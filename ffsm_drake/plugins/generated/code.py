@@ -1,4 +1,4 @@
-"""LLVM code of traced operations, eight copies at a time.
+"""LLVM code of traced operations, on as many copies at a time as a register holds.
 
 An array of a function has the shape (blocks, rows, 8): 8 copies lie side by side. The operations
 stand in parts of bounded size, which hand values over in memory, as compiling one long piece takes
@@ -9,16 +9,19 @@ lane has the same bits whatever the others hold, on every processor.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ffsm_drake.plugins.generated.angles import LANES, constant, sine_and_cosine
+from ffsm_drake.plugins.generated.angles import sine_and_cosine
+from ffsm_drake.plugins.generated.registers import LANES, Registers
 from ffsm_drake.plugins.generated.symbols import Operation, Symbol, Tape, needed
 
 OUT = "out"
 _PART = 400  # operations
-_V, _I = f"<{LANES} x double>", f"<{LANES} x i64>"
+_ROW = f"[{LANES} x double]"
 _PLAIN = {"add": "fadd", "subtract": "fsub", "multiply": "fmul", "divide": "fdiv"}
 
 
-def function(name: str, tape: Tape, arrays: Mapping[str, int], results: Sequence[Any]) -> str:
+def function(
+    registers: Registers, name: str, tape: Tape, arrays: Mapping[str, int], results: Sequence[Any]
+) -> str:
     """A function of pointers to the arrays, to the array ``out``, and the number of blocks.
 
     Args:
@@ -41,7 +44,7 @@ def function(name: str, tape: Tape, arrays: Mapping[str, int], results: Sequence
     pointers = ", ".join(f"ptr noalias %{each}" for each in (*rows, "kept"))
     texts = []
     for number, part in enumerate(parts):
-        lines = "\n".join(_Part(operations, slots, rows_of, part).lines())
+        lines = "\n".join(_Part(registers, operations, slots, rows_of, part).lines())
         texts.append(
             f"define internal void @{name}.{number}({pointers}) noinline "
             f"{{\n{lines}\n  ret void\n}}\n"
@@ -50,31 +53,37 @@ def function(name: str, tape: Tape, arrays: Mapping[str, int], results: Sequence
     calls = [f"  call void @{name}.{n}({given}, ptr %kept)" for n in range(len(parts))]
     for row, value in enumerate(results):
         if not isinstance(value, Symbol):
-            calls += _store(constant(value), f"{OUT}.b", row, f"%fixed.{row}")
-    return "\n".join((*texts, _loop(name, rows, size, calls)))
+            calls += _store(registers, registers.real(value), f"{OUT}.b", row, f"%fixed.{row}")
+    return "\n".join((*texts, _loop(registers, name, rows, size, calls)))
 
 
-def _loop(name: str, rows: Mapping[str, int], size: int, body: Sequence[str]) -> str:
-    """Over blocks, with pointers %ARRAY.b into each array."""
+def _loop(
+    registers: Registers, name: str, rows: Mapping[str, int], size: int, body: Sequence[str]
+) -> str:
+    """Over the registers of each block, with pointers %ARRAY.b to theirs in each array."""
     pointers = ", ".join(f"ptr noalias %{each}" for each in rows)
     moved = [
         line
         for each, count in rows.items()
         for line in (
             f"  %{each}.o = mul i64 %block, {count}",
-            f"  %{each}.b = getelementptr {_V}, ptr %{each}, i64 %{each}.o",
+            f"  %{each}.f = getelementptr {_ROW}, ptr %{each}, i64 %{each}.o",
+            f"  %{each}.b = getelementptr {registers.reals}, ptr %{each}.f, i64 %part",
         )
     ]
-    lines = "\n".join((*moved, *body))
+    lines, parts = "\n".join((*moved, *body)), LANES // registers.width
     return f"""define void @{name}({pointers}, i64 %blocks) {{
 entry:
-  %kept = alloca [{max(size, 1)} x {_V}], align 64
+  %kept = alloca [{max(size, 1)} x {_ROW}], align 64
+  %count = mul i64 %blocks, {parts}
   br label %loop
 loop:
-  %block = phi i64 [0, %entry], [%next, %loop]
+  %turn = phi i64 [0, %entry], [%next, %loop]
+  %block = udiv i64 %turn, {parts}
+  %part = urem i64 %turn, {parts}
 {lines}
-  %next = add i64 %block, 1
-  %more = icmp slt i64 %next, %blocks
+  %next = add i64 %turn, 1
+  %more = icmp slt i64 %next, %count
   br i1 %more, label %loop, label %end
 end:
   ret void
@@ -118,13 +127,14 @@ class _Part:
 
     def __init__(
         self,
+        registers: Registers,
         operations: Sequence[Operation],
         slots: Mapping[int, int],
         rows_of: Mapping[int, Sequence[int]],
         part: Sequence[int],
     ) -> None:
         self._operations, self._slots, self._rows_of = operations, slots, rows_of
-        self._part = part
+        self._registers, self._part = registers, part
         self._here = set[int]()  # values in registers
         self._turns = set[int]()  # angles with sine and cosine
 
@@ -133,9 +143,9 @@ class _Part:
             if index not in self._here:
                 yield from self._value(index)
             if index in self._slots:
-                yield from _store(f"%t{index}", "kept", self._slots[index], f"%k{index}", align=64)
+                yield from self._stored(index, "kept", self._slots[index], f"%k{index}")
             for row in self._rows_of.get(index, ()):
-                yield from _store(f"%t{index}", OUT, row, f"%o{row}")
+                yield from self._stored(index, OUT, row, f"%o{row}")
 
     def _value(self, index: int) -> Iterator[str]:
         """Compute a value, with those that it takes from memory first."""
@@ -143,42 +153,39 @@ class _Part:
         for each in _used(operation):
             if each not in self._here:
                 yield from self._fetched(each)
-        kind, operands = operation
+        (kind, operands), reals = operation, self._registers.reals
         if kind == "input":
             yield from self._fetched(index)
         elif kind == "negate":
-            yield f"  {name} = fneg {_V} %t{operands[0]}"
+            yield f"  {name} = fneg {reals} %t{operands[0]}"
         elif kind in ("sine", "cosine"):
             angle = int(operands[0])
             if angle not in self._turns:
                 self._turns.add(angle)
-                yield from sine_and_cosine(f"%t{angle}", f"%a{angle}")
-            yield f"  {name} = bitcast {_I} %a{angle}.{kind} to {_V}"
+                yield from sine_and_cosine(self._registers, f"%t{angle}", f"%a{angle}")
+            yield f"  {name} = bitcast {self._registers.wholes} %a{angle}.{kind} to {reals}"
         else:
-            first, second = map(_operand, operands)
-            yield f"  {name} = {_PLAIN[kind]} {_V} {first}, {second}"
+            first, second = map(self._operand, operands)
+            yield f"  {name} = {_PLAIN[kind]} {reals} {first}, {second}"
         self._here.add(index)
 
     def _fetched(self, index: int) -> Iterator[str]:
         """Load a value from its array, or from another part's memory."""
         self._here.add(index)
         operation = self._operations[index]
+        array, row = "kept", self._slots.get(index, 0)
         if operation.kind == "input":
-            array, row = operation.operands
-            yield from _load(f"%t{index}", str(array), int(row), f"%p{index}")
-        else:
-            yield from _load(f"%t{index}", "kept", self._slots[index], f"%p{index}", align=64)
+            array, row = str(operation.operands[0]), int(operation.operands[1])
+        yield f"  %p{index} = getelementptr {_ROW}, ptr %{array}, i64 {row}"
+        yield f"  %t{index} = load {self._registers.reals}, ptr %p{index}, align 8"
+
+    def _stored(self, index: int, array: str, row: int, pointer: str) -> Iterator[str]:
+        return _store(self._registers, f"%t{index}", array, row, pointer)
+
+    def _operand(self, operand: Any) -> str:
+        return f"%t{operand}" if isinstance(operand, int) else self._registers.real(operand)
 
 
-def _load(name: str, array: str, row: int, pointer: str, *, align: int = 8) -> Iterator[str]:
-    yield f"  {pointer} = getelementptr {_V}, ptr %{array}, i64 {row}"
-    yield f"  {name} = load {_V}, ptr {pointer}, align {align}"
-
-
-def _store(value: str, array: str, row: int, pointer: str, *, align: int = 8) -> Iterator[str]:
-    yield f"  {pointer} = getelementptr {_V}, ptr %{array}, i64 {row}"
-    yield f"  store {_V} {value}, ptr {pointer}, align {align}"
-
-
-def _operand(operand: Any) -> str:
-    return f"%t{operand}" if isinstance(operand, int) else constant(operand)
+def _store(registers: Registers, value: str, array: str, row: int, pointer: str) -> Iterator[str]:
+    yield f"  {pointer} = getelementptr {_ROW}, ptr %{array}, i64 {row}"
+    yield f"  store {registers.reals} {value}, ptr {pointer}, align 8"

@@ -18,6 +18,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import written_whole
+from ffsm_drake.plugins.generated.registers import Registers
 
 _MAGIC = b"ffsm_drake generated code\n"
 _DIGEST = hashlib.sha256().digest_size
@@ -35,6 +36,12 @@ def llvm() -> Any:
     llvmlite.binding.initialize_native_target()
     llvmlite.binding.initialize_native_asmprinter()
     return llvmlite.binding
+
+
+def registers() -> Registers:
+    """The registers of this processor."""
+    has = llvm().get_host_cpu_features()
+    return Registers(8 if has.get("avx512f") else 4 if has.get("avx") else 2)
 
 
 class Code:

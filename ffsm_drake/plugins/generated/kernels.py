@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ffsm_drake.plugins.generated.angles import LANES
 from ffsm_drake.plugins.generated.code import function
-from ffsm_drake.plugins.generated.compiling import Code
+from ffsm_drake.plugins.generated.compiling import Code, registers
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
+from ffsm_drake.plugins.generated.registers import LANES, Registers
 from ffsm_drake.plugins.generated.symbols import Tape
 from ffsm_drake.plugins.generated.tree import Tree
 
@@ -45,7 +45,8 @@ class Kernels:
     """The functions of a tree. Arrays: see ``code``."""
 
     def __init__(self, tree: Tree) -> None:
-        self.tree, self._code = tree, Code(repr(tree), functools.partial(module_text, tree))
+        self.tree = tree
+        self._code = Code(repr(tree), functools.partial(module_text, registers(), tree))
 
     def function(self, name: str) -> Callable[..., None]:
         """``derivative``, ``mass_matrix`` or ``bias``: of pointers to its inputs, which are q, v,
@@ -54,12 +55,12 @@ class Kernels:
         return self._code.function(name, len(_INPUTS[name]) + 1)
 
 
-def module_text(tree: Tree) -> str:
+def module_text(registers: Registers, tree: Tree) -> str:
     """The LLVM text of all functions of a tree."""
-    return "\n".join(_function_text(tree, name) for name in _INPUTS)
+    return "\n".join(_function_text(registers, tree, name) for name in _INPUTS)
 
 
-def _function_text(tree: Tree, name: str) -> str:
+def _function_text(registers: Registers, tree: Tree, name: str) -> str:
     rows = {
         "q": tree.num_positions,
         "v": tree.num_velocities,
@@ -74,4 +75,4 @@ def _function_text(tree: Tree, name: str) -> str:
         results = bias(tree, *inputs)
     else:
         results = [value for row in mass_matrix(tree, *inputs) for value in row]
-    return function(name, tape, arrays, results)
+    return function(registers, name, tape, arrays, results)

@@ -25,9 +25,10 @@ from pydrake.multibody.tree import (
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.generated.code import function
 from ffsm_drake.plugins.generated.comparison import Differences, calculated
-from ffsm_drake.plugins.generated.compiling import Code
+from ffsm_drake.plugins.generated.compiling import Code, registers
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
-from ffsm_drake.plugins.generated.kernels import Kernels, Lanes
+from ffsm_drake.plugins.generated.kernels import Kernels, Lanes, module_text
+from ffsm_drake.plugins.generated.registers import Registers
 from ffsm_drake.plugins.generated.symbols import Tape, cosine, sine
 from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.scenario import shipped_scenarios
@@ -121,7 +122,7 @@ def hinge():
 def test_angles_are_within_an_ulp():
     tape = Tape()
     (angle,) = tape.inputs("q", 1)
-    text = function("turn", tape, {"q": 1}, [sine(angle), cosine(angle)])
+    text = function(registers(), "turn", tape, {"q": 1}, [sine(angle), cosine(angle)])
     code = Code(text, lambda: text)
     random = np.random.default_rng(1)
     angles = np.concatenate(
@@ -222,6 +223,23 @@ def with_placed_base(plant, base, arm):
         FixedOffsetFrame("at", base.body_frame(), RigidTransform(Quaternion(), [1.0, 0.0, 0.0]))
     )
     plant.AddJoint(QuaternionFloatingJoint("floating", plant.world_frame(), frame))
+
+
+@pytest.mark.parametrize("width", [2, 4, 8])
+def test_registers_of_any_width_give_the_same_bits(width):
+    tree = Reader(drawn_tree(2, 2)).tree
+    random = np.random.default_rng(3)
+    rows = tree.num_positions, tree.num_parameters
+    q, own = (random.uniform(0.5, 1.0, size=(11, count)) for count in rows)
+    code = Code(f"{width} {tree}", lambda: module_text(Registers(width), tree))
+    arrays = [Lanes(11, each.shape[1]) for each in (q, own)]
+    for array, values in zip(arrays, (q, own), strict=True):
+        array.fill(values)
+    result = Lanes(11, tree.num_velocities**2)
+    pointers = [each.pointer for each in (*arrays, result)]
+    code.function("mass_matrix", 3)(*pointers, result.blocks)
+    expected = calculated(kernels_of(tree), "mass_matrix", q, own)
+    np.testing.assert_array_equal(result.read(), expected)
 
 
 def test_code_that_takes_long_to_make_is_refused():
