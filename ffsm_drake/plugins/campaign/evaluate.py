@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, LimitError, one_line
+from ffsm_drake.common.errors import BlockError, FfsmError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
@@ -194,7 +194,8 @@ class Evaluator:
         groups = batches_of(list(scenarios.values()), len(numbers))
         chosen = [numbers[place] for group in groups if len(group) > 1 for place in group]
         limit, logs = self._spec.time_limit * max(len(chosen), 1), dict[int, RunLog]()
-        with contextlib.suppress(TimeLimit), time_limit(limit):  # alone each has its own
+        # alone each has its own, and reports an error
+        with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
             given = [scenarios[number] for number in chosen]
             for place, result in run_many(given, dynamics=self._spec.dynamics):
                 if isinstance(result, RunLog):

@@ -9,6 +9,8 @@ from click.testing import CliRunner
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.campaign.cases import make_cases
+from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
 from ffsm_drake.plugins.campaign.plan import status_text
 from ffsm_drake.plugins.campaign.run import repeat_run, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec
@@ -103,6 +105,13 @@ def test_the_option_replaces_the_key(tmp_path, monkeypatch):
     assert "dynamics: generated" in result.output
     status = CliRunner().invoke(main, ["campaign", "status", "s.yaml", "--database", "s.db"])
     assert status.exit_code == 0, status.output
+
+
+def test_a_worker_without_the_dynamics_reports_it_in_each_row(tmp_path):
+    spec = load_spec(write_spec(tmp_path / "s.yaml", dynamics="elsewhere", cases=2))
+    rows = Evaluator(spec).evaluate_batch(Batch(tuple(make_cases(spec)), "tdc"))
+    assert [row["outcome"] for row in rows] == ["error"] * 2
+    assert all("'elsewhere' is unknown" in row["message"] for row in rows)
 
 
 @pytest.mark.parametrize(("given", "said"), [("nonsense", "'nonsense' is unknown"), (3, "name")])
