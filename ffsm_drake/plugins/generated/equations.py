@@ -290,18 +290,9 @@ def _pose(link: Link, q: Sequence[Any]) -> _Pose:
 def axis_rotation(axis: Sequence[float], angle: Any) -> Matrix:
     """The rotation by an angle about a unit vector."""
     c, s = cosine(angle), sine(angle)
-    x, y, z = axis
-    if sorted(map(abs, axis)) == [0.0, 0.0, 1.0]:
-        along = [[x * x, 0.0, 0.0], [0.0, y * y, 0.0], [0.0, 0.0, z * z]]
-        across = [[(1.0 - own) * c for own in (x * x, y * y, z * z)][i] for i in range(3)]
-        rest = [[across[0], 0.0, 0.0], [0.0, across[1], 0.0], [0.0, 0.0, across[2]]]
-        return sum_of(along, rest, [scaled(s, row) for row in skew(axis)])
-    u = 1.0 - c
-    return [
-        [x * x * u + c, x * y * u - z * s, x * z * u + y * s],
-        [x * y * u + z * s, y * y * u + c, y * z * u - x * s],
-        [x * z * u - y * s, y * z * u + x * s, z * z * u + c],
-    ]
+    along = [[x * y for y in axis] for x in axis]
+    across = [[(1.0 if i == j else 0.0) - along[i][j] for j in range(3)] for i in range(3)]
+    return sum_of(along, [scaled(c, row) for row in across], [scaled(s, row) for row in skew(axis)])
 
 
 def quaternion_matrix(quaternion: Sequence[Any]) -> Matrix:
