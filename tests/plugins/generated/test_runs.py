@@ -1,12 +1,16 @@
 """Runs on compiled code against those on Drake's plant."""
 
 import dataclasses
+import sys
+import types
 
 import numpy as np
 import pytest
 from drawn_trees import drawn_tree
+from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import (
+    BlockError,
     FfsmError,
     RunRecord,
     load_scenario,
@@ -129,6 +133,43 @@ def test_a_run_that_diverges_leaves_the_others_alone():
     np.testing.assert_array_equal(
         records[0].dataset["velocity"].values, alone.dataset["velocity"].values
     )
+
+
+class Faulty(LeafSystem):
+    """A user's force that fails in its own way with some seeds, after some samples."""
+
+    def __init__(self, setup):
+        super().__init__()
+        self._size, self._seed = len(setup.coordinates.names), setup.scenario.random_seed
+        self.DeclareVectorOutputPort("generalized_force", self._size, self._calc)
+
+    def _calc(self, context, output):
+        force = np.zeros(self._size)
+        if context.get_time() > 0.05 and self._seed == 1:
+            force[:] = np.nan
+        if context.get_time() > 0.05 and self._seed == 2:
+            raise ZeroDivisionError("by zero")
+        output.SetFromVector(force)
+
+
+@pytest.mark.parametrize("faulty", [1, 2])
+def test_a_force_that_fails_leaves_the_others_alone(faulty, monkeypatch):
+    module = types.ModuleType("lab_of_generated")
+    module.Faulty = Faulty
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    scenario = load_scenario(
+        "postcapture", ["duration=0.2", f"blocks.forces.own={module.__name__}:Faulty"]
+    )
+    sound = [dataclasses.replace(scenario, random_seed=seed) for seed in (0, 3, 4)]
+    scenarios = [*sound, dataclasses.replace(scenario, random_seed=faulty)]
+    *records, error = simulate_many(scenarios, dynamics="generated", keep_errors=True)
+    assert isinstance(error, BlockError)
+    expected = simulate_many(sound, dynamics="generated")
+    for record, other in zip(records, expected, strict=True):
+        assert record.dynamics == "generated"
+        np.testing.assert_array_equal(
+            record.dataset["velocity"].values, other.dataset["velocity"].values
+        )
 
 
 REFUSED = {
