@@ -1,13 +1,14 @@
 """A campaign's case end to end, side by side over alone.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/campaign_cases.py [NAME ...] [--repeats 10]
-        [--cases 16] [--duration S]
+        [--cases 16] [--duration S] [--dynamics generated]
 
 Processor time of a case as a worker and the driver spend it: its scenario checked, built and run,
 predictions, metrics, and its row stored. The same cases run one by one and as one batch, in turns
 in one process, because a machine's speed changes from minute to minute; minima of the repeats.
 ``payload_uncertainty`` is the shipped campaign, with its four laws; the others are shipped
-scenarios whose seed and payload differ from case to case.
+scenarios whose seed and payload differ from case to case. Other dynamics than Drake's are the
+batch's; one by one the cases run with Drake's.
 """
 
 import argparse
@@ -23,9 +24,10 @@ import yaml
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
 from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
-from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns
+from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.batches import usual_batch
+from ffsm_drake.spacecraft.dynamics import DRAKE
 
 NAMES = (
     "payload_uncertainty",
@@ -39,7 +41,9 @@ SPREAD = 0.05  # of the payload's masses, true and nominal
 
 
 def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> Spec:
-    """A shipped campaign of that name, else one of the scenario, with so many cases."""
+    """A shipped campaign of that name, else one of the scenario, with one case more than so many:
+    the first may run with two dynamics.
+    """
     shipped = shipped_campaigns().get(name) if name == NAMES[0] else None
     data: dict[str, Any] = {} if shipped is None else yaml.safe_load(shipped.read_text("utf-8"))
     if shipped is None:
@@ -57,7 +61,7 @@ def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> S
         data["overrides"] = {"duration": duration}
         data["settled"] = {"hold": min(1.0, duration)}
     file = folder / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(data | {"cases": cases}, sort_keys=False), encoding="utf-8")
+    file.write_text(yaml.safe_dump(data | {"cases": cases + 1}, sort_keys=False), encoding="utf-8")
     return load_spec(file)
 
 
@@ -82,15 +86,19 @@ def processor_time(
 
 
 def minima(
-    spec: Spec, controller: str, cases: Sequence[Case], repeats: int, folder: Path
+    spec: Spec, controller: str, cases: Sequence[Case], repeats: int, folder: Path, dynamics: str
 ) -> np.ndarray:
     """Of one law, s per case: alone and side by side."""
-    whole, evaluator = Batch(tuple(cases), controller), Evaluator(spec)
-    ways = {"alone": whole.parts, "batched": (whole,)}
+    whole = Batch(tuple(cases), controller)
+    other = spec_from_data({**spec.data, "dynamics": dynamics})
+    ways = {
+        "alone": (spec, Evaluator(spec), whole.parts),
+        "batched": (other, Evaluator(other), (whole,)),
+    }
     seconds = {way: list[float]() for way in ways}
     for _ in range(repeats):
-        for way, batches in ways.items():
-            took = processor_time(evaluator, spec, batches, folder / f"{way}.db")
+        for way, (own, evaluator, batches) in ways.items():
+            took = processor_time(evaluator, own, batches, folder / f"{way}.db")
             seconds[way].append(took / len(cases))
     return np.array([min(seconds[way]) for way in ways])
 
@@ -108,13 +116,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, default=10, help="of each (default: 10)")
     parser.add_argument("--cases", type=int, default=usual_batch(), help="in a batch")
     parser.add_argument("--duration", type=float, help="of a run, s (default: the scenario's)")
+    parser.add_argument("--dynamics", default=DRAKE, help="of the batch (default: drake)")
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         for name in options.names or NAMES:
             spec = spec_of(name, Path(folder), cases=options.cases, duration=options.duration)
-            cases, total = tuple(make_cases(spec)), np.zeros(2)
+            cases, total = tuple(make_cases(spec))[1:], np.zeros(2)
             for controller in spec.controllers:
-                seconds = minima(spec, controller, cases, options.repeats, Path(folder))
+                given = options.repeats, Path(folder), options.dynamics
+                seconds = minima(spec, controller, cases, *given)
                 report(f"{name}, {controller}", seconds)
                 total += seconds / len(spec.controllers)
             if len(spec.controllers) > 1:

@@ -16,9 +16,11 @@ of a
     second model with the nominal payload;
 (d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model,
     the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
-(e) 16 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on arrays. Its
-    time is that of all, divided by 16.
-(w) our closed loop of 16 runs side by side, each with a seed of its own, per run.
+(e) 16 and 64 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on
+    arrays. Its time is that of all, divided by their number.
+(w) our closed loop of as many runs side by side, each with a seed of its own, per run.
+(g) the same with dynamics ``generated``, where llvmlite is installed (pip install
+    'ffsm-drake[generated]').
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -32,6 +34,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -44,6 +47,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.spacecraft.dynamics import dynamics_names, find_dynamics
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant
 
@@ -53,7 +57,8 @@ except ImportError as error:
     on_basilisk, WITHOUT_BASILISK = None, str(error)
 
 JOINTS = (5, 7, 14)
-AT_ONCE = 16  # runs
+AT_ONCE = (16, 64)  # runs
+GENERATED = "generated"
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
     "four wheels": ("actuation.thrusters=null",),
@@ -189,7 +194,9 @@ def contest(scenario: Scenario) -> Contest:
 
 
 class AtOnce(NamedTuple):
-    """Several runs at once of one scenario, which differ in their seed."""
+    """Several runs at once of one scenario, which differ in their seed. Names have the number of
+    runs behind the letter.
+    """
 
     contestants: dict[str, Callable[[], float]]  # seconds per run
     differences: dict[str, float]  # largest between their errors and those of (b), seed by seed
@@ -200,20 +207,25 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     scenario = rollout.loop.scenario
     seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
     logs = [rollout.run(seed) for seed in seeds]
-    noise, errors = (
-        np.stack(each, axis=1)
-        for each in ([sensor_noise(log) for log in logs], [log.error for log in logs])
-    )
-    batch, ours = MujocoBatch(scenario, logs[0].coordinates, runs), Rollout(seeds)
-    found = np.stack([log.error for log in logs_of(ours)], axis=1)
+    ours = {"w": Rollout(seeds)}
+    if GENERATED in dynamics_names() and find_spec("llvmlite"):
+        ours["g"] = Rollout(seeds, dynamics=find_dynamics(GENERATED).dynamics)
+    noise = np.stack([sensor_noise(log) for log in logs], axis=1)
+    errors = np.stack([log.error for log in logs], axis=1)
+    batch = MujocoBatch(scenario, logs[0].coordinates, runs)
+    found = {
+        name: np.stack([log.error for log in logs_of(own)], axis=1) for name, own in ours.items()
+    }
+    found["e"] = batch.run(noise)
+    contestants: dict[str, Callable[[], float]] = {
+        name: lambda own=own: advance_time(lambda: logs_of(own)) / runs
+        for name, own in ours.items()
+    }
+    contestants["e"] = lambda: timed(lambda: batch.run(noise)) / runs
     return AtOnce(
-        contestants={
-            "e": lambda: timed(lambda: batch.run(noise)) / runs,
-            "w": lambda: advance_time(lambda: logs_of(ours)) / runs,
-        },
+        contestants={f"{name}{runs}": work for name, work in contestants.items()},
         differences={
-            "e": float(np.abs(errors - batch.run(noise)).max()),
-            "w": float(np.abs(errors - found).max()),
+            f"{name}{runs}": float(np.abs(errors - own).max()) for name, own in found.items()
         },
     )
 
@@ -272,12 +284,22 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
         print(f"  {label:22s} {times[name]}   {times[name].over(b)} of (b)")
 
 
-def print_at_once(times: Mapping[str, Timing], together: AtOnce) -> None:
-    for name, difference in together.differences.items():
-        own, others = times[name], [other for other in "abcde" if other in times and other != name]
-        against = "   ".join(f"{name}/{other} {own.over(times[other])}" for other in others)
-        print(f"  ({name}) {AT_ONCE} at once, each   {own}   {against}")
-        print(f"  error of all runs, largest difference (b) - ({name}): {difference:.1e}")
+def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> None:
+    labels = {"e": "MuJoCo", "w": "ours", "g": f"ours, {GENERATED}"}
+    for each in together:
+        for name, difference in each.differences.items():
+            letter, runs = name[0], name[1:]
+            others = [other for other in (*"abcd", f"e{runs}", f"w{runs}") if other in times]
+            against = "   ".join(
+                f"{letter}/{other[0]} {times[name].over(times[other])}"
+                for other in others
+                if other != name
+            )
+            label = f"({letter}) {runs} at once, {labels[letter]}, each"
+            print(f"  {label:38s} {times[name]}   {against}")
+            print(f"  error of all runs, largest difference (b) - ({letter}): {difference:.1e}")
+    if not any(name.startswith("g") for name in times):
+        print("  (g) skipped, needs 'pip install ffsm-drake[generated]'")
 
 
 def print_variants(times: Mapping[str, Timing], samples: int) -> None:
@@ -328,10 +350,10 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     scenario = load_scenario("postcapture", [duration])
     shipped = contest(scenario)
-    together = at_once(shipped.rollout, AT_ONCE)
+    together = [at_once(shipped.rollout, runs) for runs in AT_ONCE]
     times = interleaved(
         shipped.contestants
-        | together.contestants
+        | {name: work for each in together for name, work in each.contestants.items()}
         | {
             "build": lambda: timed(lambda: Rollout(scenario)),
             "run": lambda: timed(lambda: shipped.rollout.run().metrics),

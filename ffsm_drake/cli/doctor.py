@@ -11,6 +11,7 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import (
     COMMANDS,
     CONTROLLER_FILES,
+    DYNAMICS,
     EXPORTERS,
     LIVE,
     load,
@@ -98,7 +99,13 @@ def _controllers() -> str:
 
 
 def _plugins() -> str:
-    groups = {"commands": COMMANDS, "files": EXPORTERS, "live": LIVE, "laws": CONTROLLER_FILES}
+    groups = {
+        "commands": COMMANDS,
+        "files": EXPORTERS,
+        "live": LIVE,
+        "laws": CONTROLLER_FILES,
+        "dynamics": DYNAMICS,
+    }
     for group in groups.values():
         for name in offered(group):
             load(group, name, name)

@@ -26,6 +26,8 @@ CONTROLLER_FILES = "ffsm_drake.controller_files"
 SECTIONS = "ffsm_drake.sections"
 # Name -> function or class that the core uses where it is installed: see the callers.
 SERVICES = "ffsm_drake.services"
+# Name -> class derived from ``spacecraft.dynamics.Dynamics``, made without arguments.
+DYNAMICS = "ffsm_drake.dynamics"
 
 
 @functools.cache  # searches the installed packages once per process

@@ -107,7 +107,24 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
     metadata = {"setting": Setting(unit=unit, meaning=meaning, **limits)}
     if default is None or isinstance(default, (str, int, float)):
         return dataclasses.field(default=default, metadata=metadata)
-    return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
+    return dataclasses.field(default_factory=lambda: fresh(default), metadata=metadata)
+
+
+def fresh(value: Any) -> Any:
+    """A copy of plain data, and of dataclasses of it, which shares nothing that can change."""
+    kind: Any = type(value)
+    if kind in (str, float, int, bool, type(None)):
+        return value
+    if kind is dict:
+        return {key: fresh(item) for key, item in value.items()}
+    if kind is list:
+        return [fresh(item) for item in value]
+    if not dataclasses.is_dataclass(kind):
+        return copy.deepcopy(value)
+    result = object.__new__(type(value))
+    for field in dataclasses.fields(kind):
+        object.__setattr__(result, field.name, fresh(getattr(value, field.name)))
+    return result
 
 
 @functools.cache  # called for every part whenever a scenario is loaded

@@ -8,6 +8,7 @@ Alone go runs with error control, an implicit scheme or a paced clock, and with 
 """
 
 import dataclasses
+import functools
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -15,10 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.common.errors import one_line
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
+from ffsm_drake.spacecraft.dynamics import DRAKE, Chosen, Dynamics, NotCovered, find_dynamics
+from ffsm_drake.systems.side_by_side import NotAlike
 
 # Sections in which runs side by side may differ: they affect only computations before or after a
 # run, its own context, or blocks with a row or an instance for each run.
@@ -51,12 +55,18 @@ _OF_ONE_KIND = (
 _EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
 _CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
 _FEWEST, _USUAL, _MOST = 4, 16, 24
+_MEMORY, _OF_A_SAMPLE = 400 * 2**20, 3 * 2**10  # bytes of the logs of a batch, and of a sample
 
 
-def usual_batch() -> int:
+def usual_batch(dynamics: Dynamics | None = None, *, samples: int = 1) -> int:
     """How many runs go side by side by default: as many as the second-level cache holds, 4 to
     24; 16 where its size is not known.
+
+    Other dynamics than Drake's may say a number; runs of so many samples then log at most
+    ``_MEMORY``.
     """
+    if dynamics is not None and dynamics.batch is not None:
+        return min(dynamics.batch, max(_FEWEST, _MEMORY // (_OF_A_SAMPLE * samples)))
     try:
         size = os.sysconf("SC_LEVEL2_CACHE_SIZE")
     except (AttributeError, ValueError, OSError):
@@ -76,43 +86,101 @@ def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[
 
 
 def run_many(
-    scenarios: Sequence[Scenario], *, batch: int | None = None
+    scenarios: Sequence[Scenario], *, batch: int | None = None, dynamics: str = DRAKE
 ) -> Iterator[tuple[int, RunLog | Exception]]:
     """Run scenarios, side by side where possible, in no fixed order.
 
     Args:
       scenarios: the scenarios, with durations in seconds (``timed``).
       batch: largest number side by side; default: ``usual_batch``.
+      dynamics: what computes the spacecraft (``find_dynamics``). A run with others than Drake's
+        that fails, or diverges between samples, is repeated alone with Drake's, as its log says.
 
-    Yields: the index of a scenario and its log, with the same bits as ``Rollout.run``, or the
-    exception of its run alone.
+    Yields: the index of a scenario and its log, with Drake's dynamics with the same bits as
+    ``Rollout.run``, or the exception of its run alone.
 
-    Raises KeyboardInterrupt: interrupted from the keyboard.
+    Raises:
+      FfsmError: the dynamics are unknown.
+      KeyboardInterrupt: interrupted from the keyboard.
     """
-    alone, together = Kept(make_rollout), Kept(make_rollout)
+    chosen = find_dynamics(dynamics)
+    samples = max((scenario.num_control_periods for scenario in scenarios), default=1)
+    most = batch or usual_batch(chosen.dynamics, samples=samples)
+    runs = _Runs(chosen)
     try:
-        for indices in batches_of(scenarios, batch):
-            chosen = [scenarios[index] for index in indices]
-            logs: Sequence[RunLog | None] = [None] * len(chosen)
-            if len(chosen) > 1:
-                try:
-                    logs = together.rollout(chosen, chosen[0]).run_all(chosen)
-                except Exception:  # a run failed; the runs are repeated alone to find it
-                    together.drop()
-            for index, scenario, log in zip(indices, chosen, logs, strict=True):
-                yield index, _alone(alone, scenario) if log is None else log
+        for indices in batches_of(scenarios, most):
+            results = runs.results([scenarios[index] for index in indices])
+            yield from zip(indices, results, strict=True)
     finally:
-        alone.drop()
-        together.drop()
+        runs.release()
 
 
-def _alone(kept: "Kept", scenario: Scenario) -> RunLog | Exception:
-    try:
-        log: RunLog = kept.rollout(scenario, scenario).run(scenario)
+class _Runs:
+    """Runs of batches with some dynamics."""
+
+    def __init__(self, chosen: Chosen) -> None:
+        self._dynamics, self._else_drake = chosen
+        self._alone = Kept(make_rollout)
+        self._together = Kept(functools.partial(make_rollout, dynamics=self._dynamics))
+
+    def release(self) -> None:
+        """Free all rollouts."""
+        self._alone.drop()
+        self._together.drop()
+
+    def results(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
+        """The log of each scenario of a batch, or the exception of its run alone."""
+        logs = self._side_by_side(scenarios) if len(scenarios) > 1 else [None]
+        for scenario, log in zip(scenarios, logs, strict=True):
+            yield self._by_itself(scenario) if log is None else log
+
+    def _side_by_side(self, scenarios: Sequence[Scenario]) -> Sequence[RunLog | None]:
+        """The log of each; None for those to be repeated alone."""
+        try:
+            rollout = self._together.rollout(scenarios, scenarios[0])
+            logs: Sequence[RunLog | None] = rollout.run_all(scenarios)
+        except Exception:  # a run failed; the runs are repeated alone to find it
+            self._together.drop()
+            return [None] * len(scenarios)
+        return logs
+
+    def _by_itself(self, scenario: Scenario) -> RunLog | Exception:
+        if self._dynamics.name == DRAKE:
+            return self._with_drake(scenario)
+        reason = "the run fails or diverges"
+        try:
+            if (log := self._doubled(scenario)) is not None:
+                return log
+        except NotCovered as error:
+            if not self._else_drake:
+                return error
+            reason = one_line(error)
+        except Exception:  # Drake's run shows it
+            self._together.drop()
+        result = self._with_drake(scenario)
+        if isinstance(result, RunLog):
+            result = dataclasses.replace(result, dynamics=f"{DRAKE} ({reason})")
+        return result
+
+    def _doubled(self, scenario: Scenario) -> RunLog | None:
+        """The log of a run beside itself: other dynamics than Drake's compute several copies."""
+        self._dynamics.check(scenario)
+        if _group(scenario) is None:
+            raise NotCovered("a run that cannot go side by side with others")
+        both = [scenario, scenario]
+        try:
+            log: RunLog | None = self._together.rollout(both, scenario).run_all(both)[0]
+        except NotAlike as error:
+            raise NotCovered(one_line(error)) from error
         return log
-    except Exception as error:
-        kept.drop()
-        return error
+
+    def _with_drake(self, scenario: Scenario) -> RunLog | Exception:
+        try:
+            log: RunLog = self._alone.rollout(scenario, scenario).run(scenario)
+        except Exception as error:
+            self._alone.drop()
+            return error
+        return log
 
 
 class Kept:

@@ -13,6 +13,7 @@ from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
+from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.part import (
@@ -142,6 +143,7 @@ class RunLog:
     parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
     # whether the controller tracks a frame, and coordinates only in its null space
     tracks_frame: bool = False
+    dynamics: str = DRAKE  # name of what computed the spacecraft's motion
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A signal at the samples (n, its width), or (n) for a single number."""

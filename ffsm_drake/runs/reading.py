@@ -21,6 +21,7 @@ from ffsm_drake.runs.table import OF_LAWS, VARIABLES
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
+from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.systems.part import (
     CURVE,
@@ -168,6 +169,7 @@ def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
         "blocks": sources,
         "parts": _fitting(tuple(map(PartRecord.from_dict, parts)), tuple[PartRecord, ...], "parts"),
         "grasp": manifest.get("grasp"),
+        "dynamics": _fitting(manifest.get("dynamics", DRAKE), str, "dynamics"),
     }
 
 

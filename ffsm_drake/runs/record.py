@@ -32,6 +32,7 @@ from ffsm_drake.runs.table import Table, Values
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.part import Figure, PartRecord, nested
 
 if TYPE_CHECKING:
@@ -88,6 +89,7 @@ class RunRecord:
     # for a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
     grasp: dict[str, Any] | None = None
     parts: tuple[PartRecord, ...] = ()
+    dynamics: str = DRAKE  # name of what computed the spacecraft's motion
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
     # reports carry
     identifier: str = dataclasses.field(default="", init=False)
@@ -189,6 +191,8 @@ class RunRecord:
             },
             "scenario": portable_scenario(self.scenario, directory),
         }
+        if self.dynamics != DRAKE:
+            manifest["dynamics"] = self.dynamics
         if self.grasp is not None:
             manifest["grasp"] = self.grasp
         if self.parts:

@@ -31,6 +31,7 @@ from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Out
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
+from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import signals_of
@@ -82,6 +83,7 @@ class Rollout:
         meshcat: Meshcat | None = None,
         target: np.ndarray | None = None,
         joint_force: np.ndarray | None = None,
+        dynamics: Dynamics | None = None,
     ) -> None:
         """Build the closed loop.
 
@@ -91,6 +93,7 @@ class Rollout:
           meshcat: shows the motion.
           target: pose of a free target to show (n, 7; quaternion, position) at the control samples.
           joint_force: see ``add_closed_loop``.
+          dynamics: likewise.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -102,7 +105,12 @@ class Rollout:
             else add_combined_plant(builder, scenario.model, flexible=True)
         )
         loop = add_closed_loop(
-            builder, scenarios, blocks=blocks, plant=plant, joint_force=joint_force
+            builder,
+            scenarios,
+            blocks=blocks,
+            plant=plant,
+            joint_force=joint_force,
+            dynamics=dynamics,
         )
         if meshcat is not None and target is not None:
             _show_apart(builder, loop, target)
@@ -443,6 +451,7 @@ def _make_log(
         coordinates=loop.coordinates,
         split=loop.split,
         tracks_frame=loop.tracks_frame,
+        dynamics=loop.dynamics,
         parts=loop.parts,
         time=times,
         series=series,
@@ -556,10 +565,11 @@ def make_rollout(
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
+    dynamics: Dynamics | None = None,
 ) -> Any:
     """The rollout of a scenario, or of several with the same blocks: a ``Rollout``, or with a
     capture one with the same methods. Arguments and errors: see ``Rollout``.
     """
     first = scenario if isinstance(scenario, Scenario) else scenario[0]
     kind = service("capture_rollout", "capture") if first.grasps else Rollout
-    return kind(scenario, blocks=blocks, meshcat=meshcat)
+    return kind(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)

@@ -21,6 +21,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
+from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
@@ -133,6 +134,7 @@ def make_record(
         outcome=log.outcome,
         dataset=make_table(log),
         parts=log.part_records,
+        dynamics=log.dynamics,
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),
@@ -168,7 +170,11 @@ def compare(
 
 
 def simulate_many(
-    scenarios: Sequence[Scenario], *, batch: int | None = None, keep_errors: bool = False
+    scenarios: Sequence[Scenario],
+    *,
+    batch: int | None = None,
+    keep_errors: bool = False,
+    dynamics: str = DRAKE,
 ) -> list[RunRecord]:
     """Run scenarios and return their records, in their order, with the same bits as ``simulate``,
     but without checks before the run.
@@ -183,6 +189,9 @@ def simulate_many(
       batch: largest number side by side, 1: none; default: as many as fit the processor's
         second-level cache.
       keep_errors: put the exception of a failed run in the place of its record.
+      dynamics: what computes the spacecraft: Drake's plant, or a plug-in's dynamics by name, whose
+        bits are its own: ``generated``, or ``generated_else_drake``, which leaves the runs that it
+        does not cover to Drake. Each record says what computed it.
 
     Raises: the errors of ``simulate``, for the first failed scenario, after all have run; nothing
     with ``keep_errors``.
@@ -206,7 +215,7 @@ def simulate_many(
             except Exception as error:
                 results[index] = error
         places = list(ready)
-        for place, result in run_many(list(ready.values()), batch=batch):
+        for place, result in run_many(list(ready.values()), batch=batch, dynamics=dynamics):
             results[places[place]] = (
                 result if isinstance(result, Exception) else make_record(result, start=start)
             )

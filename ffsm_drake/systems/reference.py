@@ -14,7 +14,8 @@ v_0 this is the eigenaxis turn.
 """
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -120,7 +121,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         computed, or the plan cannot be read.
     """
     reference = scenario.reference
-    nominal = make_nominal_plant(scenario)
+    nominal = functools.cache(lambda: make_nominal_plant(scenario))  # few motions need it
     target = None if reference.goal == "stop" else scenario.target_posture
 
     def polynomial(
@@ -136,7 +137,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
             velocity=velocity,
         )
 
-    velocity = velocity_at_start(scenario, nominal) if scenario.starts_moving else None
+    velocity = velocity_at_start(scenario, nominal()) if scenario.starts_moving else None
     duration = reference.duration
     stop: PlannedMotion
     if reference.kind == "optimal":
@@ -155,19 +156,21 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     if scenario.grasp_time == 0.0:
         return _follow(scenario, nominal, stop)
     period = scenario.sample_time
-    planned = service("planned_approach", "capture.approach")(scenario, nominal)
+    planned = service("planned_approach", "capture.approach")(scenario, nominal())
     approach = Backwards(planned, sample_time=period)
     grasp, end = approach.end, approach.end + stop.end
     return InTurn([(0.0, approach), (grasp, stop)], begin=grasp, end=end, sample_time=period)
 
 
-def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
+def _follow(
+    scenario: Scenario, make_nominal: Callable[[], PlantModel], motion: PlannedMotion
+) -> PlannedMotion:
     """A motion along a prescribed frame path: joints follow the frame, undriven coordinates the
     conservation of momentum.
     """
     if scenario.reference.frame is None and not scenario.undriven:
         return motion
-    plain = Scenario()
+    plain, nominal = Scenario(), make_nominal()
     part = dataclasses.replace(
         planned_part(scenario),
         duration=plain.duration,

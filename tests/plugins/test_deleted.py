@@ -39,6 +39,7 @@ NEEDED = {
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
     "faults": [[*SHORT, "--set", "faults={}"]],
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
+    "generated": [],
     "gymnasium": [],
     "interactive": [
         [*SHORT, "--meshcat"],

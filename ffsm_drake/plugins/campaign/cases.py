@@ -1,12 +1,12 @@
 """The cases of a campaign: number -> seed and values, and their scenario for a controller."""
 
-import copy
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.common.settings import fresh
 from ffsm_drake.plugins.campaign.dispersion import (
     Value,
     case_seed,
@@ -81,7 +81,7 @@ def scenario_of(spec: Spec, case: Case, controller: str) -> Scenario:
     Raises:
       CampaignError, ScenarioError: a key is unknown, or a value cannot be used.
     """
-    data = copy.deepcopy(spec.base)
+    data = fresh(spec.base)
     for name, value in case.values.items():
         if name not in spec.factors:
             set_value(data, name, value)

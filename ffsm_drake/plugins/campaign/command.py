@@ -70,13 +70,20 @@ _database_option = click.option(
 _cases_option = click.option(
     "--cases", type=click.IntRange(min=1), help="Number of cases, in place of the specification's."
 )
+_dynamics_option = click.option(
+    "--dynamics",
+    help="What computes the spacecraft, in place of the specification's: drake, or a plug-in's "
+    "dynamics, such as generated; generated_else_drake leaves to Drake what that does not cover.",
+)
+_OPTIONS = ("cases", "dynamics")  # keys of a specification that options replace
 
 
 @campaign.command()
 @click.argument("spec")
 @_cases_option
+@_dynamics_option
 @workers_option
-def plan(spec: str, cases: int | None, workers: int | None) -> None:
+def plan(spec: str, cases: int | None, dynamics: str | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and estimate its run time.
 
     Runs the first case with every controller to estimate the time; writes nothing.
@@ -87,13 +94,14 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
     """
     from ffsm_drake.plugins.campaign.plan import plan_text
 
-    click.echo(plan_text(_load(spec, cases), workers=workers or processors()))
+    click.echo(plan_text(_load(spec, cases, dynamics), workers=workers or processors()))
 
 
 @campaign.command()
 @click.argument("spec")
 @_database_option
 @_cases_option
+@_dynamics_option
 @workers_option
 @_scheduler_option
 @_slurm_option
@@ -102,6 +110,7 @@ def run(
     spec: str,
     database: Path | None,
     cases: int | None,
+    dynamics: str | None,
     workers: int | None,
     scheduler: str | None,
     slurm: bool,
@@ -124,7 +133,7 @@ def run(
 
     part = Shard.parse(shard)
     path = database or _default_database(spec, "" if part == Shard() else f"-{shard}")
-    start = partial(start_campaign, _load(spec, cases), shard=part)
+    start = partial(start_campaign, _load(spec, cases, dynamics), shard=part)
     _drive(start, path, workers, scheduler, slurm=slurm)
 
 
@@ -279,11 +288,13 @@ def report(
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
 
 
-def _load(spec: str, cases: int | None) -> "Spec":
+def _load(spec: str, cases: int | None, dynamics: str | None) -> "Spec":
     from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 
     loaded = load_spec(spec)
-    return loaded if cases is None else spec_from_data({**loaded.data, "cases": cases})
+    given = {"cases": cases, "dynamics": dynamics}
+    changed = {name: value for name, value in given.items() if value is not None}
+    return spec_from_data({**loaded.data, **changed}) if changed else loaded
 
 
 def _default_database(spec: str, suffix: str = "") -> Path:
@@ -302,11 +313,10 @@ def _locate(source: str, database: Path | None) -> Path:
         return Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
-        # The number of cases may differ, by --cases.
-        if (
-            store.spec.fingerprint
-            != spec_from_data({**spec.data, "cases": store.spec.data["cases"]}).fingerprint
-        ):
+        # The number of cases may differ, by --cases, and the dynamics by --dynamics.
+        options = {name: store.spec.data[name] for name in _OPTIONS if name in store.spec.data}
+        shared = {name: value for name, value in spec.data.items() if name not in _OPTIONS}
+        if store.spec.fingerprint != spec_from_data({**shared, **options}).fingerprint:
             raise CampaignError(
                 f"{path}: holds another campaign than {source} describes; to continue that one, "
                 "give its database"

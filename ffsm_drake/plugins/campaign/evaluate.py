@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, LimitError, one_line
+from ffsm_drake.common.errors import BlockError, FfsmError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
@@ -34,6 +34,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import section_parts
@@ -61,6 +62,10 @@ OF_FRAME = {
 # Further columns of an undriven base: its final drift, rad and m.
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
+# Further columns with other dynamics than Drake's: what computed the run; of those that ran with
+# Drake too, its outcome and the largest difference of the errors, rad and m.
+DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE = "dynamics", "drake_outcome", "drake_difference"
+_COMPARED = 100  # one case in so many runs with Drake, too
 DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
 NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot be linearised
 
@@ -68,6 +73,11 @@ NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot b
 def texts_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that hold text of a run's limits: those of a capture."""
     return (FIRST_LIMIT,) if spec.scenario.grasps else ()
+
+
+def dynamics_columns(spec: Spec) -> tuple[str, ...]:
+    """The columns of a campaign that say what computed a run; none with Drake's dynamics."""
+    return () if spec.dynamics == DRAKE else (DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE)
 
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
@@ -184,8 +194,10 @@ class Evaluator:
         groups = batches_of(list(scenarios.values()), len(numbers))
         chosen = [numbers[place] for group in groups if len(group) > 1 for place in group]
         limit, logs = self._spec.time_limit * max(len(chosen), 1), dict[int, RunLog]()
-        with contextlib.suppress(TimeLimit), time_limit(limit):  # alone each has its own
-            for place, result in run_many([scenarios[number] for number in chosen]):
+        # alone each has its own, and reports an error
+        with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
+            given = [scenarios[number] for number in chosen]
+            for place, result in run_many(given, dynamics=self._spec.dynamics):
                 if isinstance(result, RunLog):
                     logs[chosen[place]] = result
         return logs
@@ -193,12 +205,13 @@ class Evaluator:
     def evaluate(self, case: Case, controller: str, *, log: RunLog | None = None) -> Row:
         """The row of one case; ``log`` is that of its run, if it has run."""
         start = time.perf_counter()
-        row: Row = dict.fromkeys((*self._metrics, *self._predictions))
+        own = dynamics_columns(self._spec)
+        row: Row = dict.fromkeys((*self._metrics, *self._predictions, *own))
         try:
             with guarded, time_limit(self._spec.time_limit):
                 if log is None:
                     log = self._run(timed(scenario_of(self._spec, case, controller)))
-                row |= evaluate_run(self._spec, log)
+                row |= evaluate_run(self._spec, log) | self._dynamics_of(log, case)
                 if self._spec.predictions:
                     row |= self._predicted(log.scenario, row["message"])
         except LimitError as error:  # no motion keeps the limits
@@ -223,7 +236,28 @@ class Evaluator:
             why = f"{NO_PREDICTION}{one_line(error)}"
             return {"message": "; ".join(filter(None, (message, why)))}
 
+    def _dynamics_of(self, log: RunLog, case: Case) -> Row:
+        """The columns ``dynamics_columns`` of a run."""
+        if self._spec.dynamics == DRAKE:
+            return {}
+        row: Row = {DYNAMICS: log.dynamics}
+        if case.index % _COMPARED == 0 and not log.dynamics.startswith(DRAKE):
+            other = self._run_with_drake(log.scenario)
+            count = min(log.time.size, other.time.size)
+            difference = np.abs(log.error[:count] - other.error[:count]).max()
+            outcome = evaluate_run(self._spec, other)["outcome"]
+            row |= {DRAKE_OUTCOME: outcome, DRAKE_DIFFERENCE: float(difference)}
+        return row
+
     def _run(self, scenario: Scenario) -> RunLog:
+        if self._spec.dynamics == DRAKE:
+            return self._run_with_drake(scenario)
+        ((_, result),) = run_many([scenario], dynamics=self._spec.dynamics)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    def _run_with_drake(self, scenario: Scenario) -> RunLog:
         kept = self._rollouts.setdefault(scenario.controller, Kept(make_rollout))
         log: RunLog = kept.rollout(scenario, scenario).run(scenario)
         return log

@@ -4,10 +4,19 @@ import itertools
 import statistics
 
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
-from ffsm_drake.plugins.campaign.evaluate import NO_PREDICTION, OUTCOMES, Evaluator
+from ffsm_drake.plugins.campaign.evaluate import (
+    DRAKE_DIFFERENCE,
+    DRAKE_OUTCOME,
+    DYNAMICS,
+    NO_PREDICTION,
+    OUTCOMES,
+    Evaluator,
+    dynamics_columns,
+)
 from ffsm_drake.plugins.campaign.run import MEMORY_LIMIT, check_cases, duration_text
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.store import Store
+from ffsm_drake.spacecraft.dynamics import DRAKE
 
 _SHOWN = 5
 _WINDOW = 1000  # runs over which memory is averaged
@@ -85,6 +94,7 @@ def status_text(store: Store) -> str:
             + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
             + f"{mean:>9}"
         )
+    lines += _compared(store)
     memory = (
         "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index "
         "{} LIMIT ?)"
@@ -101,6 +111,26 @@ def status_text(store: Store) -> str:
                 f"last (replaced at {MEMORY_LIMIT:.0f} MiB)",
             ]
     return "\n".join(lines)
+
+
+def _compared(store: Store) -> list[str]:
+    """How the runs that ran with Drake too compare."""
+    if not dynamics_columns(store.spec):
+        return []
+    select = (
+        f"SELECT count(*), max({DRAKE_DIFFERENCE}), total({DRAKE_OUTCOME} != outcome) FROM results "
+        f"WHERE {DRAKE_OUTCOME} IS NOT NULL"
+    )
+    runs, difference, outcomes = next(store.query(select))
+    other = f"SELECT count(*) FROM results WHERE {DYNAMICS} LIKE '{DRAKE}%'"
+    ((left,),) = store.query(other)
+    lines = [f"dynamics: {store.spec.dynamics}; {left} runs left to Drake"]
+    if runs:
+        lines[0] += (
+            f"; {runs} run with both: {outcomes:.0f} outcomes differ, errors by at most "
+            f"{difference:.1e} (rad, m)"
+        )
+    return ["", *lines]
 
 
 def _short(spec: Spec, name: str, case: Case) -> str:

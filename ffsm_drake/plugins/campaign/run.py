@@ -31,10 +31,14 @@ from ffsm_drake.plugins.campaign.evaluate import (
 )
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
-from ffsm_drake.runs.batches import usual_batch
+from ffsm_drake.runs.batches import run_many, usual_batch
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.dynamics import find_dynamics
+from ffsm_drake.systems.reference import timed
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
 # 4 MiB for each closed loop that is built.
@@ -101,6 +105,7 @@ def check_cases(spec: Spec) -> None:
       CampaignError, ModelError, ScenarioError: every run would fail.
     """
     check_columns(spec)
+    find_dynamics(spec.dynamics)
     for controller in spec.controllers:
         problem: Exception | None = None
         for case in itertools.islice(make_cases(spec), _TRIED):
@@ -235,7 +240,8 @@ def _drive(
     report()
     # so small that the workers end at about the same time
     share = (total - before) // (_BATCHES_EACH * workers.in_flight())
-    most = max(1, min(batch or usual_batch(), share))
+    usual = usual_batch(find_dynamics(store.spec.dynamics).dynamics)
+    most = max(1, min(batch or usual, share))
     results = run_tasks(
         evaluate,
         batches(store.pending(), size=most, controllers=store.spec.controllers),
@@ -285,6 +291,13 @@ class Repeated:
     differences: list[str]  # columns that differ
 
 
+def _run_again(scenario: Scenario, dynamics: str) -> RunLog:
+    ((_, result),) = run_many([timed(scenario)], dynamics=dynamics)
+    if isinstance(result, Exception):
+        raise result
+    return result
+
+
 def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     """Run one case again, with the full record.
 
@@ -292,11 +305,10 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
       CampaignError: the database holds no such run.
     """
     stored = store.result(case.index, controller)
-    start, log, rollout = time.perf_counter(), None, None
+    start, log = time.perf_counter(), None
     try:
         with guarded, time_limit(store.spec.time_limit):
-            rollout = make_rollout(scenario_of(store.spec, case, controller))
-            log = rollout.run()
+            log = _run_again(scenario_of(store.spec, case, controller), store.spec.dynamics)
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
@@ -304,8 +316,6 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
         log = getattr(error, "log", None)  # up to where user-supplied code failed
         repeated = error_row(described(error))
     record = None if log is None else make_record(log, start=start)
-    if rollout is not None:
-        rollout.release()
     return Repeated(
         record=record,
         stored=stored,

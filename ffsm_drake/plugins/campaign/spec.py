@@ -41,6 +41,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.scenario.layers import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.registry import find_factory, module_folder
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ _KEYS = (
     "settled",
     "time_limit",
     "predictions",
+    "dynamics",
 )
 # cases, values of a case, points drawn in all
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
@@ -118,6 +120,7 @@ class Spec:
     settled: Settled
     time_limit: float  # s of wall time; a run that takes longer becomes an error row
     predictions: bool = True  # whether stability is predicted beside each run
+    dynamics: str = DRAKE  # what computes the spacecraft, see ``find_dynamics``
 
     @property
     def base(self) -> dict[str, Any]:
@@ -266,6 +269,9 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     predictions = data.get("predictions", True)
     if not isinstance(predictions, bool):
         raise CampaignError(f"predictions: must be true or false, not {predictions!r}")
+    dynamics = data.get("dynamics", DRAKE)
+    if not isinstance(dynamics, str):
+        raise CampaignError(f"dynamics: must be a name, such as {DRAKE}, not {shown(dynamics)}")
     sampling = data.get("sampling", SAMPLINGS[0])
     if sampling not in SAMPLINGS:
         raise CampaignError(
@@ -303,6 +309,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         ),
         time_limit=time_limit,
         predictions=predictions,
+        dynamics=dynamics,
     )
     _check_names(spec)
     return spec

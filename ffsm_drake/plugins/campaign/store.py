@@ -25,10 +25,13 @@ from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
 from ffsm_drake.common.files import made_folder, written_whole
 from ffsm_drake.plugins.campaign.cases import Case
 from ffsm_drake.plugins.campaign.evaluate import (
+    DRAKE_OUTCOME,
+    DYNAMICS,
     FIRST_LIMIT,
     OUTCOMES,
     Batch,
     Row,
+    dynamics_columns,
     metrics_of,
     predictions_of,
     texts_of,
@@ -37,7 +40,7 @@ from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 
 FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
-_TEXT = ("outcome", "message", "worker", FIRST_LIMIT)
+_TEXT = ("outcome", "message", "worker", FIRST_LIMIT, DYNAMICS, DRAKE_OUTCOME)
 _CHUNK, _EXPORTED = 200, 10_000  # cases, and rows of an export, held at a time
 PATIENCE = 5.0  # s to wait for another program's lock
 
@@ -544,6 +547,7 @@ def result_columns(spec: Spec) -> tuple[str, ...]:
         "message",
         *texts_of(spec),
         *numbers,
+        *dynamics_columns(spec),
         "wall_time",
         "worker",
         "rss_mib",

@@ -20,6 +20,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Progress
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.systems.registry import Factory
 
 
@@ -32,10 +33,11 @@ class MissionRollout:
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
+        dynamics: Dynamics | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
         self._blocks = blocks
-        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
+        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)
         self._scenarios = _as_tuple(scenario)
         self._approach = None
         first = self._scenarios[0]
@@ -46,6 +48,7 @@ class MissionRollout:
                 blocks=blocks,
                 meshcat=meshcat,
                 target=target,
+                dynamics=dynamics,
             )
 
     @property

@@ -1,17 +1,17 @@
 """The control laws of several copies of the spacecraft as one law on arrays with a row for each."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import System
 
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.copies import copies_of
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import is_wide
 from ffsm_drake.systems.controllers.sampled import SampledController
+
+Joined = Callable[[Sequence[PlantModel]], PlantModel]
 
 
 class _CannotJoin(Exception):
@@ -19,7 +19,7 @@ class _CannotJoin(Exception):
 
 
 def join_controllers(
-    controllers: Sequence[System], models: Sequence[PlantModel], scenario: Scenario
+    controllers: Sequence[System], models: Sequence[PlantModel], join_models: Joined
 ) -> SampledController | None:
     """The controllers of several copies as one; None if their laws are not wide, or differ in
     fields without rows.
@@ -27,19 +27,19 @@ def join_controllers(
     Args:
       controllers: the controller of each copy.
       models: the nominal plant of each copy; its law may hold it.
-      scenario: one of theirs; all have its model.
+      join_models: the nominal models of several copies as one.
     """
     sampled = [each for each in controllers if isinstance(each, SampledController)]
     if len(sampled) < len(controllers) or not all(is_wide(each.law) for each in sampled):
         return None
     try:
-        law = _joined([each.law for each in sampled], models, scenario)
+        law = _joined([each.law for each in sampled], models, join_models)
     except _CannotJoin:
         return None
     return sampled[0].widened(law, [each.law for each in sampled])
 
 
-def _joined(values: Sequence[Any], models: Sequence[PlantModel], scenario: Scenario) -> Any:
+def _joined(values: Sequence[Any], models: Sequence[PlantModel], join_models: Joined) -> Any:
     """A field of all laws as one: of vectors a row for each, of numbers that differ a column, of
     dataclasses such a one; all else, indices among it, must be equal.
     """
@@ -49,13 +49,13 @@ def _joined(values: Sequence[Any], models: Sequence[PlantModel], scenario: Scena
     if isinstance(first, PlantModel):
         if any(each.context is not own.context for each, own in zip(values, models, strict=True)):
             raise _CannotJoin
-        return copies_of(values, scenario)
+        return join_models(values)
     if dataclasses.is_dataclass(first) and not isinstance(first, type):
         fields = dict[str, Any]()
         for field in dataclasses.fields(first):
             own = [getattr(each, field.name) for each in values]
             kept = field.metadata.get("of_each", False)
-            fields[field.name] = tuple(own) if kept else _joined(own, models, scenario)
+            fields[field.name] = tuple(own) if kept else _joined(own, models, join_models)
         return dataclasses.replace(first, **fields)
     if isinstance(first, np.ndarray):
         if _is_vector(first) and all(each.shape == first.shape for each in values):

@@ -1,0 +1,137 @@
+"""Machine code of LLVM text by llvmlite, kept on disk for the next process.
+
+A kept file has the code's checksum before it. It is compiled anew if that does not agree, or if
+another user owns it or may write to it. Its name is a hash of what the text is made from, of this
+plug-in's files, of llvmlite and of the processor. The folder is ``ffsm_drake/generated`` in
+``XDG_CACHE_HOME`` (default: ``~/.cache``); where it cannot be written, nothing is kept.
+"""
+
+import ctypes
+import functools
+import hashlib
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from ffsm_drake.common.errors import FfsmError, RecordError, one_line
+from ffsm_drake.common.files import written_whole
+from ffsm_drake.plugins.generated.registers import Registers
+
+_MAGIC = b"ffsm_drake generated code\n"
+_DIGEST = hashlib.sha256().digest_size
+_LARGEST = 2**26  # bytes of a kept file
+
+
+@functools.cache
+def llvm() -> Any:
+    """llvmlite's binding of LLVM, which an extra installs. Raises FfsmError: it is missing."""
+    try:
+        import llvmlite.binding
+    except ImportError as error:
+        problem = f"dynamics: generated: {one_line(error)}; pip install 'ffsm-drake[generated]'"
+        raise FfsmError(problem) from error
+    llvmlite.binding.initialize_native_target()
+    llvmlite.binding.initialize_native_asmprinter()
+    return llvmlite.binding
+
+
+def registers() -> Registers:
+    """The registers of this processor."""
+    has = llvm().get_host_cpu_features()
+    return Registers(8 if has.get("avx512f") else 4 if has.get("avx") else 2)
+
+
+class Code:
+    """The compiled functions of a module."""
+
+    def __init__(self, key: str, text: Callable[[], str]) -> None:
+        """Args:
+        key: what the text is made from.
+        text: makes the module's LLVM text; called unless its code is on disk.
+        """
+        path = _folder() / f"{_hash(key)}.o"
+        code = _read(path)
+        if code is None:
+            code = _compile(text())
+            _keep(path, code)
+        self._engine = llvm().create_mcjit_compiler(llvm().parse_assembly(""), _machine())
+        self._engine.add_object_file(llvm().ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+
+    def function(self, name: str, pointers: int) -> Callable[..., None]:
+        """A function of so many pointers and a number of blocks; it lives as long as this."""
+        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * pointers, ctypes.c_int64)
+        made: Any = kind(self._engine.get_function_address(name))
+        return made
+
+
+def _compile(text: str) -> bytes:
+    module = llvm().parse_assembly(text)
+    module.verify()
+    code: bytes = _machine().emit_object(module)
+    return code
+
+
+def _machine() -> Any:
+    """The processor of this process."""
+    return (
+        llvm()
+        .Target.from_default_triple()
+        .create_target_machine(
+            cpu=llvm().get_host_cpu_name(),
+            features=llvm().get_host_cpu_features().flatten(),
+            opt=2,
+            reloc="pic",
+            codemodel="jitdefault",
+            jit=True,
+        )
+    )
+
+
+def _hash(key: str) -> str:
+    made = hashlib.sha256(_generator())
+    made.update(f"\n{llvm().get_host_cpu_name()}\n".encode())
+    made.update(f"{llvm().get_host_cpu_features().flatten()}\n{key}".encode())
+    return made.hexdigest()
+
+
+@functools.cache
+def _generator() -> bytes:
+    """This plug-in's files, and llvmlite."""
+    made = hashlib.sha256(f"{version('llvmlite')} {llvm().llvm_version_info}".encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        made.update(hashlib.sha256(path.read_bytes()).digest())
+    return made.digest()
+
+
+def _folder() -> Path:
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    home = Path(given) if Path(given).is_absolute() else Path("~/.cache").expanduser()
+    return home / "ffsm_drake" / "generated"
+
+
+def _read(path: Path) -> bytes | None:
+    """The code of a kept file; None unless it is whole and our own."""
+    with suppress(OSError), path.open("rb") as file:
+        status = os.fstat(file.fileno())
+        own = status.st_uid == os.getuid() and not status.st_mode & 0o022
+        if not own or status.st_size > _LARGEST:
+            return None
+        content = file.read()
+        code = content[len(_MAGIC) + _DIGEST :]
+        if content == _sealed(code):
+            return code
+    return None
+
+
+def _sealed(code: bytes) -> bytes:
+    return _MAGIC + hashlib.sha256(code).digest() + code
+
+
+def _keep(path: Path, code: bytes) -> None:
+    with suppress(RecordError, OSError), written_whole(path) as temporary:
+        temporary.touch(mode=0o600)
+        temporary.write_bytes(_sealed(code))

@@ -1,0 +1,104 @@
+"""Copies of the spacecraft, and models of several copies, on compiled code."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
+
+from ffsm_drake.plugins.generated.kernels import Kernels, Lanes
+from ffsm_drake.plugins.generated.tree import Reader
+from ffsm_drake.spacecraft.copies import Copies, CopiesModel
+from ffsm_drake.spacecraft.free_floating import ReducedModel
+from ffsm_drake.spacecraft.nominal import PlantModel
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GeneratedCopies(Copies):
+    """As Copies; ``plant`` is a GeneratedPlant."""
+
+    reader: Reader  # of ``single``
+
+    def set_parameters(
+        self, context: Context, copy: int, single: MultibodyPlant, source: Context
+    ) -> None:
+        """See Copies; ``single`` is that of this object."""
+        plant: Any = self.plant
+        plant.set_parameters(context, copy, self.reader.parameters(source))
+
+
+class _Functions:
+    """Compiled functions of several copies, with their arrays."""
+
+    def __init__(self, kernels: Kernels, parameters: np.ndarray) -> None:
+        """Args: parameters of each copy (B, ``Tree.num_parameters``)."""
+        copies, tree = len(parameters), kernels.tree
+        self._size = size = tree.num_velocities
+        self._q, self._v = Lanes(copies, tree.num_positions), Lanes(copies, size)
+        self._own = Lanes(copies, tree.num_parameters)
+        self._own.fill(parameters)
+        self._matrix, self._bias = Lanes(copies, size * size), Lanes(copies, size)
+        self._calc_matrix = kernels.function("mass_matrix")
+        self._calc_bias = kernels.function("bias")
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """(B, nv, nv) in configurations q (B, nq)."""
+        self._q.fill(q)
+        self._calc_matrix(self._q.pointer, self._own.pointer, self._matrix.pointer, self._q.blocks)
+        # With a row to spare after each matrix they lie as blocks on a diagonal, which
+        # ``products.matrix_vector`` takes at once.
+        spaced = np.empty((len(q), self._size + 1, self._size))
+        result = spaced[:, : self._size]
+        result[:] = self._matrix.read().reshape(result.shape)
+        return result
+
+    def bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(B, nv) in configurations q (B, nq) at velocities v (B, nv)."""
+        self._q.fill(q)
+        self._v.fill(v)
+        pointers = [each.pointer for each in (self._q, self._v, self._own, self._bias)]
+        self._calc_bias(*pointers, self._q.blocks)
+        return self._bias.read().copy()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GeneratedModel(CopiesModel):
+    """As CopiesModel: mass matrix and bias are those of compiled code."""
+
+    functions: _Functions
+    copies: Any = None
+
+    def take(self, copy: int) -> None:
+        """The models are taken as they are when this is made."""
+        raise NotImplementedError
+
+    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """The mass matrices (B, nv, nv) in configurations q (B, nq)."""
+        return self.functions.mass_matrix(q)
+
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The Coriolis and centrifugal terms (B, nv), N m and N."""
+        return self.functions.bias(q, v)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReducedGeneratedModel(ReducedModel, GeneratedModel):
+    """As GeneratedModel, of underactuated plants."""
+
+
+def model_of(models: Sequence[PlantModel], kernels: Kernels) -> GeneratedModel:
+    """The models of several laws as one, which has the first one's plant and context."""
+    first = models[0]
+    readers = {id(each.plant): Reader(each.plant) for each in models}
+    rows = [readers[id(each.plant)].parameters(each.context) for each in models]
+    kind = ReducedGeneratedModel if isinstance(first, ReducedModel) else GeneratedModel
+    return kind(
+        plant=first.plant,
+        context=first.context,
+        coordinates=first.coordinates,
+        split=first.split,
+        models=tuple(models),
+        functions=_Functions(kernels, np.array(rows)),
+    )

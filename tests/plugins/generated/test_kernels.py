@@ -1,0 +1,270 @@
+"""Compiled code of one spacecraft against Drake."""
+
+import functools
+import math
+import time
+
+import numpy as np
+import pytest
+from drawn_trees import drawn_tree
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    BallRpyJoint,
+    FixedOffsetFrame,
+    LinearSpringDamper,
+    PrismaticJoint,
+    QuaternionFloatingJoint,
+    RevoluteJoint,
+    RevoluteSpring,
+    ScrewJoint,
+    SpatialInertia,
+)
+
+from ffsm_drake import load_scenario
+from ffsm_drake.plugins.generated.code import function
+from ffsm_drake.plugins.generated.comparison import Differences, calculated
+from ffsm_drake.plugins.generated.compiling import Code, registers
+from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
+from ffsm_drake.plugins.generated.kernels import Kernels, Lanes, module_text
+from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.generated.symbols import Tape, cosine, sine
+from ffsm_drake.plugins.generated.tree import Reader
+from ffsm_drake.scenario import shipped_scenarios
+from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.spacecraft.plant import make_plant
+
+QUICK = ("postcapture", "flexible_panels")
+# Positions of a drawn tree with prismatic joints are large: Drake's own errors grow with them.
+DRAWN = 1e-13
+
+
+@functools.cache
+def kernels_of(tree):
+    return Kernels(tree)
+
+
+def differences(plant):
+    return Differences(kernels_of(Reader(plant).tree), plant)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow)
+        for name in shipped_scenarios()
+    ],
+)
+@pytest.mark.parametrize("flexible", [False, True])
+def test_every_shipped_spacecraft_agrees(name, flexible):
+    found = differences(make_plant(load_scenario(name).model, flexible=flexible))
+    assert found.mass_matrix < 1e-14
+    assert found.bias < 1e-14
+    assert found.position_rates < 1e-15
+    assert found.residual < 1e-13
+    assert found.largest == max(vars(found).values())
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("joints", [1, 4])
+def test_drawn_trees_agree(joints):
+    assert differences(drawn_tree(joints, joints)).largest < DRAWN
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("joints", range(2, 31, 4))
+def test_larger_drawn_trees_agree(joints):
+    assert differences(drawn_tree(100 + joints, joints)).largest < DRAWN
+
+
+@pytest.mark.slow
+def test_thirty_joints_are_compiled_in_five_seconds():
+    tree = Reader(drawn_tree(7, 30)).tree
+    start = time.process_time()
+    Kernels(tree)
+    assert time.process_time() - start < 5.0
+
+
+def test_the_equations_hold_for_plain_numbers():
+    """They are those that are traced: with numbers, they need no compiler."""
+    plant = drawn_tree(3, 3)
+    reader, context = Reader(plant), plant.CreateDefaultContext()
+    random = np.random.default_rng(0)
+    q, v = random.normal(size=plant.num_positions()), random.normal(size=plant.num_velocities())
+    force, own = random.normal(size=v.size), reader.parameters(context).tolist()
+    plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+    plant.get_applied_generalized_force_input_port().FixValue(context, force)
+    given = reader.tree, q.tolist()
+    rates = plant.EvalTimeDerivatives(context).CopyToVector()
+    np.testing.assert_allclose(
+        derivative(*given, v.tolist(), force.tolist(), own), rates, rtol=1e-11, atol=1e-11
+    )
+    np.testing.assert_allclose(mass_matrix(*given, own), plant.CalcMassMatrix(context), atol=1e-11)
+    np.testing.assert_allclose(
+        bias(*given, v.tolist(), own), plant.CalcBiasTerm(context), atol=1e-11
+    )
+
+
+def hinge():
+    """A base with one joint."""
+    plant = MultibodyPlant(0.0)
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    base, arm = (
+        plant.AddRigidBody(name, SpatialInertia.SolidBoxWithMass(m, 1.0, 2.0, 3.0))
+        for name, m in (("base", 50.0), ("arm", 5.0))
+    )
+    plant.AddJoint(RevoluteJoint("joint", base.body_frame(), arm.body_frame(), [0, 0, 1]))
+    return plant, base, arm
+
+
+@pytest.mark.smoke
+def test_angles_are_within_an_ulp():
+    tape = Tape()
+    (angle,) = tape.inputs("q", 1)
+    text = function(registers(), "turn", tape, {"q": 1}, [sine(angle), cosine(angle)])
+    code = Code(text, lambda: text)
+    random = np.random.default_rng(1)
+    angles = np.concatenate(
+        [
+            random.uniform(-10.0, 10.0, 4000),
+            random.uniform(-1e6, 1e6, 4000),
+            np.arange(-40, 41) * math.pi / 4,
+            [0.0, -0.0, 1e-300, 1e-9, 5e-324],
+        ]
+    )
+    q, out = Lanes(angles.size, 1), Lanes(angles.size, 2)
+    q.fill(angles)
+    code.function("turn", 2)(q.pointer, out.pointer, q.blocks)
+    found = out.read()
+    expected = np.array([[math.sin(x), math.cos(x)] for x in angles])
+    assert (np.abs(found - expected) <= np.spacing(np.abs(expected))).all()
+    q.fill(np.resize([np.nan, np.inf, -np.inf, 1e6, 2e9, 1e308], angles.shape))
+    code.function("turn", 2)(q.pointer, out.pointer, q.blocks)
+    assert np.isnan(out.read()).all()
+
+
+@pytest.mark.smoke
+def test_a_copy_that_is_not_finite_leaves_the_others_alone():
+    plant = drawn_tree(1, 2)
+    reader = Reader(plant)
+    kernels, random = kernels_of(reader.tree), np.random.default_rng(2)
+    own = np.tile(reader.parameters(plant.CreateDefaultContext()), (11, 1))
+    q, v = (random.normal(size=(11, n)) for n in (plant.num_positions(), plant.num_velocities()))
+    force = random.normal(size=v.shape)
+    expected = calculated(kernels, "derivative", q, v, force, own)
+    q[3], v[7], force[8] = np.nan, np.inf, np.nan
+    q[9] = 0.0  # no rotation
+    found = calculated(kernels, "derivative", q, v, force, own)
+    sound = [0, 1, 2, 4, 5, 6, 10]
+    np.testing.assert_array_equal(found[sound], expected[sound])
+    assert not np.isfinite(found[[3, 7, 8, 9]]).all(axis=1).any()
+
+
+@pytest.mark.smoke
+def test_a_copy_has_its_bits_in_any_lane():
+    plant = drawn_tree(2, 2)
+    reader = Reader(plant)
+    kernels, random = kernels_of(reader.tree), np.random.default_rng(2)
+    own = reader.parameters(plant.CreateDefaultContext())[None] * random.uniform(1, 2, (16, 1))
+    q, v = (random.normal(size=(16, n)) for n in (plant.num_positions(), plant.num_velocities()))
+    whole = [
+        calculated(kernels, "derivative", q, v, v, own),
+        calculated(kernels, "mass_matrix", q, own),
+        calculated(kernels, "bias", q, v, own),
+    ]
+    for size in (1, 5, 8):
+        for first in range(0, 16 - size, size):
+            part = slice(first, first + size)
+            given = q[part], v[part], v[part], own[part]
+            np.testing.assert_array_equal(calculated(kernels, "derivative", *given), whole[0][part])
+            matrices = calculated(kernels, "mass_matrix", q[part], own[part])
+            np.testing.assert_array_equal(matrices, whole[1][part])
+            np.testing.assert_array_equal(
+                calculated(kernels, "bias", q[part], v[part], own[part]), whole[2][part]
+            )
+
+
+def with_gravity(plant, base, arm):
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -9.81])
+
+
+def with_ball(plant, base, arm):
+    other = plant.AddRigidBody("other", SpatialInertia.SolidBoxWithMass(1.0, 1.0, 1.0, 1.0))
+    plant.AddJoint(BallRpyJoint("ball", arm.body_frame(), other.body_frame()))
+
+
+def with_screw(plant, base, arm):
+    other = plant.AddRigidBody("other", SpatialInertia.SolidBoxWithMass(1.0, 1.0, 1.0, 1.0))
+    plant.AddJoint(ScrewJoint("screw", arm.body_frame(), other.body_frame(), [1, 0, 0], 0.1, 0.0))
+
+
+def with_damper(plant, base, arm):
+    plant.AddForceElement(LinearSpringDamper(base, np.ones(3), arm, np.zeros(3), 1.0, 10.0, 1.0))
+
+
+def with_two_springs(plant, base, arm):
+    for _ in range(2):
+        plant.AddForceElement(RevoluteSpring(plant.GetJointByName("joint"), 0.0, 1.0))
+
+
+def with_another_base(plant, base, arm):
+    plant.AddRigidBody("free", SpatialInertia.SolidBoxWithMass(1.0, 1.0, 1.0, 1.0))
+
+
+def with_rail(plant, base, arm):
+    other = plant.AddRigidBody("other", SpatialInertia.SolidBoxWithMass(1.0, 1.0, 1.0, 1.0))
+    rail = PrismaticJoint("rail", plant.world_frame(), other.body_frame(), [1, 0, 0])
+    plant.AddJoint(rail)
+
+
+def with_placed_base(plant, base, arm):
+    frame = plant.AddFrame(
+        FixedOffsetFrame("at", base.body_frame(), RigidTransform(Quaternion(), [1.0, 0.0, 0.0]))
+    )
+    plant.AddJoint(QuaternionFloatingJoint("floating", plant.world_frame(), frame))
+
+
+@pytest.mark.parametrize("width", [2, 4, 8])
+def test_registers_of_any_width_give_the_same_bits(width):
+    tree = Reader(drawn_tree(2, 2)).tree
+    random = np.random.default_rng(3)
+    rows = tree.num_positions, tree.num_parameters
+    q, own = (random.uniform(0.5, 1.0, size=(11, count)) for count in rows)
+    code = Code(f"{width} {tree}", lambda: module_text(Registers(width), tree))
+    arrays = [Lanes(11, each.shape[1]) for each in (q, own)]
+    for array, values in zip(arrays, (q, own), strict=True):
+        array.fill(values)
+    result = Lanes(11, tree.num_velocities**2)
+    pointers = [each.pointer for each in (*arrays, result)]
+    code.function("mass_matrix", 3)(*pointers, result.blocks)
+    expected = calculated(kernels_of(tree), "mass_matrix", q, own)
+    np.testing.assert_array_equal(result.read(), expected)
+
+
+def test_code_that_takes_long_to_make_is_refused():
+    with pytest.raises(NotCovered, match="61 joints"):
+        Reader(drawn_tree(0, 61))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (with_gravity, "gravity"),
+        (with_ball, "joint 'ball' of type ball_rpy"),
+        (with_screw, "joint 'screw' of type screw"),
+        (with_damper, "force element LinearSpringDamper"),
+        (with_two_springs, "two springs on joint 'joint'"),
+        (with_another_base, "one floating base"),
+        (with_rail, "joint 'rail', apart from the floating base"),
+        (with_placed_base, "one floating base"),
+    ],
+)
+def test_what_is_not_covered_is_refused_in_a_line(change, said):
+    plant, *bodies = hinge()
+    change(plant, *bodies)
+    plant.Finalize()
+    with pytest.raises(NotCovered) as caught:
+        Reader(plant)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
