@@ -94,6 +94,7 @@ def main(monkeypatch, tmp_path):
     return runpy.run_path(str(EXAMPLES / "postcapture.py"))["main"]
 
 
+@needs("design")
 @pytest.mark.filterwarnings("default")
 @pytest.mark.usefixtures("cheap")
 def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, capfd):

@@ -5,11 +5,13 @@ import re
 from pathlib import Path
 
 import pytest
+from entry_points import needs
 
 import ffsm_drake
 from ffsm_drake.common.plugins import VERBS, offered
 
 SLOW = {"design", "run_campaign"}
+NEEDS = {"write_outputs": [needs("report")]}
 NAMES = [*ffsm_drake.__all__, *offered(VERBS)]
 SEEN = Path(ffsm_drake.__file__).with_suffix(".pyi").read_text()  # by type checkers
 
@@ -19,7 +21,11 @@ def test_type_checkers_see_each_name():
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in NAMES]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW) + NEEDS.get(name, []))
+        for name in NAMES
+    ],
 )
 def test_the_example_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

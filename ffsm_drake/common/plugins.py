@@ -4,6 +4,7 @@ Each is imported on first use.
 """
 
 import functools
+import importlib.util
 import re
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -93,3 +94,9 @@ def service(name: str, place: str) -> Any:
 def is_ours(entry_point: EntryPoint) -> bool:
     """Whether an entry point leads into this package."""
     return entry_point.module.partition(".")[0] == __name__.partition(".")[0]
+
+
+def is_deleted(entry_point: EntryPoint) -> bool:
+    """Whether an entry point leads into a plug-in of this package whose folder has been deleted."""
+    plugin = ".".join(entry_point.module.split(".")[:3])
+    return is_ours(entry_point) and importlib.util.find_spec(plugin) is None

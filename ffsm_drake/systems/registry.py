@@ -16,7 +16,7 @@ from typing import Any
 from ffsm_drake.common import plugins
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.guard import passes, where
-from ffsm_drake.common.plugins import CONTROLLER_FILES, is_ours, load, optional
+from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
 from ffsm_drake.scenario import Scenario, kind_of, policy_parts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
@@ -76,7 +76,8 @@ ENTRY_POINT_GROUPS = {
 def block_names(block: str) -> tuple[str, ...]:
     """Names of the systems that can fill a block: shipped, then installed."""
     own = SHIPPED.get(block, {})
-    offered = {*entry_points(group=ENTRY_POINT_GROUPS[block]).names} - {*own}
+    offering = entry_points(group=ENTRY_POINT_GROUPS[block])
+    offered = {each.name for each in offering if not is_deleted(each)} - {*own}
     return (*own, *sorted(offered & _of_plugins(block)), *sorted(offered - _of_plugins(block)))
 
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 import pytest
 from children import finished
 from click.testing import CliRunner
-from entry_points import is_there
+from entry_points import is_there, needs
 
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.cli import main
@@ -56,6 +56,7 @@ def test_help_needs_no_drake():
         assert f"'{heavy}'" not in loaded
 
 
+@needs("report")
 def test_run_writes_record_and_report(tmp_path, monkeypatch):
     """A report with its stability section: ``plugins/report/test_report.py``."""
     without_stability(monkeypatch)

@@ -42,7 +42,9 @@ def test_a_command_of_a_plugin_is_listed_and_runs():
     listed = ffsm("--help")
     assert listed.exit_code == 0
     assert "Say it loud." in listed.output
-    assert listed.output.count("cannot be loaded") == 3
+    broken = {line.split()[0] for line in listed.output.splitlines() if "cannot be" in line}
+    assert broken >= {"broken", "odd", "deleted"}
+    assert not broken & {"shout", "run"}
     assert ffsm("shout", "ho").output == "HO\n"
     assert "Run a scenario" in ffsm("run", "--help").output
 
