@@ -1,5 +1,5 @@
 """The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py``
-rewrites it, ``--moves`` prints how far it has moved here.
+rewrites it, ``--moves`` prints how far it has moved here. The plug-in of baselines is left out.
 
 ``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with
 every law), the record's variables at every 20th sample, its metrics, names, dimensions and units,
@@ -13,6 +13,7 @@ import math
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,11 @@ RUNS = FOLDER / "runs"
 EVERY = 20  # control samples
 # Of these scenarios every law runs.
 WITH_EVERY_LAW = ("postcapture", "flight_sensors", "tumbling_capture", "free_floating")
+BASELINES = {
+    each.name
+    for each in entry_points(group="ffsm_drake.controllers")
+    if each.value.startswith("ffsm_drake.plugins.baselines.")
+}
 DURATION = "duration=2"
 # A short approach, mild enough to be followed.
 _SHORT_APPROACH = (
@@ -132,6 +138,8 @@ def schema() -> Any:
     """
     found = json.loads(CliRunner().invoke(ffsm, ["schema"], catch_exceptions=False).output)
     del found["properties"]["simulator_config"]["properties"]
+    for name in BASELINES:
+        del found["properties"]["controllers"]["properties"][name]
     return found
 
 
@@ -176,7 +184,7 @@ def runs(scenario: str) -> dict[str, Any]:
     found = {own.scenario.controller: results(own)}
     reference = found[own.scenario.controller]["samples"]
     for controller in shipped_names("controller") if scenario in WITH_EVERY_LAW else ():
-        if controller in found:
+        if controller in found or controller in BASELINES:
             continue
         try:
             of_law = results(run(scenario, controller))

@@ -27,6 +27,7 @@ NEEDED = {
     "actuators": [[*SHORT, "--set", "actuation.limit.joints=1"]],
     "analysis": [["analyze", "out"]],
     "audit": [["audit", "log.csv", "--urdf", "craft.urdf"]],
+    "baselines": [["validate", "postcapture", "--set", "controller=fixed_time"]],
     "benchmark": [["benchmark", "paper"]],
     "campaign": [["campaign", "status", "c.db"]],
     "capture": [["run", "tumbling_capture", "--no-report", "--out", "out"]],

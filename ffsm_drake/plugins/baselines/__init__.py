@@ -1,0 +1,1 @@
+"""Baselines: control laws of others, for comparison; each in a file with its source."""

@@ -1,0 +1,74 @@
+"""A fixed-time law with time-delay estimation: the settling time has a bound for every start.
+
+Two first-order fixed-time systems (Polyakov, "Nonlinear feedback design for fixed-time
+stabilization of linear control systems", IEEE Transactions on Automatic Control 57 (2012) 2106,
+doi:10.1109/TAC.2011.2179869) in the cascade of Zuo, "Non-singular fixed-time terminal sliding mode
+control of non-linear systems", IET Control Theory & Applications 9 (2015) 545,
+doi:10.1049/iet-cta.2014.0202. With sig^p(x) = |x|^p sgn x, p < 1 < g, and f(e) = a_1 sig^p(e) +
+b_1 sig^g(e),
+
+    s = e' + f(e),     u = a_d + f'(e) e' + a_2 sig^p(s) + b_2 sig^g(s),
+
+so that s' = -a_2 sig^p(s) - b_2 sig^g(s) - Ntilde, and on s = 0 e' = -f(e). Each of the two is zero
+after at most 1 / (a (1 - p)) + 1 / (b (g - 1)), wherever it starts.
+"""
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+from ffsm_drake.plugins.baselines.powers import signed_power, slope
+from ffsm_drake.systems.controllers.law import State, gain
+from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FixedTime(InjectedDynamics):
+    """u = a_d + f'(e) e' + a_2 sig^p(s) + b_2 sig^g(s) with s = e' + f(e), f = a_1 sig^p + b_1 sig^g.
+
+    sig^p is linear within boundary layers of e and s, which removes the singularity of f'(0). A
+    linearisation about the plan, such as that of ``ffsm stability``, is that of the layers, where
+    the law is stiffest but for errors of more than order one. Gains are diagonals (nv).
+    """
+
+    wide: ClassVar[bool] = True
+    power: float = gain(0.6, "", "power p near zero, below 1", scalar=True, positive=True)
+    far_power: float = gain(1.4, "", "power g far away, above 1", scalar=True, positive=True)
+    a_1: np.ndarray = gain(2.0, "rad^(1-p)/s or m^(1-p)/s", "gain a_1 on the error near zero")
+    b_1: np.ndarray = gain(2.0, "rad^(1-g)/s or m^(1-g)/s", "gain b_1 on the error far away")
+    a_2: np.ndarray = gain(3.0, "rad^(1-p)/s^(2-p) or the like", "gain a_2 on s near zero")
+    b_2: np.ndarray = gain(3.0, "rad^(1-g)/s^(2-g) or the like", "gain b_2 on s far away")
+    width: np.ndarray = gain(1e-2, "rad or m", "boundary layer of the error", positive=True)
+    width_s: np.ndarray = gain(1e-3, "rad/s or m/s", "boundary layer of s", positive=True)
+
+    def __post_init__(self) -> None:
+        if not (np.all(self.power < 1.0) and np.all(self.far_power > 1.0)):
+            raise ValueError(
+                f"power must be below 1 and far_power above, not {self.power} and {self.far_power}"
+            )
+
+    def initial_state(self) -> State:
+        return {"sliding_variable": np.zeros_like(self.a_1)}
+
+    @property
+    def settling_time(self) -> np.ndarray:
+        """Bound (nv), s, on the time from any start to the boundary layers, without Ntilde.
+
+        Outside its layer a regularised power is at least 2^((p-1)/2) of the power.
+        """
+        near, far = 2.0 ** (0.5 * (1.0 - self.power)) / (1.0 - self.power), self.far_power - 1.0
+        reaching = near / self.a_2 + 1.0 / (self.b_2 * far)
+        bound: np.ndarray = reaching + near / self.a_1 + 1.0 / (self.b_1 * far)
+        return bound
+
+    def step(
+        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
+    ) -> tuple[np.ndarray, State]:
+        """One control sample; see InjectedDynamics."""
+        p, g = self.power, self.far_power
+        s = e_dot + self.a_1 * signed_power(e, p, self.width) + self.b_1 * signed_power(e, g, 0.0)
+        rate = self.a_1 * slope(e, p, self.width) + self.b_1 * g * np.abs(e) ** (g - 1.0)
+        u = a_d + rate * e_dot
+        u = u + self.a_2 * signed_power(s, p, self.width_s) + self.b_2 * signed_power(s, g, 0.0)
+        return u, {"sliding_variable": s}

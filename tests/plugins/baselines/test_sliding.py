@@ -1,0 +1,148 @@
+"""Super-twisting, terminal and fixed-time laws keep what their theory says of e'' = d - u."""
+
+import numpy as np
+import pytest
+
+from ffsm_drake import BlockError, load_scenario, make_nominal_plant
+from ffsm_drake.plugins.baselines.fixed_time import FixedTime
+from ffsm_drake.plugins.baselines.powers import signed_power, slope
+from ffsm_drake.plugins.baselines.super_twisting import SuperTwisting
+from ffsm_drake.plugins.baselines.terminal_sliding_mode import TerminalSlidingMode
+from ffsm_drake.systems.controllers import gain_vectors, make_law
+
+STEP = 1e-4  # s
+
+
+def dynamics(kind, **gains):
+    """The law of one coordinate with its defaults, but for given gains."""
+    scenario = load_scenario("postcapture", [f"controller={kind}"])
+    own = gain_vectors(scenario, make_nominal_plant(scenario).coordinates)
+    values = {key: value[:1] if np.ndim(value) else value for key, value in own.items()}
+    values |= {key: np.array([value]) if key in own and np.ndim(own[key]) else value
+               for key, value in gains.items()}  # fmt: skip
+    law = {
+        "super_twisting": SuperTwisting,
+        "terminal_sliding_mode": TerminalSlidingMode,
+        "fixed_time": FixedTime,
+    }[kind]
+    more = {} if kind == "fixed_time" else {"sample_time": STEP}
+    return law(**values, **more)
+
+
+def course(law, e, e_dot, duration, disturbance=lambda t: 0.0):
+    """e, e' and s (n) of e'' = d - u, with u held over steps of 0.1 ms."""
+    state, rows = law.initial_state(), []
+    e, e_dot = np.array([e]), np.array([e_dot])
+    for k in range(round(duration / STEP)):
+        u, state = law.step(e, e_dot, np.zeros(1), state)
+        acceleration = disturbance(k * STEP) - u
+        rows.append([*e, *e_dot, *state["sliding_variable"]])
+        e, e_dot = e + STEP * (e_dot + 0.5 * STEP * acceleration), e_dot + STEP * acceleration
+    return np.array(rows).T
+
+
+def entry(values, size):
+    """The time (s) after which values stay below a size."""
+    beyond = np.flatnonzero(np.abs(values) > size)
+    return (beyond[-1] + 1) * STEP if beyond.size else 0.0
+
+
+@pytest.mark.smoke
+def test_a_regularised_power_and_its_slope():
+    x = np.linspace(-3.0, 3.0, 61)
+    for power in (0.0, 0.5, 1.5):
+        far = np.abs(x) > 1.0
+        expected = np.abs(x) ** power * np.sign(x)
+        np.testing.assert_allclose(signed_power(x, power, 1e-3)[far], expected[far], rtol=1e-6)
+        numeric = (signed_power(x + 1e-6, power, 0.1) - signed_power(x - 1e-6, power, 0.1)) / 2e-6
+        np.testing.assert_allclose(slope(x, power, 0.1), numeric, atol=1e-7)
+        assert slope(np.zeros(1), power, 0.1)[0] == pytest.approx(0.1 ** (power - 1.0))
+
+
+@pytest.mark.smoke
+def test_super_twisting_rejects_what_changes_within_its_bound():
+    """A disturbance far larger than the law's other terms, whose rate is just below C."""
+    bound = 20.0
+
+    def disturbance(t):
+        return 30.0 * np.sin(0.6 * t)  # rate 18 rad/s^3
+
+    law = dynamics("super_twisting", width=1e-4)
+    e, _, s = course(law, 0.0, 1.0, 6.0, disturbance)
+    assert entry(s, 1e-3) < 1.0
+    assert np.abs(s[-20000:]).max() < 2e-4
+    assert np.abs(e[-10000:]).max() < 1e-4
+    # a disturbance that changes faster than the bound drives the sliding variable out
+    weak = dynamics("super_twisting", width=1e-4, rate_bound=bound / 4)
+    assert np.abs(course(weak, 0.0, 1.0, 6.0, disturbance)[2][-20000:]).max() > 1e-2
+
+
+@pytest.mark.parametrize("start", [0.1, 1.0, 10.0])
+def test_super_twisting_reaches_in_a_time_that_grows_with_the_root(start):
+    law = dynamics("super_twisting", width=1e-5, k_d=0.0)
+    time = entry(course(law, 0.0, start, 3.0)[2], 1e-3)
+    assert 0.1 < time / np.sqrt(start) < 0.8
+
+
+@pytest.mark.smoke
+def test_terminal_mode_ends_at_the_time_that_its_surface_gives():
+    """e(0) on the surface, whose time is |e|^(1 - 1/p) / (B^(1/p) (1 - 1/p))."""
+    law = dynamics("terminal_sliding_mode", width_rate=1e-5, width_s=1e-5)
+    p, slope_b, start = 1.5, 3.0, 0.5
+    expected = start ** (1 - 1 / p) / (slope_b ** (1 / p) * (1 - 1 / p))
+    e, _, s = course(law, start, -((slope_b * start) ** (1 / p)), 2 * expected)
+    assert np.abs(s).max() < 1e-3
+    assert entry(e, 1e-3) == pytest.approx(expected, rel=0.15)
+    assert entry(e, 1e-3) < expected
+
+
+def test_the_terminal_laws_gain_adapts_to_an_unknown_disturbance():
+    def last(**gains):
+        law = dynamics("terminal_sliding_mode", width_s=1e-5, k_s=50.0, **gains)
+        return np.abs(course(law, 0.0, 0.0, 10.0, lambda t: 0.05 * np.sin(t))[2][-30000:]).max()
+
+    assert last(alpha=0.0) > 8e-4
+    assert last() < 0.4 * last(alpha=0.0)
+
+
+@pytest.mark.parametrize("start", [0.1, 10.0, 1e4, 1e8])
+def test_the_fixed_time_law_settles_within_its_bound_from_anywhere(start):
+    law = dynamics("fixed_time")
+    bound = law.settling_time[0]
+    # on the surface first: e' = -f(e) is followed at steps that suit the start
+    e, time, a, b = start, 0.0, law.a_1[0], law.b_1[0]
+    while e > law.width[0]:
+        rate = a * signed_power(np.array(e), law.power, law.width[0]) + b * e**law.far_power
+        step = 1e-3 * e / rate
+        e, time = e - step * rate, time + step
+    near = 2 ** (0.5 * (1 - law.power)) / (1 - law.power)
+    assert time < near / a + 1 / (b * (law.far_power - 1)) < bound
+    if start <= 10.0:  # the whole law, sampled
+        error, _, s = course(law, start, 0.0, bound)
+        assert entry(s, law.width_s[0]) < bound
+        assert entry(error, 2 * law.width[0]) < bound
+
+
+def test_the_bound_is_reached_but_for_a_factor():
+    """Without boundary layers the largest time is near the sum of both terms."""
+    law = dynamics("fixed_time")
+    e, time, a, b = 1e12, 0.0, law.a_1[0], law.b_1[0]
+    while e > 1e-12:
+        rate = a * e**law.power + b * e**law.far_power
+        e, time = e - 1e-3 * e, time + 1e-3 * e / rate
+    bound = 1 / (a * (1 - law.power)) + 1 / (b * (law.far_power - 1))
+    assert 0.5 * bound < time < bound
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("terminal_sliding_mode.power=2.5", "power must be between 1 and 2"),
+        ("fixed_time.far_power=0.5", "far_power above"),
+    ],
+)
+def test_powers_out_of_range_are_refused(override, said):
+    controller = override.partition(".")[0]
+    scenario = load_scenario("postcapture", [f"controller={controller}", f"controllers.{override}"])
+    with pytest.raises(BlockError, match=said):
+        make_law(scenario, make_nominal_plant(scenario))
