@@ -25,7 +25,7 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FixedTime(InjectedDynamics):
-    """u = a_d + f'(e) e' + a_2 sig^p(s) + b_2 sig^g(s) with s = e' + f(e), f = a_1 sig^p + b_1 sig^g.
+    """u = a_d + f'(e) e' + a_2 sig^p(s) + b_2 sig^g(s) with s = e' + f(e).
 
     sig^p is linear within boundary layers of e and s, which removes the singularity of f'(0). A
     linearisation about the plan, such as that of ``ffsm stability``, is that of the layers, where

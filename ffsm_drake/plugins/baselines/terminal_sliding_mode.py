@@ -2,15 +2,16 @@
 
 The surface is that of Feng, Yu, Man, "Non-singular terminal sliding mode control of rigid
 manipulators", Automatica 38 (2002) 2159, doi:10.1016/S0005-1098(02)00147-4, the use with time-delay
-estimation that of Jin, Lee, Chang, Choi, IEEE Transactions on Industrial Electronics 56 (2009) 3593,
-doi:10.1109/TIE.2009.2024097:
+estimation that of Jin, Lee, Chang, Choi, IEEE Transactions on Industrial Electronics 56 (2009)
+3593, doi:10.1109/TIE.2009.2024097:
 
     s = e + |e'|^p sgn e' / B,     1 < p < 2,
     u = a_d + (B/p) |e'|^(2-p) sgn e' + K_s s + G sgn s,
 
-so that s' = -(p/B) |e'|^(p-1) (K_s s + G sgn s + Ntilde). On s = 0 the error obeys e' = -(B |e|)^(1/p)
-sgn e and is zero after the time |e(0)|^(1-1/p) / (B^(1/p) (1 - 1/p)). The gain G adapts to the
-unknown bound of the estimation error: G' = alpha |s| while |s| > epsilon, G' = -G / T_G else.
+so that s' = -(p/B) |e'|^(p-1) (K_s s + G sgn s + Ntilde). On s = 0 the error obeys
+e' = -(B |e|)^(1/p) sgn e and is zero after the time |e(0)|^(1-1/p) / (B^(1/p) (1 - 1/p)). The gain
+G adapts to the unknown bound of the estimation error: G' = alpha |s| while |s| > epsilon, else
+G' = -G / T_G.
 """
 
 import dataclasses
@@ -30,7 +31,7 @@ class TerminalSlidingMode(InjectedDynamics):
 
     Powers and sign are linear within boundary layers of e' and s. A linearisation about the plan,
     such as that of ``ffsm stability``, is that of the layers, with G held at its value: K_P = K_s
-    + G / width_s, K_D = (B/p) width_rate^(1-p) + K_P width_rate^(p-1) / B. Gains are diagonals (nv).
+    + G / width_s, K_D = (B/p) width_rate^(1-p) + K_P width_rate^(p-1) / B. Gains are diagonals.
     """
 
     wide: ClassVar[bool] = True

@@ -43,6 +43,7 @@ from ffsm_drake.systems.controllers.law import (
     field_values,
     gain,
     is_wide,
+    step_each,
 )
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.setup import BlockSetup
@@ -216,7 +217,7 @@ class TaskSpaceLaw(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         if sample.v.ndim > 1 and not is_wide(self):  # several runs, one after the other
-            return self._one_by_one(sample, state)
+            return step_each(self, sample, state)
         point = self.task_space.at(sample, damping=self.damping)
         on_driven, memory = self.driven_force(point, state)
         force = np.zeros_like(sample.v)
@@ -234,23 +235,6 @@ class TaskSpaceLaw(ControlLaw):
 
         The point is that of several runs only if the law is ``wide``.
         """
-
-    def _one_by_one(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        forces, memories = list[np.ndarray](), list[State]()
-        for i in range(len(sample.v)):
-            one = sample._replace(
-                **{
-                    name: value[i]
-                    for name, value in sample._asdict().items()
-                    if isinstance(value, np.ndarray)
-                }
-            )
-            force, memory = self.step(one, {name: value[i] for name, value in state.items()})
-            forces.append(force)
-            memories.append(memory)
-        return np.stack(forces), {
-            name: np.stack([memory[name] for memory in memories]) for name in memories[0]
-        }
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

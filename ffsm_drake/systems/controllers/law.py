@@ -258,6 +258,20 @@ class ControlLaw(abc.ABC):
         return cls(**field_values(cls, setup))
 
 
+def step_each(law: ControlLaw, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+    """The step of a law for one run at a time, of samples with rows (m, ...) of several."""
+    forces, memories = list[np.ndarray](), list[State]()
+    for i in range(len(sample.v)):
+        one = {k: v[i] for k, v in sample._asdict().items() if isinstance(v, np.ndarray)}
+        force, memory = law.step(
+            sample._replace(**one), {name: value[i] for name, value in state.items()}
+        )
+        forces.append(force)
+        memories.append(memory)
+    names = memories[0]
+    return np.stack(forces), {name: np.stack([each[name] for each in memories]) for name in names}
+
+
 def is_wide(part: Any) -> bool:
     """Whether a law, or a part of one, is wide by its own class; a subclass may have another
     ``step``.
