@@ -39,12 +39,12 @@ class Coordinated(ControlLaw):
 
     model: PlantModel
     k_p: np.ndarray = gain(
-        {"base_position": 1200.0, "base_rotation": 600.0, "joints": 600.0},
+        {"base_position": 1200.0, "base_rotation": 600.0, "joints": 500.0},
         "N m/rad or N/m",
         "gain K_P on the error",
     )
     k_d: np.ndarray = gain(
-        {"base_position": 1200.0, "base_rotation": 600.0, "joints": 120.0},
+        {"base_position": 1200.0, "base_rotation": 600.0, "joints": 35.0},
         "N m s/rad or N s/m",
         "gain K_D on the error's rate",
     )

@@ -55,7 +55,7 @@ def test_arm_and_attitude_move_without_thrust():
     q[7:] += 0.1
     q[4:7] += center(FIRST) - center(q)
     start = np.concatenate([q, np.zeros(11)])
-    course = flown(given, still(FIRST), 3.0, start=start)
+    course = flown(given, still(FIRST), 6.0, start=start)
     pushed = flown(
         load_scenario("postcapture", [EXACT, "controller=pd_plus"]), still(FIRST), 3.0, start=start
     )
@@ -71,7 +71,7 @@ def test_a_push_on_the_centre_of_mass_moves_no_joint():
     """The centre of mass has no way into attitude and joints."""
     start = np.concatenate([FIRST, np.zeros(11)])
     start[4:7] += [0.1, -0.05, 0.2]
-    course = flown(scenario(), still(FIRST), 3.0, start=start)
+    course = flown(scenario(), still(FIRST), 6.0, start=start)
     internal = np.r_[0:3, 6:11]
     assert np.abs(course.error[:, internal]).max() < 1e-7
     assert np.abs(course.error[0, 3:6]).max() > 0.1 > 3 * np.abs(course.error[-1, 3:6]).max()
