@@ -1,8 +1,8 @@
 """Model-predictive control: a quadratic program about the linear stack at every sample.
 
-With the nominal plant linearised by its own inverse dynamics, an error obeys e'' = -u, and the
-force of the acceleration a_d + u is H (a_d + u) + C - d, with H and C of the present sample and the
-estimate d of the disturbance. Over N steps of T,
+With the plant linearised by its inverse dynamics, an error obeys e'' = -u, and the force of the
+acceleration a_d + u is H (a_d + u) - H N, with the present nominal H, and the lumped uncertainty N
+of the scenario's estimator, which makes the law free of offset. Over N steps of T,
 
     minimise    sum_k |e_k|^2_Q + |e'_k|^2_Q' + |u_k|^2_R  + terminal cost,
     subject to  force, joint rates, wheel torque and wheel momentum within their limits.
@@ -15,9 +15,7 @@ predictive control strategies", Automatica 34 (1998) 65, doi:10.1016/S0005-1098(
 u_k = -K x_k + c_k with the gain K and the terminal cost of the infinite horizon, and the c_k as
 unknowns, whose cost is sum_k |c_k|^2_(R + B^T P B). Where no limit is active every c_k is zero,
 the law is the linear-quadratic regulator, and no program is solved. The program is small, dense and
-condensed; Clarabel, which comes with Drake, solves it. An offset-free law needs d (Pannocchia,
-Rawlings, AIChE Journal 49 (2003) 426, doi:10.1002/aic.690490213): a share of the difference of
-measured and predicted velocity, as a force, is added to it at every sample.
+condensed; Clarabel, which comes with Drake, solves it.
 
 The bound on a sample's time is one on Clarabel's iterations, so that the same seed gives the same
 bits. Past it, and if the limits allow no force at all, the law falls back on the regulator's force,
@@ -39,6 +37,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, RATE, Limit, tightest, urdf_limits
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Sample,
@@ -47,6 +46,7 @@ from ffsm_drake.systems.controllers.law import (
     gain,
     step_each,
 )
+from ffsm_drake.systems.controllers.time_delay import after_grasp
 from ffsm_drake.systems.setup import BlockSetup
 
 _STEPS = 5  # predicted steps, each with an unknown c_k
@@ -101,15 +101,16 @@ class _Rows:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Mpc(ControlLaw):
-    """tau = H (a_d - K x + c) + C - d, with c of a quadratic program where a limit is active.
+    """tau = H (a_d - K x + c - N), with c of a quadratic program where a limit is active.
 
     A linearisation about the plan, such as that of ``ffsm stability``, is that of the regulator
-    and the estimate d, without limits. The memory ``programs`` counts the programs, ``fallbacks``
+    with the estimate, without limits. The memory ``programs`` counts the programs, ``fallbacks``
     those without a solution.
     """
 
     model: PlantModel
     sample_time: float
+    estimator: Estimator
     limits: Limits
     prediction_step: float = gain(
         0.1, "s", "step T of the prediction", scalar=True, positive=True, feedback=False
@@ -118,9 +119,6 @@ class Mpc(ControlLaw):
     rate_size: np.ndarray = gain(2e-3, "rad/s or m/s", "error rate that weighs 1", positive=True)
     acceleration_size: np.ndarray = gain(
         0.02, "rad/s^2 or m/s^2", "acceleration u that weighs 1", positive=True
-    )
-    observer: float = gain(
-        0.1, "", "share of the difference of velocities that enters the estimate d", scalar=True
     )
     iterations: float = gain(
         30.0, "", "bound on the iterations of a program, which takes about 10", scalar=True,
@@ -156,11 +154,8 @@ class Mpc(ControlLaw):
         return found[..., :2], np.moveaxis(found[..., 2:], 3, 2)
 
     def initial_state(self) -> State:
-        zeros = np.zeros_like(self.error_size)
         return {
-            "delayed_velocity": zeros,
-            "delayed_bias": zeros,
-            "disturbance": zeros,
+            **self.estimator.initial_state(),
             "wheel_momentum": self.limits.initial_momentum,
             "programs": np.zeros(1),
             "fallbacks": np.zeros(1),
@@ -172,34 +167,34 @@ class Mpc(ControlLaw):
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         if sample.v.ndim > 1:
             return step_each(self, sample, state)
-        q, v = sample.q, sample.v
-        H, bias = self.model.calc_mass_matrix(q), self.model.calc_bias(q, v)
-        disturbance = state["disturbance"]
-        if not sample.is_first:
-            change = v - state["delayed_velocity"]
-            pushed = H @ change / self.sample_time + state["delayed_bias"] - sample.applied_force
-            disturbance = disturbance + self.observer * (pushed - disturbance)
-            disturbance[~self.model.coordinates.is_driven] = 0.0
-        known = H @ sample.a_d + bias - disturbance
-        R_WB = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4]))).matrix()
+        H = self.model.calc_mass_matrix(sample.q)
+        estimate, memory = self.estimator.step(sample, H, state)
+        known = estimate.base_force + H @ (sample.a_d - estimate.base_acceleration)
+        R_WB = RotationMatrix(Quaternion(sample.q[:4] / np.linalg.norm(sample.q[:4]))).matrix()
         motor = self.limits.share @ R_WB.T  # (nw, 3), from the base's torque in world axes
         momentum = state["wheel_momentum"] + self.sample_time * motor @ sample.applied_force[:3]
-        x = np.stack([sample.e, sample.e_dot], axis=-1)
-        c, solved = self._planned(self._rows(sample, H, known, motor, momentum))
+        x = np.stack([estimate.e, estimate.e_dot], axis=-1)
+        c, solved = self._planned(self._rows(sample, x, H, known, motor, momentum))
         force = known + H @ (-(self.regulator[:, :2] * x).sum(axis=-1) + c)
         force = np.clip(force, -self.limits.force, self.limits.force)
         return force, {
-            "delayed_velocity": v,
-            "delayed_bias": bias,
-            "disturbance": disturbance,
+            **memory,
             "wheel_momentum": momentum,
             "programs": state["programs"] + float(solved is not None),
             "fallbacks": state["fallbacks"] + float(solved is False),
         }
 
+    def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
+        """See ControlLaw; of the estimator as in ``TimeDelayControl``."""
+        if not isinstance(before, Mpc):
+            return state
+        ratio, v_d = after_grasp(self.model, before.model, reference)
+        return {**state, **self.estimator.resume(state, ratio, v_d)}
+
     def _rows(
         self,
         sample: Sample,
+        x: np.ndarray,
         H: np.ndarray,
         known: np.ndarray,
         motor: np.ndarray,
@@ -208,7 +203,6 @@ class Mpc(ControlLaw):
         """The limited quantities of the prediction, by kind."""
         limits, found = self.limits, list[_Rows]()
         from_x, from_c = self.prediction
-        x = np.stack([sample.e, sample.e_dot], axis=-1)
         free = (from_x * x).sum(axis=-1)  # (2, N + 1, nv)
         rows = np.flatnonzero(np.isfinite(limits.force))
         if rows.size:
@@ -270,4 +264,5 @@ class Mpc(ControlLaw):
         """See ControlLaw. Raises ModelError also: a URDF's limits cannot be read."""
         urdf = urdf_limits(setup.scenario.model, setup.nominal.plant)
         limits = Limits.of(setup.scenario, setup.coordinates, urdf)
-        return cls(**field_values(cls, setup, limits=limits))
+        estimator = make_estimator(setup.scenario, setup.coordinates)
+        return cls(**field_values(cls, setup, limits=limits, estimator=estimator))
