@@ -1,0 +1,69 @@
+"""Every law on spacecraft built at random: what is said of it before, and how the run ends.
+
+    python benchmarks/baselines.py --missions 3 -c mpc -c slotine_li
+
+The missions are those of ``built_missions``, each law with its default gains in place of the law
+that was drawn. A miss is a run that diverges, grows or leaves its limits without a warning.
+"""
+
+import argparse
+import dataclasses
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import verdicts
+
+from ffsm_drake.common.time_limit import time_limit
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+
+BASELINES = (
+    "super_twisting", "terminal_sliding_mode", "fixed_time", "slotine_li", "coordinated", "mpc",
+)  # fmt: skip
+LAWS = (*PAPER_LAWS, "pd_plus", "computed_torque", *BASELINES)
+SEED = 51
+
+
+def results(
+    laws: tuple[str, ...], *, missions: int, seconds: float
+) -> Iterator[tuple[int, str, dict[str, Any]]]:
+    """Number of the mission, law, and result as ``verdicts.make_result`` gives it."""
+    for number in range(missions):
+        mission, drawn, _ = verdicts.drawn("built", number, SEED)
+        for law in laws:
+            scenario = dataclasses.replace(drawn, controller=law, controllers={})
+            scenario = complete_gains(scenario)
+            predicted = verdicts.Predicted(unknown="not asked")
+            try:
+                with time_limit(seconds), warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    predicted = verdicts.predict(scenario)
+                    end = verdicts.fly(scenario)
+            except Exception as error:
+                end = verdicts.End(
+                    kind="failed", time=0.0, message=f"{type(error).__name__}: {error}"
+                )
+            found = dataclasses.asdict(mission)
+            yield number, law, verdicts.make_result(found, predicted=predicted, end=end)
+
+
+def main() -> None:
+    """Print a row for each law and mission, then the misses."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-c", "--controller", action="append", choices=LAWS)
+    parser.add_argument("--missions", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=300.0, help="longest time of a mission")
+    given = parser.parse_args()
+    misses = list[str]()
+    laws = tuple(given.controller or LAWS)
+    for number, law, result in results(laws, missions=given.missions, seconds=given.seconds):
+        end = result["end"]
+        row = f"{number:3d}  {law:22} {result['verdict']['said']:10} {end['kind']:12}"
+        print(f"{row} {end['time']:6.2f} s  {end['message'][:60]}", flush=True)
+        if verdicts.is_miss(result):
+            misses.append(row)
+    print(f"\nbad ends of which nothing was said: {len(misses)}", *misses, sep="\n")
+
+
+if __name__ == "__main__":
+    main()
