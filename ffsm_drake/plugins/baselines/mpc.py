@@ -55,11 +55,11 @@ _SLACK = 1e6  # cost of exceeding a limit after the first step by the limit itse
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """What the program keeps to; infinite where there is no limit."""
+    """The limits of the program; infinite where there is none."""
 
     force: np.ndarray  # (nv) N m, N
     rate: np.ndarray  # (nv) rad/s, m/s
-    # of each wheel (nw): torque on the base in its axes -> motor torque (nw, 3); N m; N m s
+    # wheels (nw): motor torque per torque on the base, in its axes (nw, 3); N m; N m s
     share: np.ndarray
     torque: np.ndarray
     momentum: np.ndarray
@@ -91,7 +91,7 @@ class Limits:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Limited quantities along the prediction, affine in c: map c + offset within +-bound."""
+    """Limited quantities along the prediction: map c + offset, within +-bound."""
 
     map: np.ndarray  # (N, m, N, nv)
     offset: np.ndarray  # (N, m), at c = 0

@@ -91,7 +91,7 @@ class Payload:
         return np.concatenate([R_WB @ own[:3] + skew(p_WB) @ linear, linear])
 
     def added_mass_matrix(self, q: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """What theta (10) adds to the mass matrix (nv, nv)."""
+        """The share of theta (10) in the mass matrix (nv, nv)."""
         jacobian, R_WB = self.model.calc_jacobian(q, self.frame), self._rotation(q)
         own = np.concatenate([R_WB.T @ jacobian[:3], R_WB.T @ jacobian[3:]])
         inertia = np.zeros((3, 3))

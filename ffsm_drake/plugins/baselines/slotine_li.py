@@ -9,8 +9,8 @@ a_r = dv_r/dt,
 where theta holds the payload's ten inertial parameters and Y its regressor (``payload``). With no
 disturbance s^T H s / 2 + (theta - true)^T Gamma^-1 (theta - true) / 2 falls at the rate s^T K_D s.
 
-With an undriven base momentum is conserved, and tells theta without accelerations: with the nominal
-momentum A v, the regressor W of the difference d of theta to the nominal one, and the constant
+With an undriven base momentum is conserved, and theta follows without accelerations: with the
+nominal momentum A v, the regressor W of the difference d of theta to the nominal one, and the constant
 momentum p,
 
     A v + W d = p.
