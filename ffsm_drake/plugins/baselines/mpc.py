@@ -11,7 +11,7 @@ The limits of force and wheel torque at the first step are hard, so that what is
 them. All others are soft, with one slack for each kind: no start is without a solution.
 
 Dual mode (Rossiter, Kouvaritakis, Rice, "A numerically robust state-space approach to stable
-predictive control strategies", Automatica 34 (1998) 65, doi:10.1016/S0005-1098(97)00171-4):
+predictive control strategies", Automatica 34 (1998) 65):
 u_k = -K x_k + c_k with the gain K and the terminal cost of the infinite horizon, and the c_k as
 unknowns, whose cost is sum_k |c_k|^2_(R + B^T P B). Where no limit is active every c_k is zero,
 the law is the linear-quadratic regulator, and no program is solved. The program is small, dense and

@@ -10,14 +10,14 @@ where theta holds the payload's ten inertial parameters and Y its regressor (``p
 disturbance s^T H s / 2 + (theta - true)^T Gamma^-1 (theta - true) / 2 falls at the rate s^T K_D s.
 
 With an undriven base momentum is conserved, and theta follows without accelerations: with the
-nominal momentum A v, the regressor W of the difference d of theta to the nominal one, and the constant
-momentum p,
+nominal momentum A v, the regressor W of the difference d of theta to the nominal one, and the
+constant momentum p,
 
     A v + W d = p.
 
 Least squares over all samples gives d and p; the force is that of the reduced dynamics with theta,
-H* (dv_r/dt) + C* + K_D s. Momentum about the world's origin (after Murotsu, Senda, Ozaki, Tsujio,
-Journal of Guidance, Control, and Dynamics 17 (1994) 488, doi:10.2514/3.21224).
+H* (dv_r/dt) + C* + K_D s (after Murotsu, Senda, Ozaki, Tsujio, "Parameter identification of unknown
+object handled by free-flying space robot", Journal of Guidance, Control, and Dynamics 17 (1994)).
 """
 
 import dataclasses
