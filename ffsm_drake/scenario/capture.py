@@ -225,11 +225,13 @@ class Capture:
     servicer: str = choice_of(
         "rest",
         'motion of the servicer at the grasp: "rest"; "track_joints" or "track_all": its joints, '
-        'or base and joints, follow the grasp frame in weighted least squares; "given": at '
-        "servicer_velocity",
+        'or base and joints, follow the grasp frame in weighted least squares; "detumble": as '
+        "track_all, with the opposite of the target's angular momentum, so that the stack has "
+        'none; "given": at servicer_velocity',
         "rest",
         "track_joints",
         "track_all",
+        "detumble",
         "given",
     )
     servicer_velocity: PerCoordinate = setting(

@@ -145,6 +145,11 @@ def without_target(scenario: Scenario) -> Scenario:
     capture = scenario.capture
     if capture is not None:
         capture = dataclasses.replace(capture, compliance=None, approach=given_approach(scenario))
+    if capture is not None and capture.servicer == "detumble":  # with the target's momentum
+        model = make_nominal_plant(scenario)
+        velocity = planned_contact(scenario, model).velocity.tolist()
+        named = dict(zip(model.coordinates.names, velocity, strict=True))
+        capture = dataclasses.replace(capture, servicer="given", servicer_velocity=named)
     return dataclasses.replace(
         scenario,
         capture=capture,

@@ -14,6 +14,7 @@ from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
     Contact,
@@ -73,7 +74,8 @@ def servicer_velocity(
     """v (nv) of the servicer at the grasp in a known configuration q.
 
     Following the grasp frame takes the least rates among those with the least mismatch between
-    end effector and target.
+    end effector and target. To detumble, mismatch and angular momentum of the stack about its
+    centre of mass are zero if the coordinates allow it, and the linear momentum is the least.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate.
@@ -81,7 +83,7 @@ def servicer_velocity(
     coordinates, plant, context = model.coordinates, model.plant, model.context
     v = coordinates.vector(capture.servicer_velocity, key="capture.servicer_velocity", default=0.0)
     cost = coordinates.vector(capture.tracking_cost, key="capture.tracking_cost", default=1.0)
-    if not capture.servicer.startswith("track"):
+    if capture.servicer in ("rest", "given"):
         return v
     twist = target_twist(scenario, capture, model, q)
     effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
@@ -91,9 +93,30 @@ def servicer_velocity(
     jacobian = model.split.known_velocities(jacobian)
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
     weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
+    if capture.servicer == "detumble":
+        return _without_spin(
+            free_floating(model, q), weight[:, None] * jacobian, weight * twist, cost
+        )
     scaled = weight[:, None] * jacobian[:, moving] / cost[moving]
     v[moving] = np.linalg.lstsq(scaled, weight * twist, rcond=None)[0] / cost[moving]
     return v
+
+
+def _without_spin(
+    stack: FreeFloating, jacobian: np.ndarray, twist: np.ndarray, cost: np.ndarray
+) -> np.ndarray:
+    """v (nv) with J v = twist (6) and no angular momentum about the centre of mass, of the least
+    linear momentum, then of the least rates; arguments and cost (nv) weighted as
+    ``servicer_velocity`` says.
+    """
+    spin = stack.spin_map / np.linalg.norm(stack.spin_map)
+    rows = np.vstack([jacobian, spin]) / cost
+    v, _, rank, _ = np.linalg.lstsq(rows, np.concatenate([twist, np.zeros(3)]), rcond=None)
+    free = np.linalg.svd(rows)[2][rank:].T
+    momentum = stack.mass_matrix[3:NUM_BASE_VELOCITIES] / cost
+    v -= free @ np.linalg.lstsq(momentum @ free, momentum @ v, rcond=None)[0]
+    found: np.ndarray = v / cost
+    return found
 
 
 def contact_at(
