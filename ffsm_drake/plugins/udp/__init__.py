@@ -1,0 +1,1 @@
+"""An external controller over UDP: the simulation asks, the controller answers."""

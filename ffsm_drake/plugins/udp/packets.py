@@ -1,0 +1,73 @@
+"""Packets of the loop: little-endian, float64 arrays, one packet a control sample and direction.
+
+A head of 32 bytes: b"FFSM", version (uint16), flags (uint16), run (uint64), sample k (uint64), time
+t_k (float64, s). A request then holds estimated_state (nq + nv), desired_state (nq + nv),
+desired_acceleration (nv), applied_force (nv), and, if flagged, measurement_is_new (nq + nv) and
+desired_frame (19), as at the ports of a controller. A reply holds the generalized force (nv), N m
+and N. ``run`` is another number in each run; a reply repeats that and k.
+"""
+
+import dataclasses
+import struct
+from collections.abc import Mapping
+
+import numpy as np
+
+VERSION = 1
+IS_FIRST, HAS_NEW, HAS_FRAME = 1, 2, 4  # flags
+LARGEST = 65_507  # bytes of a UDP packet
+FRAME = 19
+_HEAD = struct.Struct("<4sHHQQd")
+_MAGIC = b"FFSM"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Packet:
+    """A packet's head, and its numbers."""
+
+    run: int
+    sample: int
+    time: float  # s
+    flags: int
+    values: np.ndarray
+
+    def to_bytes(self) -> bytes:
+        """The packet on the wire."""
+        head = _HEAD.pack(_MAGIC, VERSION, self.flags, self.run, self.sample, self.time)
+        return head + self.values.astype("<f8").tobytes()
+
+
+def read(data: bytes) -> Packet | None:
+    """The packet in ``data``; None if it is not one of this version."""
+    if len(data) < _HEAD.size or (len(data) - _HEAD.size) % 8:
+        return None
+    magic, version, flags, run, sample, time = _HEAD.unpack_from(data)
+    if magic != _MAGIC or version != VERSION:
+        return None
+    values = np.frombuffer(data, "<f8", offset=_HEAD.size).astype(float)
+    return Packet(run=run, sample=sample, time=time, flags=flags, values=values)
+
+
+def inputs_of(packet: Packet, num_positions: int, num_velocities: int) -> Mapping[str, np.ndarray]:
+    """The controller's inputs in a request, by port.
+
+    Raises ValueError: the request is of another size.
+    """
+    state = num_positions + num_velocities
+    sizes = {
+        "estimated_state": state,
+        "desired_state": state,
+        "desired_acceleration": num_velocities,
+        "applied_force": num_velocities,
+    }
+    if packet.flags & HAS_NEW:
+        sizes["measurement_is_new"] = state
+    if packet.flags & HAS_FRAME:
+        sizes["desired_frame"] = FRAME
+    if packet.values.size != sum(sizes.values()):
+        raise ValueError(
+            f"a request of {packet.values.size} numbers, not {sum(sizes.values())}: another "
+            "spacecraft"
+        )
+    parts = np.split(packet.values, np.cumsum([*sizes.values()])[:-1])
+    return dict(zip(sizes, parts, strict=True))
