@@ -59,7 +59,7 @@ def test_a_regularised_power_and_its_slope():
         assert slope(np.zeros(1), power, 0.1)[0] == pytest.approx(0.1 ** (power - 1.0))
 
 
-@pytest.mark.smoke
+@pytest.mark.slow
 def test_super_twisting_rejects_what_changes_within_its_bound():
     """A disturbance far larger than the law's other terms, whose rate is just below C."""
     bound = 20.0
@@ -96,6 +96,7 @@ def test_terminal_mode_ends_at_the_time_that_its_surface_gives():
     assert entry(e, 1e-3) < expected
 
 
+@pytest.mark.slow
 def test_the_terminal_laws_gain_adapts_to_an_unknown_disturbance():
     def last(**gains):
         law = dynamics("terminal_sliding_mode", width_s=1e-5, k_s=50.0, **gains)
