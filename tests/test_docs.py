@@ -21,7 +21,7 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from entry_points import is_there
+from entry_points import is_there, needs
 from PIL import Image
 from scipy.optimize import brentq
 
@@ -259,6 +259,8 @@ def test_scenario_fragments_are_valid(page, text):
     assert scenario_to_dict(scenario_from_yaml(text)) != scenario_to_dict(Scenario()), page
 
 
+@needs("planning")
+@needs("task_space")
 @pytest.mark.parametrize(
     ("page", "phrase"),
     [

@@ -20,7 +20,7 @@ from ffsm_drake.common.plugins import COMMANDS, offered
 PACKAGE = Path(ffsm_drake.__file__).parent
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "plugins.md"
-LEFT_OUT = shutil.ignore_patterns("__pycache__", ".git", ".*_cache", "out", "site")
+LEFT_OUT = shutil.ignore_patterns("__pycache__", ".git", ".*_cache", "*venv", "out", "site")
 SHORT = ["run", "postcapture", "--set", "duration=0.5", "--no-report", "--out", "out"]
 # plug-in -> commands that need it
 NEEDED = {

@@ -252,8 +252,8 @@ class OddField(DividesByZero):
         ("math:pi", "must be a class or function, not float"),
         (
             "unheard_of",
-            "is unknown; choose one of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus, .*, "
-            "or give module:",
+            "is unknown; choose one of tdc, asmc, aismc, tde_aismc, computed_torque, "
+            "pd_plus(, .*)?, or give module:",
         ),
     ],
 )
