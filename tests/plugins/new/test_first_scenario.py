@@ -361,7 +361,7 @@ MOUNTING = {
     "a target that moves": (
         simple_arm,
         ["--target", "arm.urdf"],
-        "one link must have the target's mass, not",
+        "a target is rigid, but joint",
     ),
     "a target that cannot be held": (
         simple_arm,
