@@ -85,11 +85,10 @@ class Faults(list[str]):
 
     def raise_all(self) -> None:
         """Raise one ModelError with all of them, if there are any."""
-        if len(self) == 1:
-            raise ModelError(self[0])
-        if self:
-            numbered = "; ".join(f"({k}) {fault}" for k, fault in enumerate(self, 1))
-            raise ModelError(f"{len(self)} faults: {numbered}")
+        if len(told := list(dict.fromkeys(self))) > 1:
+            numbered = "; ".join(f"({k}) {fault}" for k, fault in enumerate(told, 1))
+            raise ModelError(f"{len(told)} faults: {numbered}")
+        require(not told, "".join(told))
 
 
 def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:

@@ -125,6 +125,7 @@ def mass_matrices(xml: str, urdf: Path, seed: int = 0) -> tuple[np.ndarray, np.n
     return change.T @ columns @ change, plant.CalcMassMatrix(context)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("case", CASES)
 def test_mass_matrix_is_mujocos(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log

@@ -161,6 +161,12 @@ class _Tree:
         for element in _by_name("joint", elements, faults).values():
             with faults:
                 self.joints.append(read_joint(element))
+        if not faults:
+            require(
+                any(joint.moves for joint in self.joints),
+                "has no joint that moves; a servicer needs an arm with revolute or prismatic "
+                "joints",
+            )
         for joint in self.joints:
             with faults:
                 self._check_joint(joint)
@@ -168,7 +174,7 @@ class _Tree:
             with faults:
                 self.masses[name] = read_mass(link)
         self._check_names(faults)
-        children = Counter(joint.child for joint in self.joints)
+        children = Counter(joint.child for joint in self.joints if joint.parent != WORLD)
         roots = [name for name in self.links if name not in children]
         found = f"{len(roots)} ({', '.join(roots)})" if roots else "none"
         for name, count in children.items():
@@ -218,12 +224,6 @@ class _Tree:
         )
 
     def _check_names(self, faults: Faults) -> None:
-        with faults:
-            require(
-                any(joint.moves for joint in self.joints),
-                "has no joint that moves; a servicer needs an arm with revolute or prismatic "
-                "joints",
-            )
         for name, frame in self.frames.items():
             link = frame.get("link", "")
             with faults:

@@ -32,7 +32,7 @@ def read_model(
     """
     root, text = read_xml(path, what)
     remarks = list[str]()
-    is_xacro = any("xacro" in element.tag for element in root.iter())
+    is_xacro = path.suffix == ".xacro" or any("xacro" in each.tag for each in root.iter())
     require(is_xacro or not arguments, "--xacro-arg is for xacro files, and this one is not")
     if is_xacro:
         root = ElementTree.fromstring(expand(path, arguments, packages))

@@ -93,27 +93,27 @@ def add_visual(
 
 
 def keep_servicer(root: Element) -> list[str]:
-    """Remove the free bodies that carry no joint, if there are others that do; their names."""
-    joints = root.findall("joint")
-    children = {end_of(joint, "child") for joint in joints}
-    parents = {end_of(joint, "parent") for joint in joints if joint.get("type") != "fixed"}
+    """Remove the bodies beside a free body that carries moving joints; the names of their roots.
+
+    Bodies held by the world stay where no such body is free.
+    """
+    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
     links = {name_of(link): link for link in root.findall("link")}
-    above = {end_of(joint, "child"): end_of(joint, "parent") for joint in joints}
-    with_arm = set()
-    for name in parents:
-        while name in above:
-            name = above[name]
-        with_arm.add(name)
-    lone = {name for name in links if name not in children} - with_arm - {WORLD}
-    if not with_arm:
-        return []
-    for joint in joints:
-        name = end_of(joint, "child")
-        while name in above:
-            name = above[name]
-        if name in lone:
-            root.remove(joint)
-            root.remove(links[end_of(joint, "child")])
-    for name in lone:
-        root.remove(links[name])
-    return sorted(lone)
+
+    def stem_of(name: str) -> str:
+        """The root above a link, or the link that the world holds."""
+        while name in joints and (above := end_of(joints[name], "parent")) != WORLD:
+            name = above
+        return name
+
+    stems = {name: stem_of(name) for name in links}
+    arms = {stems[name] for name, joint in joints.items() if joint.get("type") != "fixed"}
+    free = arms & {stem for stem in stems.values() if stem not in joints}
+    kept = free or arms or set(stems.values())
+    lone = dict.fromkeys(stem for stem in stems.values() if stem not in kept)
+    for name, stem in stems.items():
+        if stem in lone:
+            root.remove(links[name])
+            if name in joints:
+                root.remove(joints[name])
+    return list(lone)

@@ -13,7 +13,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import ModelError, one_line
-from ffsm_drake.plugins.new.urdf.elements import WORLD
+from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
     add_link,
@@ -64,7 +64,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
     ]
     remarks = [f"passed over, of no effect in free flight: {', '.join(passed)}"] if passed else []
     if lone:
-        remarks.append(f"free bodies beside the servicer left out: {', '.join(lone)}")
+        remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
     return root, remarks
 
 
@@ -213,7 +213,7 @@ class _Reader:
                 yield f"{number} {what}"
         fixed = [self._name("body", k) for k in range(1, m.nbody) if k not in self.kept]
         if fixed:
-            yield f"bodies fixed to the world ({', '.join(fixed[:3])}{', ...' * (len(fixed) > 3)})"
+            yield f"bodies fixed to the world ({listed(fixed)})"
 
     def root(self) -> Element:
         """The URDF."""

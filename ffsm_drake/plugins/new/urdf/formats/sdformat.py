@@ -16,8 +16,8 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
-from ffsm_drake.common.errors import ModelError, one_line
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of
+from ffsm_drake.common.errors import one_line
+from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
     add_link,
@@ -49,21 +49,22 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     of it cannot be represented.
     """
     tree = ElementTree.parse(path).getroot()
-    visuals = {
-        link.get("name", ""): link.findall("visual")
-        for link in tree.iter("link")
-        if link.find("visual") is not None
-    }
+    visuals = dict(_visuals(tree))
     passed = Counter(_remove(tree))
     plant, springs = _parsed(tree, path, packages)
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
     frames = {frame.get("name", "") for frame in tree.iter("frame")}
     faults = Faults([f"{springs} springs at joints; set spring_stiffness to 0"] if springs else [])
-    for k in range(1, plant.num_bodies()):
-        _add_body(root, plant.get_body(BodyIndex(k)), visuals, faults)
-    for index in plant.GetJointIndices():
+    bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
+    names = _unique(plant, bodies)
+    for body in bodies:
+        scoped = _scoped(plant, body)
+        _add_body(root, names[scoped], body, visuals.get(scoped, []))
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    unique = _unique(plant, joints)
+    for joint in joints:
         with faults:
-            _add_joint(root, plant, plant.get_joint(index))
+            _add_joint(root, unique[_scoped(plant, joint)], plant, joint, names)
     faults.raise_all()
     for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
         for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
@@ -71,14 +72,42 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
                 pose = frame.GetFixedPoseInBodyFrame()
                 rpy = pose.rotation().ToRollPitchYaw().vector()
                 SubElement(
-                    root, "frame", name=frame.name(), link=frame.body().name(),
-                    xyz=text(pose.translation()), rpy=text(rpy),
+                    root, "frame", name=frame.name(), xyz=text(pose.translation()), rpy=text(rpy),
+                    link=names[_scoped(plant, frame.body())],
                 )  # fmt: skip
     shown = [f"<{tag}> ({count} times)" for tag, count in passed.items() if tag != "visual"]
     remarks = [f"passed over, of no effect in free flight: {', '.join(shown)}"] if shown else []
-    if lone := [*_keep_moving(root), *keep_servicer(root)]:
-        remarks.append(f"bodies beside the servicer left out: {', '.join(lone)}")
+    if lone := keep_servicer(root):
+        remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
     return root, remarks
+
+
+def _visuals(element: Element, scope: str = "") -> Iterator[tuple[str, list[Element]]]:
+    """The visuals of each link, by its scoped name."""
+    for child in element:
+        name = f"{scope}{child.get('name', '')}"
+        if child.tag == "link":
+            yield name, child.findall("visual")
+        elif child.tag in ("world", "model"):
+            yield from _visuals(child, f"{name}::" if child.tag == "model" else scope)
+
+
+def _scoped(plant: MultibodyPlant, element: Any) -> str:
+    """The name of a body or joint, after that of its model."""
+    return f"{plant.GetModelInstanceName(element.model_instance())}::{element.name()}"
+
+
+def _unique(plant: MultibodyPlant, elements: list[Any]) -> dict[str, str]:
+    """Names of bodies or joints by scoped name: their own, or where others have that, with the
+    model's.
+    """
+    taken = Counter(element.name() for element in elements)
+    return {
+        (scoped := _scoped(plant, element)): (
+            element.name() if taken[element.name()] == 1 else scoped.replace("::", "_")
+        )
+        for element in elements
+    }
 
 
 def _remove(tree: Element) -> Iterator[str]:
@@ -106,7 +135,9 @@ def _parsed(tree: Element, path: Path, packages: Mapping[str, Path]) -> tuple[Mu
                 parser.AddModels(str(file))
             except (RuntimeError, ValueError, SystemExit) as error:
                 told.texts.append(one_line(error))
-            told.texts = [re.sub(f"/?{re.escape(str(file))}", path.name, each) for each in told.texts]
+            told.texts = [
+                re.sub(f"/?{re.escape(str(file))}", path.name, each) for each in told.texts
+            ]
     finally:
         log.removeHandler(told)
         log.propagate = before
@@ -126,20 +157,18 @@ class _Told(logging.Handler):
         self.texts.append(" ".join(record.getMessage().split()))
 
 
-def _add_body(
-    root: Element, body: Any, visuals: Mapping[str, list[Element]], faults: Faults
-) -> None:
+def _add_body(root: Element, name: str, body: Any, visuals: list[Element]) -> None:
     inertia = body.default_spatial_inertia()
     mass, center = float(inertia.get_mass()), inertia.get_com()
     tensor = np.zeros((3, 3))
     if mass:
         tensor = inertia.Shift(center).CalcRotationalInertia().CopyToFullMatrix3()
-    link = add_link(root, body.name(), mass, center, tensor)
-    for visual in visuals.get(body.name(), []):
+    link = add_link(root, name, mass, center, tensor)
+    for visual in visuals:
         geometry, pose = visual.find("geometry"), visual.findtext("pose", "0 0 0 0 0 0").split()
         for kind in () if geometry is None else geometry:
             if kind.tag in _SHAPES and len(pose) == 6:
-                name, keys = _SHAPES[kind.tag]
+                shape, keys = _SHAPES[kind.tag]
                 sizes = {
                     to: value.strip()
                     for given, to in keys.items()
@@ -151,16 +180,19 @@ def _add_body(
                 if color is not None and color.shape == (3,):
                     color = np.append(color, 1.0)
                 at = RigidTransform(RollPitchYaw(place[3:]), place[:3])
-                add_visual(link, name, at, color, **sizes)
+                add_visual(link, shape, at, color, **sizes)
 
 
-def _add_joint(root: Element, plant: MultibodyPlant, joint: Any) -> None:
+def _add_joint(
+    root: Element, name: str, plant: MultibodyPlant, joint: Any, names: Mapping[str, str]
+) -> None:
     """A joint; where its frame is not the child's, with a link between."""
-    kind, name = joint.type_name(), joint.name()
+    kind = joint.type_name()
     known = ("revolute", "prismatic", "weld")
     require(kind in known, f"joint '{name}' is {kind}; replace it by joints of one degree")
-    parent, child = joint.parent_body().name(), joint.child_body().name()
-    parent = WORLD if joint.parent_body().index() == 0 else parent
+    is_standing = joint.parent_body().index() == 0
+    parent = WORLD if is_standing else names[_scoped(plant, joint.parent_body())]
+    child = names[_scoped(plant, joint.child_body())]
     pose = joint.frame_on_parent().GetFixedPoseInBodyFrame()
     onward = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
     if kind == "weld":
@@ -189,25 +221,3 @@ def _add_joint(root: Element, plant: MultibodyPlant, joint: Any) -> None:
     if between != child:
         SubElement(root, "link", name=between)
         add_joint(root, f"{name}_fixed", "fixed", (between, child), onward)
-
-
-def _keep_moving(root: Element) -> list[str]:
-    """Remove the bodies fixed to the world that carry no moving joint; their names."""
-    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
-    held = {end_of(joint, "parent") for joint in joints.values()}
-    lone = [
-        link
-        for link in root.findall("link")
-        if (joint := joints.get(name_of(link))) is not None
-        and joint.get("type") == "fixed"
-        and end_of(joint, "parent") == WORLD
-        and name_of(link) not in held
-    ]
-    if len(lone) == len(root.findall("link")):
-        raise ModelError(
-            "has only bodies fixed to the world, and no joint that moves; a servicer needs an arm"
-        )
-    for link in lone:
-        root.remove(link)
-        root.remove(joints[name_of(link)])
-    return [name_of(link) for link in lone]
