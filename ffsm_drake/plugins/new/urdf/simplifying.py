@@ -15,12 +15,11 @@ from ffsm_drake.plugins.new.urdf.elements import (
     end_of,
     listed,
     name_of,
-    number,
     read_joint,
     read_mass,
     vector,
 )
-from ffsm_drake.spacecraft.checked_urdf import require
+from ffsm_drake.spacecraft.checked_urdf import number, require
 
 _BASES = {  # kinds of the joints between the world and a base -> what that base is
     ("floating",): "free",
