@@ -55,7 +55,7 @@ _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m"
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
 _OUT_OF_PLANE = (*BASE_ROTATION[:2], BASE_POSITION[2])
 _PULSES, _WHEEL = 0.4, (0.05, 5.0)  # of the thrusters' torque, that wheels give; N m, of a wheel
-_SLOW_WHEEL, _ROTOR = 0.01, 0.005  # of the base's least moment: 1/s^2, of torque; of inertia
+_SLOW_WHEEL, _ROTOR = 0.4, 0.005  # of the base's least moment: 1/s^2, of torque; of inertia
 # Natural frequencies to start from, rad/s, and what shrinks them.
 _OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
 _SHRINK, _TRIES = 0.7, 8

@@ -12,7 +12,7 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
-from ffsm_drake.plugins.new.urdf import read_target, read_urdf
+from ffsm_drake.plugins.new.urdf import read_target, read_urdf, write_urdf
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -302,3 +302,27 @@ def test_long_names_stand_apart(tmp_path: Path) -> None:
     long = "a_joint_with_a_name_that_is_longer_than_the_column"
     text = arm().replace('"elbow"', f'"{long}"')
     assert f"{long}  revolute" in made(tmp_path, text).summary()
+
+
+def test_stl_is_drawn(tmp_path: Path) -> None:
+    """Binary and text; the same corners become one."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    record = np.zeros(4, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    record["corners"] = corners[faces]
+    binary = bytes(80) + (4).to_bytes(4, "little") + record.tobytes()
+    lines = [f"vertex {x} {y} {z}" for face in faces for x, y, z in corners[face]]
+    (tmp_path / "meshes").mkdir()
+    visual = '<visual><geometry><mesh filename="meshes/a.stl"/></geometry></visual>'
+    for content in (binary, ("solid a\n" + "\n".join(lines)).encode()):
+        (tmp_path / "meshes/a.stl").write_bytes(content)
+        file = written(tmp_path, arm(bus=link("bus", mass=200, extra=visual)))
+        remarks = write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
+        assert not [each for each in remarks if "mesh" in each]
+        drawn = (tmp_path / "out/meshes/1/a.stl.obj").read_text().splitlines()
+        assert sorted(drawn[:4]) == ["v 0 0 0", "v 0 0 1", "v 0 1 0", "v 1 0 0"]
+        assert len(drawn) == 8
+    (tmp_path / "meshes/a.stl").write_text("solid nothing")
+    assert "of an undrawable format" in " ".join(
+        write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
+    )

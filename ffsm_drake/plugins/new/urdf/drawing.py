@@ -30,8 +30,15 @@ def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float
     about its size.
     """
     drawn = list[str]()
+    pictured = {name_of(link) for link in root.findall("link") if link.find("visual") is not None}
+    carriers = {  # between a joint and a link with a picture
+        end_of(joint, "parent")
+        for joint in root.findall("joint[@type='fixed']")
+        if end_of(joint, "child") in pictured
+    }
     for link in root.findall("link"):
-        if link.find("visual") is not None:
+        is_massless = link.find("inertial") is None
+        if name_of(link) in pictured or (is_massless and name_of(link) in carriers):
             continue
         name, has_mass = name_of(link), link.find("inertial") is not None
         start, ends = np.zeros(3), list(_held_points(root, name))

@@ -13,6 +13,7 @@ from ffsm_drake.common.files import write_text
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
 from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of, package_folders
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
+from ffsm_drake.plugins.new.urdf.stl import as_wavefront
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
 from ffsm_drake.spacecraft.model_files import DRAWABLE
@@ -140,7 +141,10 @@ def _inline_colors(root: Element) -> None:
 def _copy_meshes(
     root: Element, source: Path, folder: Path, packages: Mapping[str, Path]
 ) -> Iterator[str]:
-    """Copy the drawable meshes and address the copies; drop other visuals. Yields remarks."""
+    """Copy the drawable meshes, STL as Wavefront, and address the copies; drop other visuals.
+
+    Yields remarks.
+    """
     missing: list[str] = []
     undrawable: list[str] = []
     places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
@@ -152,11 +156,18 @@ def _copy_meshes(
             address = mesh.attrib.pop("uri", "")
             address = mesh.get("filename") or address
             file = _find_mesh(address, source, packages)
-            if file is None or file.suffix.lower() not in DRAWABLE:
+            is_stl = file is not None and file.suffix.lower() == ".stl"
+            converted = as_wavefront(file) if file is not None and is_stl else None
+            if file is None or (converted is None and file.suffix.lower() not in DRAWABLE):
                 link.remove(visual)
                 (missing if file is None else undrawable).append(address)
                 continue
             place = places.setdefault(file.parent, f"{len(places) + 1}")
+            if converted is not None:
+                (folder / place).mkdir(parents=True, exist_ok=True)
+                write_text(folder / place / f"{file.name}.obj", converted)
+                mesh.set("filename", f"{folder.name}/{place}/{file.name}.obj")
+                continue
             for each in _with_companions(file):
                 target = folder / place / each.relative_to(file.parent)
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -167,7 +178,8 @@ def _copy_meshes(
         (beside, "not found", f"put them beside {source.name}, as named in it"),
         ([address for address in missing if address not in beside], "not found",
          "give --package NAME=FOLDER to have them drawn"),
-        (undrawable, "of an undrawable format", f"convert them to {', '.join(DRAWABLE)}"),
+        (undrawable, "of an undrawable format",
+         f"convert them to {', '.join((*DRAWABLE, '.stl'))}"),
     ):  # fmt: skip
         if addresses:
             # Only the name of an absolute path: the copy should not reveal its author's folders.
