@@ -55,7 +55,7 @@ _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m"
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
 _OUT_OF_PLANE = (*BASE_ROTATION[:2], BASE_POSITION[2])
 _PULSES, _WHEEL = 0.4, (0.05, 5.0)  # of the thrusters' torque, that wheels give; N m, of a wheel
-_SLOW_WHEEL, _ROTOR = 0.4, 0.005  # of the base's least moment: 1/s^2, of torque; of inertia
+_SLOW_WHEEL, _ROTOR = 0.4, 0.005  # torque (1/s^2) and rotor per least moment of base
 # Natural frequencies to start from, rad/s, and what shrinks them.
 _OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
 _SHRINK, _TRIES = 0.7, 8
@@ -125,7 +125,7 @@ class Draft:
         starts = arm.best([*near, 0.5 * (target + rest)], to=target, count=_STARTS)
         end, initial = self.data["target_posture"], self.data["initial_posture"]
         end["joints"], initial["joints"] = map(arm.by_name, (target, starts[0]))
-        arm.clearance = Clearance(self.scenario.model, flexible=True)  # of real shapes
+        arm.clearance = Clearance(self.scenario.model, flexible=True)  # real shapes only
         if (least := arm.nearest(starts[0], target)).distance < 0.0:
             self.touching = (
                 f"no posture free of contact was found: {least.first} and {least.second} overlap "

@@ -1,5 +1,5 @@
-"""A URDF made simpler before it is read: a base that joints hold to the world becomes free, joints
-that follow others become fixed, and limits that say nothing go.
+"""Simplification of a URDF: bases held by joints become free, following joints become fixed, ranges
+of zero go.
 """
 
 import math

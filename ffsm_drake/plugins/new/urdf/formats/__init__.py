@@ -1,7 +1,7 @@
-"""Models in other formats than URDF (MJCF, SDFormat, xacro), read as the URDF that they amount to.
+"""Models in MJCF, SDFormat and xacro, converted to URDF.
 
-The elements that do not matter for free flight are passed over and listed. What changes dynamics
-and has no counterpart is an error that names all of it.
+Elements without effect in free flight are passed over and listed. Elements that change dynamics and
+have no counterpart are errors, all in one message.
 """
 
 from collections.abc import Mapping

@@ -99,7 +99,7 @@ class _Reader:
         moving = m.body_weldid > 0
         free = {int(m.jnt_bodyid[k]) for k in self._joints(mujoco.mjtJoint.mjJNT_FREE)}
         self.kept = {int(body) for body in np.flatnonzero(moving)}
-        for body in sorted(self.kept):  # what fixed bodies carry, a mounted arm's foot
+        for body in sorted(self.kept):  # a mounted arm's fixed foot
             while body and body not in free:
                 body = int(m.body_parentid[body])
                 self.kept |= {body} - {0}
@@ -113,7 +113,7 @@ class _Reader:
         return name or f"{kind}_{index}"
 
     def faults(self) -> Iterator[str]:
-        """What changes dynamics and has no counterpart, one text each."""
+        """Elements that change dynamics and have no counterpart, one text each."""
         m, kinds = self.m, self.mujoco.mjtJoint
         for joint in self._joints(kinds.mjJNT_BALL):
             yield (
@@ -197,7 +197,7 @@ class _Reader:
         return (first, second, float(data[1]), float(data[0])) if is_line and second >= 0 else None
 
     def passed_over(self) -> Iterator[str]:
-        """What has no effect, with its number."""
+        """Elements without effect in free flight, with their numbers."""
         m, usual = self.m, self.mujoco.MjOption()
         names = [name for name in dir(usual) if not name.startswith("_")]
         other = [
