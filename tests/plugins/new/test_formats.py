@@ -1,5 +1,7 @@
 """SDFormat and xacro through ``ffsm new``."""
 
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -179,3 +181,19 @@ def test_a_target_in_mjcf(tmp_path: Path) -> None:
     target = read_target(file)
     assert (target.body, target.grasp, target.mass) == ("client", "grasp", 33.0)
     assert target.center_of_mass == pytest.approx((0.0, 3.0 / 33.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "extra"),
+    [
+        ("mujoco", "<mujoco/>", "ffsm-drake[mjcf]"),
+        ("xacro", '<robot><xacro:a xmlns:xacro="x/xacro"/></robot>', "ffsm-drake[xacro]"),
+    ],
+)
+def test_what_to_install_is_told(
+    name: str, text: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    (tmp_path / "craft.xml").write_text(text)
+    with pytest.raises(ModelError, match=re.escape(f"pip install '{extra}'")):
+        read_urdf(tmp_path / "craft.xml")

@@ -88,10 +88,10 @@ def made(text: str, folder: Path) -> tuple[Path, tuple[str, ...]]:
     return folder / "model.urdf", servicer.remarks
 
 
-def mass_matrices(xml: str, urdf: Path, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def mass_matrices(xml: str, urdf: Path, base: str = "bus") -> tuple[np.ndarray, np.ndarray]:
     """H by MuJoCo and by Drake in one configuration, in Drake's coordinates."""
     model = mujoco.MjModel.from_xml_string(xml)
-    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
     directives = urdf.with_name("model.dmd.yaml")
     directives.write_text(
         "directives:\n- add_model: {name: servicer, file: package://own/model.urdf}\n"
@@ -99,7 +99,7 @@ def mass_matrices(xml: str, urdf: Path, seed: int = 0) -> tuple[np.ndarray, np.n
     plant = make_plant(
         Model(
             directives=str(directives), packages={"own": str(urdf.parent)},
-            end_effector="servicer::bus",
+            end_effector=f"servicer::{base}",
         )
     )  # fmt: skip
     joints = [joint.name() for joint in joints_of(plant)]
@@ -230,3 +230,19 @@ def test_target_and_free_bodies(tmp_path: Path) -> None:
     told = " ".join(remarks)
     assert "client" in told
     assert "bodies fixed to the world (wall)" in told
+
+
+def test_missing_pictures_are_left_out(tmp_path: Path) -> None:
+    """A mesh that gives a body its mass is another matter."""
+    outside = (
+        '<asset><texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>'
+        '<mesh name="named" file="a.stl"/><mesh file="b.stl"/></asset>'
+    )
+    shapes = '<geom type="mesh" mesh="named" material="m"/><geom type="mesh" mesh="b"/>'
+    text = arm(outside=outside, link=LINK + shapes)
+    urdf, remarks = made(text, tmp_path)
+    assert "missing files (t.png, a.stl, b.stl)" in " ".join(remarks)
+    expected, found = mass_matrices(arm(), urdf)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
+    with pytest.raises(ModelError, match=r"MuJoCo cannot compile it: .*a\.stl"):
+        made(arm(outside=outside, link=shapes), tmp_path)

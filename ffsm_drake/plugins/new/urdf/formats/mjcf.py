@@ -25,10 +25,10 @@ from ffsm_drake.spacecraft.checked_urdf import DRAKE, require
 
 _DRAWN_GROUPS = 3  # MuJoCo shows the geoms of groups 0 to 2
 _PASSED_OVER = {  # number in the compiled model -> what it counts
-    "ncam": "cameras", "nlight": "lights", "nsensor": "sensors", "nkey": "keyframes",
-    "ntex": "textures", "nskin": "skins", "npair": "contact pairs", "nexclude": "excluded contacts",
-    "nmocap": "mocap bodies", "nnumeric": "custom numbers", "ntext": "custom texts",
-    "ntuple": "tuples", "nhfield": "height fields", "nuserdata": "user data",
+    "nu": "actuators (but for their limits)", "ntendon": "tendons", "ncam": "cameras",
+    "nlight": "lights", "nsensor": "sensors", "nkey": "keyframes", "ntex": "textures",
+    "nskin": "skins", "npair": "contact pairs", "nmocap": "mocap bodies",
+    "nhfield": "height fields",
 }  # fmt: skip
 
 
@@ -71,23 +71,21 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
 def _drop_missing_files(spec: Any) -> list[str]:
     """Remove textures, and meshes that are only pictures, whose files are missing; their names."""
     folder, names = Path(spec.modelfiledir), list[str]()
-    for kind, own in (("textures", spec.texturedir), ("meshes", spec.meshdir)):
-        for asset in list(getattr(spec, kind)):
-            if not asset.file or (folder / own / asset.file).is_file():
-                continue
-            if kind == "meshes":
-                shapes = [each for each in spec.geoms if each.meshname == asset.name]
-                name = asset.name or Path(asset.file).stem
-                shapes += [each for each in spec.geoms if each.meshname == name != asset.name]
-                if not all(each.parent.explicitinertial for each in shapes):
-                    continue  # MuJoCo names the file
-                for each in shapes:
-                    spec.delete(each)
-            else:
-                for material in spec.materials:
-                    material.textures = ["" if t == asset.name else t for t in material.textures]
+    delete = getattr(spec, "delete", lambda element: element.delete())  # older MuJoCo
+    for asset in spec.textures:
+        if asset.file and not (folder / spec.texturedir / asset.file).is_file():
+            for material in spec.materials:
+                material.textures = ["" if t == asset.name else t for t in material.textures]
             names.append(Path(asset.file).name)
-            spec.delete(asset)
+            delete(asset)
+    for asset in spec.meshes:
+        if asset.file and not (folder / spec.meshdir / asset.file).is_file():
+            name = asset.name or Path(asset.file).stem
+            shapes = [each for each in spec.geoms if each.meshname == name]
+            if all(each.parent.explicitinertial for each in shapes):  # else MuJoCo names the file
+                names.append(Path(asset.file).name)
+                for each in (*shapes, asset):
+                    delete(each)
     return names
 
 
@@ -96,6 +94,7 @@ class _Reader:
 
     def __init__(self, mujoco: Any, m: Any, spec: Any) -> None:
         self.mujoco, self.m, self.spec = mujoco, m, spec
+        self.rotors = self._rotors()
         moving = m.body_weldid > 0
         free = {int(m.jnt_bodyid[k]) for k in self._joints(mujoco.mjtJoint.mjJNT_FREE)}
         self.kept = {int(body) for body in np.flatnonzero(moving)}
@@ -126,8 +125,10 @@ class _Reader:
                     f"the free joint '{self._name('joint', joint)}' has armature, an inertia of no "
                     'body; take <freejoint/>, or armature="0"'
                 )
-        stiff = [self._name("joint", k) for k in np.flatnonzero(m.jnt_stiffness).tolist()]
-        if stiff:
+        springs = np.column_stack(
+            [m.jnt_stiffness, getattr(m, "jnt_stiffnesspoly", m.jnt_stiffness)]
+        )
+        if stiff := [self._name("joint", k) for k in range(m.njnt) if springs[k].any()]:
             yield f"springs at joints {', '.join(stiff)}; set stiffness to 0"
         for k in np.flatnonzero(m.eq_active0).tolist():
             if self._follower(k) is None:
@@ -146,19 +147,17 @@ class _Reader:
             yield "flexible bodies (<flex>)"
         if (m.body_plugin >= 0).any():
             yield "plugins of bodies"
-        for name, extra in self.rotors().items():
+        for name, extra in self.rotors.items():
             if extra is None:
                 yield f"joint '{name}': its actuators' armature couples it with others"
 
-    def rotors(self) -> dict[str, float | None]:
+    def _rotors(self) -> dict[str, float | None]:
         """The inertia that drives add to each joint: the mass matrix with and without armature.
         None: it is not the joint's alone.
         """
         m, found = self.m, dict[str, float | None]()
-        arrays = [
-            m.dof_armature,
-            *([m.actuator_armature] if hasattr(m, "actuator_armature") else []),
-        ]
+        fields = ("dof_armature", "actuator_armature")
+        arrays = [getattr(m, field) for field in fields if hasattr(m, field)]
         kept, whole = [each.copy() for each in arrays], self._mass_matrix()
         for each in arrays:
             each[:] = 0.0
@@ -273,7 +272,7 @@ class _Reader:
         kind = ("revolute" if "lower" in limits else "continuous") if hinge else "prismatic"
         element = add_joint(
             root, name, kind, ends, pose,
-            axis=m.jnt_axis[joint], limits=limits, rotor=self.rotors()[name] or 0.0,
+            axis=m.jnt_axis[joint], limits=limits, rotor=self.rotors[name] or 0.0,
         )  # fmt: skip
         if m.dof_damping[dof] or m.dof_frictionloss[dof]:
             damping, friction = text(m.dof_damping[dof]), text(m.dof_frictionloss[dof])
