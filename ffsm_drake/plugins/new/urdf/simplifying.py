@@ -2,7 +2,6 @@
 of zero go.
 """
 
-import math
 from collections.abc import Iterator
 from xml.etree.ElementTree import Element, SubElement
 
@@ -42,7 +41,7 @@ def free_base(root: Element) -> str | None:
     children = {end_of(joint, "child") for joint in joints}
     for ground in [WORLD, *(name for name in links if name not in children and name != WORLD)]:
         chain, here = list[Element](), ground
-        while here not in links or not read_mass(links[here]):
+        while len(chain) < len(joints) and not (here in links and read_mass(links[here])):
             onward = [joint for joint in joints if end_of(joint, "parent") == here]
             if len(onward) != 1 or onward[0].get("type") == "fixed":
                 break
@@ -127,15 +126,20 @@ def vague_limits(root: Element) -> Iterator[str]:
         limit, name = joint.find("limit"), name_of(joint)
         if limit is None or joint.get("type") not in ("revolute", "continuous", "prismatic"):
             continue
-        given = {key: number(limit, key, f"joint '{name}'") for key in limit.attrib}
+        given = {
+            key: number(limit, key, f"joint '{name}'")
+            for key in ("lower", "upper", "effort", "velocity")
+            if key in limit.attrib
+        }
         for key in ("effort", "velocity"):
             unknown[key] += [name] if given.get(key) == 0.0 else []
-        lower, upper = given.get("lower", -math.inf), given.get("upper", math.inf)
-        if joint.get("type") == "continuous":
+        if joint.get("type") == "continuous" or not given.keys() & {"lower", "upper"}:
             continue
+        lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
         if lower == upper == 0.0:
             unknown["range"].append(name)
-            del limit.attrib["lower"], limit.attrib["upper"]
+            for key in ("lower", "upper"):
+                limit.attrib.pop(key, None)
         if joint.get("type") == "revolute" and _DEGREES[0] <= upper - lower <= _DEGREES[1]:
             degrees.append(f"{name} {lower:g} to {upper:g} rad")
     told = [f"{key} of {listed(names)}" for key, names in unknown.items() if names]
