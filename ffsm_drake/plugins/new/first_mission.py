@@ -76,6 +76,7 @@ class Draft:
         if servicer.is_planar:
             initial = self.data["initial_posture"]
             initial["base_position"][2], initial["base_rpy"][:2] = 0.0, [0.0, 0.0]
+        self._enough = 0.0  # N m, of a wheel
         self.peaks, self.weak = np.zeros(0), ""  # (nv) forces of motion and disturbance
         self.true = make_true_plant(self.scenario)
         self.coordinates = self.true.coordinates
@@ -309,6 +310,7 @@ class Draft:
         motion = float(np.linalg.norm(self.peaks[:3])) / _MOTION / least
         floor = min(_WHEEL[0], _SLOW_WHEEL * moment)
         needed = rounded(max(min(motion, max(_WHEEL[1], pulses)), pulses, floor))
+        self._enough = max(self._enough, needed)  # a lengthened motion needs less
         inertia = rounded(_ROTOR * moment)
         usual = Wheel().inertia
         wheels["units"] = asked.units(needed, None if inertia >= usual else inertia)
@@ -316,7 +318,7 @@ class Draft:
         self.weak = f"wheels of {torque:.3g} N m are too weak for the motion" if weak else ""
         if weak:
             beside = " and the pulses of the thrusters" if pulses else ""
-            self.weak += f"{beside}: --wheels {asked.count}x{needed:g}Nm"
+            self.weak += f"{beside}: --wheels {asked.count}x{rounded(1.05 * self._enough):g}Nm"
         if pulses and (weak or self.asked.capture is not None):
             wheels["assist_above"] = 1.0
 
