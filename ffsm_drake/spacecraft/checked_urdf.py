@@ -73,12 +73,45 @@ def require(condition: object, problem: str) -> None:
         raise ModelError(problem)
 
 
+class Faults(list[str]):
+    """Texts of ModelErrors, gathered: those raised in its ``with`` blocks."""
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: object, error: object, traceback: object) -> bool:
+        if isinstance(error, ModelError):
+            self.append(str(error))
+        return isinstance(error, ModelError)
+
+    def raise_all(self) -> None:
+        """Raise one ModelError with all of them, if there are any."""
+        if len(told := list(dict.fromkeys(self))) > 1:
+            numbered = "; ".join(f"({k}) {fault}" for k, fault in enumerate(told, 1))
+            raise ModelError(f"{len(told)} faults: {numbered}")
+        require(not told, "".join(told))
+
+
 def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
     """The root element, and the comments before it (licences).
 
     Raises ModelError: not a URDF, or one with unusable names or numbers; it names link or joint,
     element and attribute.
     """
+    root, text = read_xml(path, what)
+    is_xacro = any("xacro" in element.tag for element in root.iter())
+    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+    check(root)
+    return root, header_of(text)
+
+
+def header_of(text: str) -> str:
+    """The comments before a root element."""
+    before = re.match(r"(?:\s|\ufeff|<\?.*?\?>|<!--.*?-->)*", text, re.DOTALL)
+    return "\n".join(re.findall(r"<!--.*?-->", before[0] if before else "", re.DOTALL))
+
+
+def read_xml(path: Path, what: str) -> tuple[Element, str]:
+    """The root element and the text of an XML file. Raises ModelError: it is none."""
     require(path.is_file(), f"no such file; give {what}")
     try:
         check_regular(path, limit=MAX_URDF)
@@ -96,11 +129,7 @@ def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, 
         root: Element = ElementTree.fromstring(content, parser)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ModelError(f"is not valid XML: {one_line(error)}") from error
-    is_xacro = any("xacro" in element.tag for element in root.iter())
-    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
-    require(root.tag == "robot", f"is not a URDF: its root element is <{root.tag}>, not <robot>")
-    _check(root)
-    return root, "\n".join(re.findall(r"<!--.*?-->", text.partition("<robot")[0], flags=re.DOTALL))
+    return root, text
 
 
 def number(element: Element, attribute: str, place: str, default: str = "") -> float:
@@ -133,6 +162,8 @@ def read_limits(joint: Element) -> tuple[float, float, float, float]:
                 lower <= upper,
                 f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}",
             )
+            if lower == upper == 0.0:  # an unknown range, as below
+                lower, upper = -math.inf, math.inf
         # Generators write zero for an unknown limit.
         effort, velocity = (
             number(limit, what, place, "0") or math.inf for what in ("effort", "velocity")
@@ -167,21 +198,26 @@ def _check_place(word: str, line: int) -> None:
         )
 
 
-def _check(root: Element) -> None:
-    """Raise ModelError for the first name, number or count that cannot be used."""
+def check(root: Element) -> None:
+    """Raise ModelError, with all faults, unless the element is a URDF whose names, numbers and
+    counts can be used.
+    """
+    require(root.tag == "robot", f"is not a URDF: its root element is <{root.tag}>, not <robot>")
     parts = [part for part in root if part.tag in _NAMED]
     links = sum(part.tag == "link" for part in parts)
     require(links <= MAX_LINKS, f"has {links} links; at most {MAX_LINKS} are read")
     shapes = sum(1 for _ in root.iter("geometry"))
     require(shapes <= MAX_SHAPES, f"has {shapes} shapes; at most {MAX_SHAPES} are read")
+    faults = Faults()
     for part in (*parts, *root.findall("material")):
         name, tag = part.get("name", ""), part.tag.removeprefix(DRAKE)
-        require(name, f"a <{tag}> has no name")
-        if tag != "material":
-            _check_name(name, f"{tag} '{name[:_MAX_NAME]}'")
+        with faults:
+            require(name, f"a <{tag}> has no name")
+            if tag != "material":
+                _check_name(name, f"{tag} '{name[:_MAX_NAME]}'")
         for element in part.iter():
-            for problem in _number_problems(element):
-                raise ModelError(f"{tag} '{name}': {problem}")
+            faults += [f"{tag} '{name}': {problem}" for problem in _number_problems(element)]
+    faults.raise_all()
 
 
 def _check_name(name: str, place: str) -> None:

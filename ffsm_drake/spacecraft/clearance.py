@@ -1,14 +1,14 @@
 """Clearance: the smallest distance between parts of the spacecraft with relative motion.
 
 The shapes are collision geometry, or visual geometry of a model (servicer, target) without
-collision geometry; a mesh is represented by its convex hull. Excluded are pairs of parts fixed to
-each other (target and gripper), connected by a joint, or with few joints between them and always
-near each other, such as the links of a wrist. A held body, from another model than the base's, is
-always checked against the base, and against every part with a deep overlap at every joint angle.
-Before a grasp the target is a separate body; over the last decimetre and 20 degrees it may touch
-the gripper and the parts excluded after the grasp. A flexible panel is represented by its plates,
-with their deflections, but not checked against its own body; its visual geometry on that body is
-checked in the rest position.
+collision geometry; a mesh is represented by its convex hull. Invented shapes, which stand for a
+base without a picture, do not count. Excluded are pairs of parts fixed to each other (target and
+gripper), connected by a joint, or with few joints between them and always near each other, such as
+the links of a wrist. A held body, from another model than the base's, is always checked against the
+base, and against every part with a deep overlap at every joint angle. Before a grasp the target is
+a separate body; over the last decimetre and 20 degrees it may touch the gripper and the parts
+excluded after the grasp. A flexible panel is represented by its plates, with their deflections, but
+not checked against its own body; its visual geometry on that body is checked in the rest position.
 """
 
 import dataclasses
@@ -46,6 +46,8 @@ from ffsm_drake.spacecraft.plant import (
     model_files,
 )
 
+INVENTED = "invented"  # visuals whose names begin so stand for a link without a picture
+
 # Bodies with few joints between them that are near at every joint angle are left out.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _TRIALS = 40  # joint configurations tested
@@ -81,13 +83,21 @@ class Clearance:
     without the last, flexible parts are at rest.
     """
 
-    def __init__(self, model: Model, *, apart: str | None = None, flexible: bool = False) -> None:
+    def __init__(
+        self,
+        model: Model,
+        *,
+        apart: str | None = None,
+        flexible: bool = False,
+        invented: bool = False,
+    ) -> None:
         """Load the model.
 
         Args:
           model: the model.
           apart: body (scoped name) not grasped yet, whose pose then follows the configuration.
           flexible: with the plates of flexible panels.
+          invented: with shapes that stand for links without a picture.
 
         Raises:
           ModelError: the model does not load, or Drake cannot measure one of its shapes.
@@ -111,7 +121,9 @@ class Clearance:
             for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
                 shape = inspector.GetShape(geometry)
                 body = self.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
+                name = inspector.GetName(geometry).rpartition("::")[2]
                 measured = not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED
+                measured &= invented or not name.startswith(INVENTED)
                 if measured and is_plate.get(body.index(), instance[geometry] not in collide):
                     scene_graph.AssignRole(source, geometry, ProximityProperties())
             self._diagram = builder.Build()

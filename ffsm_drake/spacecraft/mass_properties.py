@@ -54,9 +54,12 @@ def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -
         rest = spatial_inertia_about(M_CCo_C.get_mass(), M_CCo_C.get_com(), inertia)
         body.SetSpatialInertiaInBodyFrame(context, rest)
     except DRAKE_ERRORS as error:
+        least = M_CCo_C.Shift(M_CCo_C.get_com()).CalcRotationalInertia().get_moments().min()
+        largest = max(unit.inertia for unit in wheels.units.values())
         raise ScenarioError(
             "actuation.wheels",
-            f"their inertia is part of the base's, which is smaller: {cause_of(error)}",
+            f"their inertia (up to {largest:.3g} kg m^2 each) is part of the base's, which is too "
+            f"small for it (least moment {least:.3g} kg m^2); give smaller wheels",
         ) from error
 
 

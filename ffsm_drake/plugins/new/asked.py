@@ -9,18 +9,25 @@ from typing import Any
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, thruster_layouts
-from ffsm_drake.scenario.actuation import DRIVEN
+from ffsm_drake.scenario.actuation import DRIVEN, Wheel
 
 _CAPTURE = "tumbling_capture"  # the estimator through a grasp
+_THRUST = 0.0125  # m/s^2, of a thruster sized for a base, as 5 N on the shipped servicer
 _TOLERANCE = 5e-3  # m, of a base that thrusters hold in place
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _POSITIVE = rf"(?=[\d.]*[1-9]){_NUMBER}"
 # Option -> the form of its value, in words too, and the value from the form's groups.
 _FORMS: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "wheels": (
-        rf"([3-8])(?:x{_POSITIVE}Nm)?",
-        "3 to 8 wheels, with a torque limit or without (then it is sized), such as 4 or 4x0.5Nm",
-        lambda count, torque: (int(count), torque and float(torque)),
+        rf"([3-8])(?:x{_POSITIVE}Nm)?(?:,{_POSITIVE}Nms)?(?:,{_POSITIVE}rpm)?",
+        "3 to 8 wheels, sized, or by data sheet (torque, momentum, largest speed), such as 4, "
+        "4x0.5Nm or 3x0.02Nm,0.5Nms,6000rpm",
+        lambda count, *given: WheelData(int(count), *(each and float(each) for each in given)),
+    ),
+    "thrusters": (
+        rf"(12|16)(?:x{_POSITIVE}N)?",
+        "12 or 16 thrusters, sized for the base, or of a thrust: 12, 12x5N, 16x22N or 12x0.1N",
+        lambda count, force: (int(count), force and float(force)),
     ),
     "panels": (
         rf"([1-4])x{_POSITIVE}kg",
@@ -35,13 +42,49 @@ _FORMS: dict[str, tuple[str, str, Callable[..., Any]]] = {
 }
 
 
+@dataclasses.dataclass(frozen=True)
+class WheelData:
+    """A number of wheels, and what their data sheet says; None: sized."""
+
+    count: int
+    torque: float | None = None  # N m
+    momentum: float | None = None  # N m s
+    rpm: float | None = None  # largest speed, 1/min
+
+    def units(self, torque: float, inertia: float | None) -> dict[str, dict[str, Any]]:
+        """Wheels by name, with a torque (N m) and an inertia (kg m^2; None: the default) where the
+        data sheet has none: axes evenly on a cone about z, three of them at right angles.
+        """
+        settings = {"torque_limit": self.torque or torque}
+        if self.rpm is not None:
+            settings["speed_limit"] = rounded(self.rpm * math.pi / 30.0)
+        if self.momentum is not None:
+            inertia = rounded(self.momentum / settings.get("speed_limit", Wheel().speed_limit))
+        if inertia is not None:
+            settings["inertia"] = inertia
+        turn = math.pi / 4 if self.count == 4 else 0.0
+        return {
+            f"wheel_{k + 1}": {
+                "axis": [
+                    *(
+                        rounded(math.sqrt(2.0) * f(turn + 2.0 * math.pi * k / self.count))
+                        for f in (math.cos, math.sin)
+                    ),
+                    1.0,
+                ],
+                **settings,
+            }
+            for k in range(self.count)
+        }
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Asked:
     """The parts that a new scenario is to have; None: without."""
 
     sensors: str | None = None  # the shipped scenario that has them
-    thrusters: str | None = None  # their layout
-    wheels: tuple[int, float | None] | None = None  # number, torque limit (N m; None: by the load)
+    thrusters: tuple[int, float | None] | None = None  # number, thrust (N; None: by the base)
+    wheels: WheelData | None = None
     panels: tuple[int, float] | None = None  # number, mass of each, kg
     capture: float | None = None  # rad/s, at which the target tumbles
     driven: tuple[str, ...] = ("all",)  # groups of coordinates
@@ -85,8 +128,28 @@ class Asked:
         # force outlasts that, one of acceleration does not.
         return grasp if self.capture is not None and grasp.sensing == found.sensing else found
 
-    def fill(self, data: dict[str, Any]) -> None:
-        """Fill the sections that do not depend on the spacecraft; an empty one is left out."""
+    def _thrusters(self, mass: float, half_side: float) -> dict[str, Any]:
+        """A shipped layout of that thrust; else one of that number, scaled to the base."""
+        count, force = self.thrusters or (0, None)
+        layouts = {name: name for name in thruster_layouts() if name.startswith(f"{count}x")}
+        if force is not None and (layout := layouts.get(f"{count}x{force:g}N")):
+            return {"layout": layout}
+        like = thruster_layouts()[next(iter(layouts))]
+        force = rounded(_THRUST * mass) if force is None else force
+        units = {
+            name: {
+                "position": [rounded(half_side * x) for x in unit.position],
+                "direction": unit.direction,
+                "force": force,
+            }
+            for name, unit in like.items()
+        }
+        return {"layout": None, "units": units}
+
+    def fill(self, data: dict[str, Any], *, mass: float, half_side: float) -> None:
+        """Fill the sections that depend on the spacecraft at most by the mass (kg) of its base and
+        half the side (m) of the cube of that inertia; an empty one is left out.
+        """
         estimator, tolerance = _own(self.source.estimator), data["tolerance"]
         if estimator or self.thrusters is None:
             data["estimator"] = estimator
@@ -97,7 +160,7 @@ class Asked:
             data["sensing"], tolerance = _own(self.source.sensing), dict(self.source.tolerance)
         if self.thrusters is not None:
             tolerance["base_position"] = max(tolerance.get("base_position", 0.0), _TOLERANCE)
-            data["actuation"]["thrusters"] = {"layout": self.thrusters}
+            data["actuation"]["thrusters"] = self._thrusters(mass, half_side)
         data["tolerance"] = {} if tolerance == Scenario().tolerance else tolerance
         if not self.drives("all"):
             data["actuation"]["driven"] = list(self.driven)
@@ -105,32 +168,13 @@ class Asked:
             if not self.drives(group):
                 data["target_posture"][key] = list(data["initial_posture"][key])
         if self.wheels is not None:
-            count, torque = self.wheels
-            data["actuation"]["wheels"] = {"units": wheel_units(count, torque or 1.0)}
+            data["actuation"]["wheels"] = {"units": self.wheels.units(1.0, 1e-9)}
         if self.capture is None:
             data["capture"] = {}
             return
         data["capture"]["rate"] = [rounded(self.capture * x) for x in data["capture"]["rate"]]
         if not self.has_approach:
             data["capture"] = {"rate": data["capture"]["rate"], "servicer": "rest"}
-
-
-def wheel_units(count: int, torque: float) -> dict[str, dict[str, Any]]:
-    """Wheels by name: axes evenly on a cone about z, three of them at right angles."""
-    turn = math.pi / 4 if count == 4 else 0.0
-    return {
-        f"wheel_{k + 1}": {
-            "axis": [
-                *(
-                    rounded(math.sqrt(2.0) * f(turn + 2.0 * math.pi * k / count))
-                    for f in (math.cos, math.sin)
-                ),
-                1.0,
-            ],
-            "torque_limit": torque,
-        }
-        for k in range(count)
-    }
 
 
 def _own(settings: Any) -> dict[str, Any]:
@@ -152,7 +196,6 @@ def _value(name: str, word: str) -> Any:
         prefixes.setdefault(each.partition("_")[0], []).append(each)
     given: dict[str, dict[str, Any]] = {
         "sensors": {each: named for each, (named, *others) in prefixes.items() if not others},
-        "thrusters": {each: each for each in thruster_layouts()},
         "driven": driven,
     }
     choices = given[name]

@@ -1,5 +1,7 @@
 """The command new."""
 
+import re
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -10,14 +12,18 @@ from ffsm_drake.cli.common import json_option, print_result
 def _packages(
     ctx: click.Context, param: click.Parameter, values: tuple[str, ...]
 ) -> dict[str, Path]:
-    found: dict[str, Path] = {}
-    for value in values:
-        name, equals, folder = value.partition("=")
-        if not (name and equals and folder):
-            raise click.BadParameter(f"'{value}' must have the form NAME=FOLDER")
+    return {name: Path(value).expanduser() for name, value in _named(ctx, param, values).items()}
+
+
+def _named(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for each in values:
+        name, equals, value = each.partition("=")
+        if not (name and equals and value):
+            raise click.BadParameter(f"'{each}' must have the form {param.metavar}")
         if name in found:
             raise click.BadParameter(f"'{name}' is given more than once")
-        found[name] = Path(folder).expanduser()
+        found[name] = value
     return found
 
 
@@ -32,22 +38,35 @@ def _sizes(
         ) from None
 
 
-def _target(value: str | None) -> tuple[float | None, Path | None]:
-    """A target's mass, kg, or its file."""
-    try:
-        return (None if value is None else float(value)), None
-    except ValueError:
-        return None, Path(value or "")
+_CUBE = re.compile(r"([\d.eE+-]+)(?:kg)?(?:,([\d.eE+-]+)m)?")
+
+
+def _target(value: str) -> tuple[float | None, float | None, Path | None]:
+    """A target's mass, kg, and side, m, or its file."""
+    if found := _CUBE.fullmatch(value):
+        with suppress(ValueError):
+            return float(found[1]), None if found[2] is None else float(found[2]), None
+    return None, None, Path(value)
 
 
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
 @click.option(
     "--urdf",
+    "--model",
+    "urdf",
     required=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="URDF of base and arm.",
+    help="Base and arm: URDF, xacro, MJCF or SDFormat.",
+)
+@click.option(
+    "--xacro-arg",
+    "xacro_args",
+    multiple=True,
+    callback=_named,
+    metavar="NAME=VALUE",
+    help="An argument of a xacro file; repeatable.",
 )
 @click.option(
     "--tip",
@@ -67,9 +86,9 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
     "--target",
     "--payload-mass",
     "target",
-    metavar="KG|FILE",
-    help="The target: the mass of a 1 m cube, or a URDF (default: a cube with a quarter of the "
-    "base's mass).",
+    metavar="KG[,M]|FILE",
+    help="The target: mass and side of a cube, such as 20kg,0.3m, or a model file (default: a "
+    "quarter of the base's mass, and no longer than the arm).",
 )
 @click.option(
     "--bus-mass",
@@ -88,11 +107,17 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
     metavar="NAME",
     help="Sensors of a shipped scenario: flight, slow, ... (default: the paper's, near perfect).",
 )
-@click.option("--thrusters", metavar="LAYOUT", help="On/off thrusters: 12x1N, 12x5N or 16x22N.")
+@click.option(
+    "--thrusters",
+    metavar="N[xTHRUSTN]",
+    help="12 or 16 on/off thrusters, sized for the base unless a thrust is given: 12, 12x5N, "
+    "12x0.1N.",
+)
 @click.option(
     "--wheels",
-    metavar="N[xTORQUENm]",
-    help="Reaction wheels, sized for the load unless a torque is given: 4, or 4x0.5Nm.",
+    metavar="N[xTORQUENm][,MOMENTUMNms][,SPEEDrpm]",
+    help="Reaction wheels, sized unless a data sheet's values are given: 4, 4x0.5Nm, "
+    "3x0.02Nm,0.5Nms,6000rpm.",
 )
 @click.option("--panels", metavar="NxMASSkg", help="Flexible solar panels: 2x5kg.")
 @click.option(
@@ -111,13 +136,14 @@ def new(
     urdf: Path,
     tip: str | None,
     packages: dict[str, Path],
+    xacro_args: dict[str, str],
     target: str | None,
     bus_mass: float | None,
     bus_size: tuple[float, ...] | None,
     as_json: bool,
     **words: str | None,
 ) -> None:
-    """Start a scenario for your own servicer from its URDF.
+    """Start a scenario for your own servicer from its model file.
 
     DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every
     shipped controller, a copy of the URDF for Drake, and its meshes. The folder can be edited,
@@ -127,6 +153,7 @@ def new(
     Examples:
       ffsm new mine --urdf my_robot.urdf
       ffsm new mine --urdf my_robot.urdf --tip left_tool --target 30
+      ffsm new mine --model servicer.xml --target 20kg,0.3m
       ffsm new mine --urdf ur5.urdf --bus-mass 400 --bus-size 1.2,1.2,1.5 --target stage.urdf
       ffsm new mine --urdf my_robot.urdf --sensors flight --thrusters 12x5N --wheels 4
           --panels 2x5kg --capture 3deg/s
@@ -138,17 +165,19 @@ def new(
     from ffsm_drake.plugins.new.first_scenario import new_scenario
     from ffsm_drake.scenario import load_scenario
 
-    mass, file = _target(target)
+    mass, side, file = (None, None, None) if target is None else _target(target)
     made = new_scenario(
         urdf,
         directory,
         tip=tip,
         packages=packages,
         payload_mass=mass,
+        payload_size=side,
         target=file,
         bus_mass=bus_mass,
         bus_size=bus_size,
         asked=Asked.parsed(**words),
+        xacro_args=xacro_args,
     )
     mission = verdict(load_scenario(str(made.scenario_file)))
     text = "\n".join([made.summary(), "", *mission.lines, mission.conclusion])

@@ -5,13 +5,14 @@ for the sensors' noise. Then the mission is looked at; where it does not settle,
 shrinks.
 """
 
+import dataclasses
 import itertools
 import math
 from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.design.remarks import plan_clearance
@@ -19,12 +20,18 @@ from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
 from ffsm_drake.plugins.design.stability import Margins, stability
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.plugins.new.asked import Asked, wheel_units
+from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.urdf import Joint, Servicer
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_dict
-from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.scenario.actuation import Wheel
+from ffsm_drake.spacecraft.clearance import Clearance, Nearest
+from ffsm_drake.spacecraft.coordinates import (
+    BASE_POSITION,
+    BASE_ROTATION,
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+)
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import base_body, find_frame
 from ffsm_drake.systems.limits import actuation_limit
@@ -46,7 +53,9 @@ _LONGEST, _SETTLE, _INSTANTS = 120.0, 1.0, 60  # s; s after a grasp that do not 
 # m/s^2; its frequencies, rad/s, are taken in turn.
 _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
+_OUT_OF_PLANE = (*BASE_ROTATION[:2], BASE_POSITION[2])
 _PULSES, _WHEEL = 0.4, (0.05, 5.0)  # of the thrusters' torque, that wheels give; N m, of a wheel
+_SLOW_WHEEL, _ROTOR = 0.4, 0.005  # torque (1/s^2) and rotor per least moment of base
 # Natural frequencies to start from, rad/s, and what shrinks them.
 _OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
 _SHRINK, _TRIES = 0.7, 8
@@ -63,6 +72,11 @@ class Draft:
     def __init__(self, data: dict[str, Any], asked: Asked, servicer: Servicer, source: str):
         self.data, self.asked, self.servicer, self.source = data, asked, servicer, source
         self.remarks, self.margins = list[str](), dict[str, Margins]()
+        self.touching = ""  # the parts that no posture and approach found keeps clear
+        if servicer.is_planar:
+            initial = self.data["initial_posture"]
+            initial["base_position"][2], initial["base_rpy"][:2] = 0.0, [0.0, 0.0]
+        self._enough = 0.0  # N m, of a wheel
         self.peaks, self.weak = np.zeros(0), ""  # (nv) forces of motion and disturbance
         self.true = make_true_plant(self.scenario)
         self.coordinates = self.true.coordinates
@@ -80,14 +94,19 @@ class Draft:
         sections = {key: each for key, each in {**self.data, **changes}.items() if each != {}}
         return scenario_from_dict(sections, source=self.source)
 
-    def fill(self) -> None:
-        """Postures, panels, disturbance, durations, wheels, then gains."""
+    def place(self) -> None:
+        """Panels, postures, and the way to the grasp."""
         self._panels()
-        starts = self._postures()
+        self._starts = self._postures()
+        self._approach(self._starts)
+
+    def fill(self) -> None:
+        """Disturbance, durations, wheels, then gains, once all is placed."""
         self._disturb()
-        self._approach(starts)
         if self._pace():
-            self._approach(starts)
+            self._approach(self._starts)
+        if self.touching:
+            self.remarks.append(self.touching)
         if self.weak:
             self.remarks.append(self.weak)
         self._tune()
@@ -107,10 +126,11 @@ class Draft:
         starts = arm.best([*near, 0.5 * (target + rest)], to=target, count=_STARTS)
         end, initial = self.data["target_posture"], self.data["initial_posture"]
         end["joints"], initial["joints"] = map(arm.by_name, (target, starts[0]))
-        if (least := arm.distance(starts[0], target)) < 0.0:
-            self.remarks.append(
-                f"no posture free of contact was found: parts overlap by {-least:.3g} m in the "
-                "best; a smaller target, or another --tip"
+        arm.clearance = Clearance(self.scenario.model, flexible=True)  # real shapes only
+        if (least := arm.nearest(starts[0], target)).distance < 0.0:
+            self.touching = (
+                f"no posture free of contact was found: {least.first} and {least.second} overlap "
+                f"by {-least.distance:.3g} m in the best"
             )
         velocities = {joint.name: joint.velocity for joint in self.servicer.joints}
         self.data["reference"]["duration"] = max(
@@ -152,22 +172,29 @@ class Draft:
                 return
         _, told, initial["joints"], approach["posture"] = best
         if best[0] < Scenario().clearance:
-            self.remarks.append(
-                f"no approach keeps clear of the target: {told} (below 0 they overlap); a smaller "
-                "target, a slower tumble, or a --tip at the end of the hand (now "
+            self.touching = (
+                f"no approach keeps clear of the target: {told} (below 0 they overlap); try a "
+                "slower tumble, or a --tip at the end of the hand (now "
                 f"{self.data['model']['end_effector']})"
             )
+
+    @property
+    def _bus(self) -> tuple[RigidBody, np.ndarray, float, np.ndarray]:
+        """The base's heaviest body: its centre of mass (3, m), mass (kg) and moments (3, kg m^2)
+        about it.
+        """
+        links = map(self.true.plant.GetBodyByName, self.servicer.base_links)
+        body = max(links, key=lambda link: float(link.default_mass()))
+        inertia = body.default_spatial_inertia()
+        moments = inertia.Shift(inertia.get_com()).CalcRotationalInertia().get_moments()
+        return body, inertia.get_com(), float(inertia.get_mass()), moments
 
     def _panels(self) -> None:
         """Panels on the sides of the base. Raises ScenarioError: they outweigh it."""
         if self.asked.panels is None:
             return
         count, mass = self.asked.panels
-        links = map(self.true.plant.GetBodyByName, self.servicer.base_links)
-        body = max(links, key=lambda link: float(link.default_mass()))
-        inertia = body.default_spatial_inertia()
-        centre, own = inertia.get_com(), inertia.get_mass()
-        moments = inertia.Shift(centre).CalcRotationalInertia().get_moments()
+        body, centre, own, moments = self._bus
         if count * mass >= 0.5 * own:
             raise ScenarioError(
                 "--panels",
@@ -198,7 +225,7 @@ class Draft:
 
     @property
     def _sizes_wheels(self) -> bool:
-        return self.asked.wheels is not None and self.asked.wheels[1] is None
+        return self.asked.wheels is not None and self.asked.wheels.torque is None
 
     @property
     def _disturbance(self) -> np.ndarray:
@@ -222,7 +249,8 @@ class Draft:
         for k, (name, group) in enumerate(
             zip(coordinates.names, coordinates.group_of, strict=True)
         ):
-            if self.asked.drives(group):
+            held = self.servicer.is_planar and name in _OUT_OF_PLANE
+            if self.asked.drives(group) and not held:
                 size = _DISTURBANCE[coordinates.units[k] if group == "joints" else group]
                 harmonics[name] = {
                     "amplitude": rounded(min(size * inertia[k], _DISTURBED * limit[k])),
@@ -273,19 +301,24 @@ class Draft:
         """
         if self.asked.wheels is None:
             return
-        (count, torque), actuation, pulses = self.asked.wheels, self.data["actuation"], 0.0
-        wheels = actuation["wheels"]
-        least = self._torque({**actuation, "wheels": {"units": wheel_units(count, 1.0)}})
+        asked, actuation, pulses = self.asked.wheels, self.data["actuation"], 0.0
+        wheels, torque, moment = actuation["wheels"], asked.torque, float(self._bus[3].min())
+        one = dataclasses.replace(asked, torque=None)
+        least = self._torque({**actuation, "wheels": {"units": one.units(1.0, 1e-9)}})
         if self.asked.thrusters is not None:
             pulses = _PULSES * self._torque({**actuation, "wheels": None}) / least
         motion = float(np.linalg.norm(self.peaks[:3])) / _MOTION / least
-        needed = rounded(max(min(motion, max(_WHEEL[1], pulses)), pulses, _WHEEL[0]))
-        wheels["units"] = wheel_units(count, torque or needed)
+        floor = min(_WHEEL[0], _SLOW_WHEEL * moment)
+        needed = rounded(max(min(motion, max(_WHEEL[1], pulses)), pulses, floor))
+        self._enough = max(self._enough, needed)  # a lengthened motion needs less
+        inertia = rounded(_ROTOR * moment)
+        usual = Wheel().inertia
+        wheels["units"] = asked.units(needed, None if inertia >= usual else inertia)
         weak = torque is not None and torque < needed
         self.weak = f"wheels of {torque:.3g} N m are too weak for the motion" if weak else ""
         if weak:
             beside = " and the pulses of the thrusters" if pulses else ""
-            self.weak += f"{beside}: --wheels {count}x{needed:g}Nm"
+            self.weak += f"{beside}: --wheels {asked.count}x{rounded(1.05 * self._enough):g}Nm"
         if pulses and (weak or self.asked.capture is not None):
             wheels["assist_above"] = 1.0
 
@@ -363,13 +396,13 @@ class _Arm:
     def __init__(self, draft: Draft) -> None:
         self.true, self.plant, tip = draft.true, draft.true.plant, draft.servicer.tip
         self.clearance, self.reach = (
-            Clearance(draft.scenario.model, flexible=True),
+            Clearance(draft.scenario.model, flexible=True, invented=True),
             max(tip.reach, 0.05),
         )
         self.tip = find_frame(self.plant, f"servicer::{tip.frame}", key="tip")
         named = {joint.name: joint for joint in draft.servicer.joints}
         joints = [named[name] for name in draft.coordinates.joints]
-        self.rest = np.array([min(max(0.0, each.lower), each.upper) for each in joints])
+        self.rest = np.array([each.rest for each in joints])
         self.moving = np.flatnonzero([each.name in tip.joints for each in joints])
         moving = [joints[k] for k in self.moving]
         self.slides = np.array([each.unit == "m" for each in moving])
@@ -395,20 +428,21 @@ class _Arm:
         ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
         found, distances = [], []
         for each in ranked:
-            distances.append(self.distance(each, each if to is None else to))
+            distances.append(self.nearest(each, each if to is None else to).distance)
             if distances[-1] >= _CLEAR:
                 found.append(each)
             if len(found) == count:
                 break
         return found or [ranked[int(np.argmax(distances))]]
 
-    def distance(self, start: np.ndarray, end: np.ndarray) -> float:
-        """The least distance of parts on the straight way between two postures (m), m; as far as
-        ``_CLEAR`` of interest.
+    def nearest(self, start: np.ndarray, end: np.ndarray) -> Nearest:
+        """The nearest parts on the straight way between two postures (m); as far as ``_CLEAR`` of
+        interest.
         """
         shares = np.linspace(0.0, 1.0, 1 if np.array_equal(start, end) else _WAY)
         ways = (self.whole(start + share * (end - start)) for share in shares)
-        return min(self.clearance.nearest(q, below=_CLEAR).distance for q in ways)
+        found = (self.clearance.nearest(q, below=_CLEAR) for q in ways)
+        return min(found, key=lambda each: each.distance)
 
     def _stiffness(self, values: np.ndarray) -> float:
         """How far from dexterous and outstretched a posture (m) is: the ratio of the tip's singular
@@ -428,12 +462,14 @@ class _Arm:
 
 def _inner_limits(joint: Joint) -> tuple[float, float]:
     """The part of a joint's range that the motion may use, rad or m."""
-    rest = min(max(0.0, joint.lower), joint.upper)
     margin = 0.1 * (joint.upper - joint.lower) if joint.is_limited else 0.0
     reach = _TURN
     if joint.unit == "m":
         reach = np.inf if joint.is_limited else _STROKE
-    return max(joint.lower + margin, rest - reach), min(joint.upper - margin, rest + reach)
+    return (
+        max(joint.lower + margin, joint.rest - reach),
+        min(joint.upper - margin, joint.rest + reach),
+    )
 
 
 def _effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 it, and its meshes.
 """
 
+import copy
 import dataclasses
 import re
 import shlex
@@ -26,6 +27,7 @@ from ffsm_drake.plugins.new.urdf import (
     Joint,
     Servicer,
     Target,
+    cube,
     make_bus,
     read_target,
     read_urdf,
@@ -38,6 +40,7 @@ from ffsm_drake.systems.registry import SHIPPED
 _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # share of the base's mass
+_HALVED = 3  # times that the side of a target may be, until it touches nothing
 _NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
 
@@ -50,6 +53,7 @@ class NewScenario:
     scenario: Scenario
     peak_force: Mapping[str, float]  # by coordinate, of perfect tracking of the motion, N m or N
     margins: Mapping[str, Margins]  # stability margins of the paper's mission, by controller
+    side: float | None  # m, of a target that is a cube
     remarks: tuple[str, ...]
 
     @property
@@ -68,6 +72,7 @@ class NewScenario:
             "base": {"link": found.base, "mass": found.base_mass},
             "total_mass": found.total_mass,
             "payload_mass": self.payload_mass,
+            "payload_size": self.side,
             "joints": [{key: getattr(joint, key) for key in joint_keys} for joint in found.joints],
             "tip": found.tip.frame,
             "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
@@ -88,16 +93,18 @@ class NewScenario:
         lines = [
             f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; "
             f"holds a target of {self.payload_mass:.4g} kg"
+            + (f", a cube of {self.side:g} m" if self.side else "")
         ]
         for k, tip in enumerate((found.tip, *found.other_tips)):
             length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
             other = f"            or {tip.frame}, {length}: --tip {tip.frame}"
             lines.append(other if k else f"tip         {tip.frame}, {length}")
-        lines += ["", f"{'joint':<28}{'kind':<12}{'limits':>24}{'peak force':>14}"]
+        width = max(28, *(len(joint.name) + 2 for joint in found.joints))
+        lines += ["", f"{'joint':<{width}}{'kind':<12}{'limits':>24}{'peak force':>14}"]
         for joint in found.joints:
             unit, peak = "N" if joint.unit == "m" else "N m", self.peak_force[joint.name]
             lines.append(
-                f"{joint.name:<28}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}"
+                f"{joint.name:<{width}}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}"
             )
         lines += ["", f"planned motion of {self.scenario.reference.duration:g} s"]
         if self.margins:
@@ -122,29 +129,33 @@ def new_scenario(
     tip: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
     payload_mass: float | None = None,
+    payload_size: float | None = None,
     target: str | Path | None = None,
     bus_mass: float | None = None,
     bus_size: tuple[float, ...] | None = None,
     asked: Asked | None = None,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> NewScenario:
-    """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and
-    its meshes.
+    """Write a folder with a scenario for the servicer of a model file, its URDF as Drake loads it,
+    and its meshes.
 
     The folder is complete in itself: it can be moved or sent. Nothing is written if an argument is
     refused.
 
     Args:
-      urdf: the URDF of base and arm; the base is its root link.
+      urdf: the model of base and arm, whose base is the root link: URDF, xacro, MJCF or SDFormat.
       directory: the new folder, missing or empty; the scenario gets its name.
       tip: link or frame that holds the target; None for the end of the longest chain.
       packages: folders of the packages that mesh addresses name.
-      payload_mass: true mass of the target, a cube of 1 m, kg; None for a quarter of the base's.
-      target: URDF of the target in place of that: one rigid body, and a frame where it is held
-        (``grasp``, or the only one), with z into the target.
+      payload_mass: true mass of the target, a cube, kg; None for a quarter of the base's.
+      payload_size: its side, m; None: by its mass and the arm's reach.
+      target: model file of the target in place of that: one rigid body, and a frame where it is
+        held (``grasp``, or the only one), with z into the target.
       bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world``
         says where. The box is the base then.
       bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
       asked: sensors, actuators, panels and a grasp; None for the paper's mission.
+      xacro_args: values of the arguments of a xacro file.
 
     Raises:
       ModelError: the URDF is not that of a free base with an arm; the message says what to change.
@@ -153,20 +164,25 @@ def new_scenario(
     """
     urdf, directory = Path(urdf), Path(directory).resolve()
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
-    _check_arguments(directory, folders, payload_mass)
+    _check_arguments(directory, folders)
+    for value, unit in ((payload_mass, "kg"), (payload_size, "m")):
+        if value is not None and not (np.isfinite(value) and value > 0.0):
+            raise ScenarioError("--target", f"must be > 0 {unit}, not {value:g}")
     if bus_size is not None and bus_mass is None:
         raise ScenarioError("--bus-size", "is that of a bus; give --bus-mass too")
-    if target is not None and payload_mass is not None:
+    if target is not None and (payload_mass, payload_size) != (None, None):
         raise ScenarioError("--target", "is a mass or a file, not both")
     bus = None if bus_mass is None else make_bus(bus_mass, bus_size)
-    held = None if target is None else read_target(Path(target))
-    servicer = read_urdf(urdf, tip=tip, bus=bus)
-    mass = rounded(_PAYLOAD_SHARE * servicer.base_mass) if payload_mass is None else payload_mass
+    held = None if target is None else read_target(Path(target), folders)
+    servicer = read_urdf(urdf, tip=tip, bus=bus, packages=folders, arguments=xacro_args)
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name
             folder.mkdir()
-            made = _make(servicer, folder, asked or Asked(), held or mass, packages=folders)
+            made = _make(
+                servicer, folder, asked or Asked(), held, packages=folders,
+                mass=payload_mass, side=payload_size,
+            )  # fmt: skip
             with published(directory) as new:
                 shutil.copytree(folder, new, dirs_exist_ok=True)
     except OSError as error:
@@ -174,9 +190,7 @@ def new_scenario(
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
 
 
-def _check_arguments(
-    directory: Path, packages: Mapping[str, Path], payload_mass: float | None
-) -> None:
+def _check_arguments(directory: Path, packages: Mapping[str, Path]) -> None:
     if directory.exists() and not directory.is_dir():
         raise ScenarioError("DIR", f"{directory} is a file; name a new folder")
     if directory.is_dir() and any(directory.iterdir()):
@@ -189,19 +203,21 @@ def _check_arguments(
     for name, folder in packages.items():
         if not folder.is_dir():
             raise ScenarioError(f"--package {name}", f"no such folder: {folder}")
-    if payload_mass is not None and not (np.isfinite(payload_mass) and payload_mass > 0.0):
-        raise ScenarioError("--target", f"must be > 0 kg, not {payload_mass:g}")
 
 
 def _make(
     servicer: Servicer,
     folder: Path,
     asked: Asked,
-    target: Target | float,
+    target: Target | None,
     *,
     packages: Mapping[str, Path],
+    mass: float | None,
+    side: float | None,
 ) -> NewScenario:
-    """Make everything in a folder that is still temporary, with a target or a cube's mass, kg."""
+    """Make everything in a folder that is still temporary, with a target, or a cube of a mass (kg)
+    and side (m).
+    """
     file, text = folder / f"{folder.name}.yaml", _TEMPLATE.read_text(encoding="utf-8")
     data = yaml.safe_load(text)
     mission = "Post-capture stabilization" if asked.capture is None else "Capture, to rest,"
@@ -210,17 +226,41 @@ def _make(
         data["controller"] = Scenario.controller
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
     data["actuation"] = {"limit": efforts} if efforts else {}
-    asked.fill(data)
+    asked.fill(data, mass=servicer.base_mass, half_side=servicer.half_side)
+    given = target or cube(mass, side, servicer, share=_PAYLOAD_SHARE)
+
+    def placed(target: Target, place: Path) -> tuple[list[str], Draft]:
+        own = copy.deepcopy(data)
+        left_out = _write_models(own, servicer, place, target, packages=packages)
+        draft = Draft(own, asked, servicer, source=str(place / file.name))
+        draft.place()
+        return left_out, draft
+
+    def clear(place: Path) -> Target | None:
+        """The largest cube of half the side, a quarter, ... that touches nothing."""
+        sides = (rounded((given.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1))
+        smaller = (cube(given.mass, each, servicer, share=_PAYLOAD_SHARE) for each in sides)
+        return next((each for each in smaller if not placed(each, place)[1].touching), None)
+
     try:
-        left_out = _write_models(data, servicer, folder, target, packages=packages)
-        draft = Draft(data, asked, servicer, source=str(file))
+        left_out, draft = placed(given, folder)
         check_pictures(draft.scenario.model)
+        if draft.touching and given.side:
+            with tempfile.TemporaryDirectory() as place:
+                other = clear(Path(place) / folder.name)
+            if other is not None and side is None:
+                remark = f"the target is made smaller: {draft.touching}"
+                left_out, draft = placed(other, folder)
+                given, draft.remarks = other, [remark]
+            elif other is not None:
+                draft.touching += f"; --target {other.mass:g}kg,{other.side:g}m keeps clear"
         draft.fill()
         scenario, forces = draft.scenario, draft.motion_forces()
     except FfsmError as error:
         # The line numbers in Drake's messages are those of the copy, not of the user's file.
         told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
+    data = draft.data
     limits = "; ".join(f"{joint.name} {_limits(joint)}" for joint in servicer.joints)
     named = text.replace("LIMITS", limits).replace("CONTROLLERS", ", ".join(SHIPPED["controller"]))
     write_text(file, _filled(named, data))
@@ -230,6 +270,7 @@ def _make(
         scenario=scenario,
         peak_force=dict(zip(draft.coordinates.names, forces.tolist(), strict=True)),
         margins=draft.margins,
+        side=given.side,
         remarks=(*servicer.remarks, *left_out, *draft.remarks),
     )
 
@@ -238,29 +279,27 @@ def _write_models(
     data: dict[str, Any],
     servicer: Servicer,
     folder: Path,
-    target: Target | float,
+    target: Target,
     *,
     packages: Mapping[str, Path],
 ) -> list[str]:
     """Write the URDFs, and name them and the payload in a scenario's data; what was left out."""
-    copied = f"{servicer.source.name.removesuffix('.urdf')}.urdf"
+    copied, name = (f"{each.source.name.split('.')[0]}.urdf" for each in (servicer, target))
     left_out = [*write_urdf(servicer, folder, file_name=copied, packages=packages)]
-    model, payload = data["model"], data["payload"]
-    model |= {"servicer": copied, "end_effector": f"servicer::{servicer.tip.frame}"}
-    center: tuple[float, ...] = (0.0, 0.0, 0.0)
-    if isinstance(target, Target):
-        name = f"{target.source.name.removesuffix('.urdf')}.urdf"
-        stripped = write_urdf(target, folder / _TARGET, file_name=name, packages=packages)
-        left_out += [f"target: {remark}" for remark in stripped]
-        model |= {"debris": f"{_TARGET}/{name}", "grasp": f"debris::{target.grasp}"}
-        payload["body"] = f"debris::{target.body}"
-        mass, center, inertia = target.mass, target.center_of_mass, target.inertia
-    else:
-        mass, inertia = target, (rounded(target / 6.0),) * 3  # a cube of 1 m
+    stripped = write_urdf(target, folder / _TARGET, file_name=name, packages=packages)
+    left_out += [f"target: {remark}" for remark in (*target.remarks, *stripped)]
+    payload, mass, inertia = data["payload"], target.mass, target.inertia
+    data["model"] |= {
+        "servicer": copied,
+        "debris": f"{_TARGET}/{name}",
+        "end_effector": f"servicer::{servicer.tip.frame}",
+        "grasp": f"debris::{target.grasp}",
+    }
+    payload["body"] = f"debris::{target.body}"
     for name, share in (("truth", 1.0), ("nominal", _NOMINAL_SHARE)):
         payload[name] = {
             "mass": float(f"{share * mass:.10g}"),
-            "center_of_mass": list(center),
+            "center_of_mass": list(target.center_of_mass),
             "inertia": [float(f"{share * moment:.10g}") for moment in inertia],
         }
     return left_out

@@ -17,7 +17,7 @@ from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.plugins.design.remarks import plan_clearance
-from ffsm_drake.plugins.new.asked import Asked, wheel_units
+from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -190,14 +190,14 @@ def test_weak_wheels_are_named(tmp_path):
 
 
 def test_wheels_at_right_angles_give_the_same_in_all_directions():
-    axes = np.array([each["axis"] for each in wheel_units(3, 1.0).values()])
+    axes = np.array([each["axis"] for each in WheelData(3).units(1.0, None).values()])
     unit = axes / np.linalg.norm(axes, axis=1)[:, None]
     assert unit @ unit.T == pytest.approx(np.eye(3), abs=0.01)
 
 
 WRONG = {
     "sensors": ["", "x", "f", "Flight"],
-    "thrusters": ["12", "12x5", "none", ""],
+    "thrusters": ["13", "12x5", "12x0N", "none", ""],
     "wheels": ["2", "0", "4x", "4x0Nm", "4x-1Nm", "9", "four", "4.5", "1e9"],
     "panels": ["2", "5x5kg", "0x5kg", "2x0kg", "2x5", "2x5 kg", "2x-5kg"],
     "capture": ["3", "3deg", "-3deg/s", "deg/s", "nan deg/s", "3rpm"],

@@ -1,4 +1,4 @@
-"""User-supplied URDFs: reading one, and writing a copy for Drake.
+"""User-supplied models: reading a URDF (or another format as one), and writing a copy for Drake.
 
 URDFs contain elements of no use for a free-flying spacecraft in Drake: settings of controllers and
 simulators, collision shapes, friction, missing meshes. The copy omits these and lists them. A gap
@@ -8,7 +8,7 @@ to be filled by the author, such as a missing mass, is an error with its remedy.
 from ffsm_drake.plugins.new.urdf.elements import Joint
 from ffsm_drake.plugins.new.urdf.mounting import Bus, make_bus
 from ffsm_drake.plugins.new.urdf.servicer import Servicer, Tip, read_urdf
-from ffsm_drake.plugins.new.urdf.target import Target, read_target
+from ffsm_drake.plugins.new.urdf.target import Target, cube, read_target
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Servicer",
     "Target",
     "Tip",
+    "cube",
     "make_bus",
     "read_target",
     "read_urdf",

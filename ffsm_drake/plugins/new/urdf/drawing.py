@@ -15,21 +15,30 @@ from ffsm_drake.plugins.new.urdf.elements import (
     read_mass,
     vector,
 )
+from ffsm_drake.spacecraft.clearance import INVENTED
 
 _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": "0.48 0.50 0.54 1"}
 
 
-def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> int:
-    """Draw the links of a URDF that have no visual; returns their number.
+def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> list[str]:
+    """Draw the links of a URDF that have no visual; returns their names.
 
     A link of the base becomes the box with its moments of inertia. Any other becomes a ball at its
     joint, with rods of the given radius (m) from there to the joints and frames on it, over the
     stroke of a sliding joint, or, at the end of a chain, past its centre of mass. So the bodies
-    touch from joint to joint.
+    touch from joint to joint. Shapes of the base do not count for clearances: its mass says little
+    about its size.
     """
-    drawn = 0
+    drawn = list[str]()
+    pictured = {name_of(link) for link in root.findall("link") if link.find("visual") is not None}
+    carriers = {  # between a joint and a link with a picture
+        end_of(joint, "parent")
+        for joint in root.findall("joint[@type='fixed']")
+        if end_of(joint, "child") in pictured
+    }
     for link in root.findall("link"):
-        if link.find("visual") is not None:
+        is_massless = link.find("inertial") is None
+        if name_of(link) in pictured or (is_massless and name_of(link) in carriers):
             continue
         name, has_mass = name_of(link), link.find("inertial") is not None
         start, ends = np.zeros(3), list(_held_points(root, name))
@@ -45,7 +54,10 @@ def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float
         for end in ends:
             if np.linalg.norm(end - start) > 0.1 * radius:
                 _add_rod(link, start, end, radius)
-        drawn += link.find("visual") is not None
+        for k, visual in enumerate(link.findall("visual") if name in base_links else ()):
+            visual.set("name", f"{INVENTED}_{k}")
+        if link.find("visual") is not None:
+            drawn.append(name)
     return drawn
 
 

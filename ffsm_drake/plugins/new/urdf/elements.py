@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -36,6 +38,12 @@ class Joint:
         return self.upper - self.lower < 20.0
 
     @property
+    def rest(self) -> float:
+        """The value nearest to 0 that keeps a tenth of the range to the limits, rad or m."""
+        margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
+        return min(max(0.0, self.lower + margin), self.upper - margin)
+
+    @property
     def unit(self) -> str:
         return "m" if self.kind == "prismatic" else "rad"
 
@@ -43,6 +51,11 @@ class Joint:
 def name_of(element: Element) -> str:
     """The name of a link, joint or frame, which ``parse`` found good."""
     return element.get("name", "")
+
+
+def listed(names: list[str]) -> str:
+    """The first of some names, and the number of the others."""
+    return ", ".join(names[:4]) + f" and {len(names) - 4} more" * (len(names) > 4)
 
 
 def end_of(joint: Element, role: str) -> str:
@@ -65,6 +78,13 @@ def vector(
     good = values.shape == (3,) and np.isfinite(values).all()
     require(good, f"{place}: {attribute} must be three numbers, not '{text}'")
     return values
+
+
+def package_folders(package: str, source: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
+    """Where a package's folder may be: as given in ``packages``, else above a file ``source``."""
+    if package in packages:
+        yield packages[package]
+    yield from (above if above.name == package else above / package for above in source.parents)
 
 
 def read_joint(element: Element) -> Joint:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -15,12 +15,15 @@ from ffsm_drake.plugins.new.urdf.elements import (
     Joint,
     check_kind,
     name_of,
+    read_inertia,
     read_joint,
     read_mass,
     vector,
 )
+from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.mounting import Bus, mount
-from ffsm_drake.spacecraft.checked_urdf import DRAKE, parse, require
+from ffsm_drake.plugins.new.urdf.simplifying import fix_followers, free_base, vague_limits
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, Faults, require
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 _RESERVED = ("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION)
@@ -43,6 +46,7 @@ class Servicer:
     base: str
     base_links: tuple[str, ...]  # the base and the links fixed to it
     base_mass: float  # mass of these bodies, kg
+    is_planar: bool  # whether the base slid in a plane of the world
     total_mass: float  # kg
     joints: tuple[Joint, ...]  # the moving ones, in the file's order
     tip: Tip
@@ -56,32 +60,70 @@ class Servicer:
         """Reach of the arm that holds the target, m."""
         return self.tip.reach
 
+    @property
+    def half_side(self) -> float:
+        """Half the side of the cube with the mean inertia of the base's heaviest link, m."""
+        links = [link for link in self.root.findall("link") if name_of(link) in self.base_links]
+        link = max(links, key=read_mass)
+        return 0.5 * math.sqrt(2.0 * float(np.trace(read_inertia(link))) / read_mass(link))
 
-def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> Servicer:
-    """Read and check a URDF.
+
+def read_urdf(
+    path: Path,
+    *,
+    tip: str | None = None,
+    bus: Bus | None = None,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
+) -> Servicer:
+    """Read and check a URDF, or a file of another format as one.
 
     Args:
       path: the file.
       bus: the bus to mount it on, if it is an arm without a base.
       tip: name of the link or frame that holds the target; None for the end of the longest chain.
+      packages: folders of the packages that it names.
+      arguments: values of the arguments of a xacro file.
 
     Raises:
-      ModelError: the file is not a URDF of a free base with single-degree joints and physical
+      ModelError: the file is not a model of a free base with single-degree joints and physical
         masses.
     """
     try:
-        root, header = parse(path)
+        root, header, left_out = read_model(
+            path, "the URDF of base and arm", packages or {}, arguments or {}
+        )
         if bus is not None:
             mount(root, bus)
-        tree = _Tree(root)
-        tree.check_names_and_kinds()
+        faults, base_kind, followers, vague = Faults(), None, dict[str, str](), list[str]()
+        with faults:
+            base_kind = free_base(root)
+        with faults:
+            followers = fix_followers(root)
+        with faults:
+            vague = [*vague_limits(root)]
+        tree = _Tree(root, followers, faults)
         chosen, *others = tree.tips(tip)
         tree.check_masses(chosen)
+        for follower, leader in followers.items():
+            require(
+                leader not in chosen.joints,
+                f"joint '{follower}' follows '{leader}' (<mimic>), which moves the tip; remove "
+                "<mimic>, and it is controlled on its own",
+            )
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     base_links = tuple(tree.rigid_group(tree.base))
     base_mass, total = sum(tree.masses[name] for name in base_links), sum(tree.masses.values())
-    remarks = []
+    remarks = [*left_out, *vague]
+    if base_kind == "planar":
+        remarks.append(
+            f"the base '{tree.base}' slides in a plane: it is free here, and its motion and "
+            "disturbance stay in that plane"
+        )
+    if followers:
+        told = (f"{follower} (follows {leader})" for follower, leader in followers.items())
+        remarks.append(f"joints that follow others are fixed: {', '.join(told)}")
     if base_mass < 0.5 * total:
         remarks.append(
             f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's "
@@ -93,6 +135,7 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
         base=tree.base,
         base_links=base_links,
         base_mass=base_mass,
+        is_planar=base_kind == "planar",
         total_mass=total,
         joints=tuple(joint for joint in tree.joints if joint.moves),
         tip=chosen,
@@ -104,42 +147,47 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
 
 
 class _Tree:
-    """Links and joints of a URDF as a tree from the base. Raises ModelError unless they form
-    one.
+    """Links and joints of a URDF as a tree from the base. Raises ModelError, with all faults of
+    links and joints, unless they form one.
     """
 
-    def __init__(self, root: Element) -> None:
-        self.links = _by_name("link", root.findall("link"))
-        self.frames = _by_name("frame", root.findall("frame"))
-        elements = (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
-        joints = [read_joint(element) for element in _by_name("joint", elements).values()]
-        self.joints = [joint for joint in joints if joint.parent != WORLD]
+    def __init__(self, root: Element, followers: Collection[str], faults: Faults) -> None:
+        self.followers = followers  # fixed joints of fingers
+        self.links = _by_name("link", root.findall("link"), faults)
+        self.frames = _by_name("frame", root.findall("frame"), faults)
         self.links.pop(WORLD, None)
-        for joint in joints:
+        elements = (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
+        self.joints, self.masses = list[Joint](), dict[str, float]()
+        for element in _by_name("joint", elements, faults).values():
+            with faults:
+                self.joints.append(read_joint(element))
+        if not faults:
             require(
-                joint.parent != WORLD or joint.kind == "floating",
-                f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
-                f"and link '{WORLD}' from the URDF, so that the base is free, or mount it on a bus "
-                "with --bus-mass KG",
+                any(joint.moves for joint in self.joints),
+                "has no joint that moves; a servicer needs an arm with revolute or prismatic "
+                "joints",
             )
         for joint in self.joints:
-            for role, link in (("parent", joint.parent), ("child", joint.child)):
-                require(
-                    link in self.links,
-                    f"joint '{joint.name}': its {role} link '{link}' does not exist",
-                )
-        children = Counter(joint.child for joint in self.joints)
-        for name, count in children.items():
-            require(
-                count == 1,
-                f"link '{name}' is the child of {count} joints; a chain must not close on itself",
-            )
+            with faults:
+                self._check_joint(joint)
+        for name, link in self.links.items():
+            with faults:
+                self.masses[name] = read_mass(link)
+        self._check_names(faults)
+        children = Counter(joint.child for joint in self.joints if joint.parent != WORLD)
         roots = [name for name in self.links if name not in children]
         found = f"{len(roots)} ({', '.join(roots)})" if roots else "none"
-        require(
-            len(roots) == 1,
-            f"one link must be the base, without a parent, not {found}; join the others to it",
-        )
+        for name, count in children.items():
+            if count > 1:
+                faults.append(
+                    f"link '{name}' is the child of {count} joints; a chain must not close on "
+                    "itself"
+                )
+        if len(roots) != 1:
+            faults.append(
+                f"one link must be the base, without a parent, not {found}; join the others to it"
+            )
+        faults.raise_all()
         self.base = roots[0]
         self.above = {joint.child: joint for joint in self.joints}
         self.below = {
@@ -151,7 +199,39 @@ class _Tree:
                 name in reached,
                 f"link '{name}' is not connected to the base '{self.base}': its joints form a loop",
             )
-        self.masses = {name: read_mass(link) for name, link in self.links.items()}
+
+    def _check_joint(self, joint: Joint) -> None:
+        require(
+            joint.parent != WORLD,
+            f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
+            f"and link '{WORLD}' from the URDF, so that the base is free, or mount it on a bus "
+            "with --bus-mass KG",
+        )
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            require(
+                link in self.links,
+                f"joint '{joint.name}': its {role} link '{link}' does not exist",
+            )
+        check_kind(joint)
+        require(
+            not joint.moves or joint.lower < joint.upper,
+            f"joint '{joint.name}': its limits leave it no motion; make it fixed",
+        )
+        require(
+            not joint.moves or joint.name not in _RESERVED,
+            f"joint '{joint.name}': the name clashes with one that scenarios use for the base; "
+            "rename the joint",
+        )
+
+    def _check_names(self, faults: Faults) -> None:
+        for name, frame in self.frames.items():
+            link = frame.get("link", "")
+            with faults:
+                require(link in self.links, f"frame '{name}': its link '{link}' does not exist")
+                require(
+                    name not in self.links,
+                    f"frame '{name}' has the name of a link; rename the frame",
+                )
 
     def descend(self, link: str) -> Iterator[Joint]:
         """All joints below a link."""
@@ -176,40 +256,20 @@ class _Tree:
     def mass_below(self, link: str) -> float:
         return self.masses[link] + sum(self.masses[joint.child] for joint in self.descend(link))
 
-    def check_names_and_kinds(self) -> None:
-        for joint in self.joints:
-            check_kind(joint)
-        moving = [joint.name for joint in self.joints if joint.moves]
-        require(
-            moving,
-            "has no joint that moves; a servicer needs an arm with revolute or prismatic joints",
-        )
-        for name in moving:
-            require(
-                name not in _RESERVED,
-                f"joint '{name}': the name clashes with one that scenarios use for the base; "
-                "rename the joint",
-            )
-        for name, frame in self.frames.items():
-            link = frame.get("link", "")
-            require(link in self.links, f"frame '{name}': its link '{link}' does not exist")
-            require(
-                name not in self.links, f"frame '{name}' has the name of a link; rename the frame"
-            )
-
     def check_masses(self, tip: Tip) -> None:
         """Raise ModelError unless the base has mass, and every joint moves mass or the target."""
-        base_mass = sum(self.masses[name] for name in self.rigid_group(self.base))
-        require(
-            base_mass,
-            f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia",
-        )
-        for joint in self.joints:
-            require(
-                not joint.moves or joint.name in tip.joints or self.mass_below(joint.child),
-                f"link '{joint.child}' moves but has no mass, and carries none; give it an "
-                f"<inertial>, or make joint '{joint.name}' fixed",
+        faults = Faults()
+        if not sum(self.masses[name] for name in self.rigid_group(self.base)):
+            faults.append(
+                f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia"
             )
+        for joint in self.joints:
+            if joint.moves and joint.name not in tip.joints and not self.mass_below(joint.child):
+                faults.append(
+                    f"link '{joint.child}' moves but has no mass, and carries none; give it an "
+                    f"<inertial>, or make joint '{joint.name}' fixed"
+                )
+        faults.raise_all()
 
     def tips(self, chosen: str | None) -> list[Tip]:
         """The chosen tip (default: the longest chain's), then the others, longest chain first."""
@@ -248,15 +308,21 @@ class _Tree:
         ends = []
         for head in (joint.child for joint in self.joints if joint.moves):
             # A rigid group counts once, by its outermost frame.
-            group = self.rigid_group(head)
-            onward = [joint for name in group for joint in self.below[name] if joint.moves]
-            has_fingers = len(onward) > 1 and not any(
+            group = [
+                name
+                for name in self.rigid_group(head)
+                if not any(joint.name in self.followers for joint in self.chain(name))
+            ]
+            below = [joint for name in group for joint in self.below[name]]
+            onward = [joint for joint in below if joint.moves]
+            fingers = len(onward) + sum(joint.name in self.followers for joint in below)
+            has_fingers = fingers > 1 and not any(
                 j.moves for joint in onward for j in self.descend(joint.child)
             )
             if not onward or has_fingers:
                 frames = [name for name, frame in self.frames.items() if frame.get("link") in group]
                 leaves = [name for name in group if not self.below[name]]
-                holders = sorted({joint.parent for joint in onward})
+                holders = sorted({joint.parent for joint in below if joint.child not in group})
                 ends.append(
                     max(map(self._tip, frames or leaves or holders), key=lambda tip: tip.reach)
                 )
@@ -264,10 +330,11 @@ class _Tree:
         return [tip for tip in ends if not palms & set(tip.joints[:-1])]
 
 
-def _by_name(kind: str, elements: Iterable[Element]) -> dict[str, Element]:
+def _by_name(kind: str, elements: Iterable[Element], faults: Faults) -> dict[str, Element]:
     found: dict[str, Element] = {}
     for element in elements:
         name = name_of(element)
-        require(name not in found, f"more than one {kind} is called '{name}'; rename one of them")
+        if name in found:
+            faults.append(f"more than one {kind} is called '{name}'; rename one of them")
         found[name] = element
     return found

@@ -1,22 +1,29 @@
 """Reading a URDF as a target: one rigid body with mass, and the frame where it is held."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from pydrake.math import RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.urdf.elements import (
+    end_of,
     name_of,
     read_inertia,
     read_mass,
     vector,
 )
-from ffsm_drake.spacecraft.checked_urdf import parse, require
+from ffsm_drake.plugins.new.urdf.formats import read_model
+from ffsm_drake.plugins.new.urdf.formats.building import add_link, add_visual, text
+from ffsm_drake.plugins.new.urdf.servicer import Servicer
+from ffsm_drake.spacecraft.checked_urdf import Faults, require
 
 GRASP = "grasp"
+_DENSITY, _MOST_DENSE = 100.0, 1000.0  # kg/m^3, of a cube whose side is not given
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,6 +38,8 @@ class Target:
     inertia: tuple[float, ...]  # kg m^2 about it: Ixx, Iyy, Izz, Ixy, Ixz, Iyz, in the body's axes
     root: Element  # the parsed file
     header: str  # the comments before its root element
+    remarks: tuple[str, ...] = ()
+    side: float | None = None  # m, of a cube
 
     @property
     def base_links(self) -> tuple[str, ...]:
@@ -41,50 +50,128 @@ class Target:
         return 0.0
 
 
-def read_target(path: Path) -> Target:
-    """Read and check a URDF. Raises ModelError unless it is one rigid body with a grasp frame."""
+def cube(mass: float | None, side: float | None, servicer: Servicer, *, share: float) -> Target:
+    """A solid cube, held at the middle of a face.
+
+    Args:
+      mass: kg; None: a ``share`` of the base's.
+      side: m; None: that of a cube of 100 kg/m^3, but no longer than the arm reaches, and then of
+        1000 kg/m^3 at most, if the mass is not given.
+      servicer: what holds it.
+    """
+    chosen = rounded(share * servicer.base_mass) if mass is None else mass
+    if side is None:
+        side = rounded(min((chosen / _DENSITY) ** (1.0 / 3.0), servicer.reach or np.inf))
+        if mass is None:
+            chosen = min(chosen, rounded(_MOST_DENSE * side**3))
+    inertia, root = rounded(chosen * side * side / 6.0), Element("robot", name="target")
+    link = add_link(root, "debris", chosen, (0, 0, 0), inertia * np.eye(3))
+    add_visual(link, "box", RigidTransform(), None, size=text(3 * (side,)))
+    SubElement(root, "frame", name=GRASP, link="debris", xyz=text((0, 0, -side / 2)), rpy="0 0 0")
+    return Target(
+        source=Path("cube.urdf"), body="debris", grasp=GRASP, mass=chosen,
+        center_of_mass=(0.0, 0.0, 0.0), inertia=3 * (inertia,), root=root, header="", side=side,
+    )  # fmt: skip
+
+
+def read_target(path: Path, packages: Mapping[str, Path] | None = None) -> Target:
+    """Read and check a URDF, or a file of another format as one.
+
+    Links fixed to each other count as one body: that of the heaviest link.
+
+    Raises ModelError unless it is one rigid body with a grasp frame.
+    """
     try:
-        root, header = parse(path, "its URDF")
-        links = root.findall("link")
-        heavy = [link for link in links if read_mass(link)]
-        names = ", ".join(name_of(link) for link in heavy) or "none"
-        require(
-            len(heavy) == 1, f"one link must have the target's mass, not {len(heavy)} ({names})"
-        )
+        root, header, remarks = read_model(path, "its URDF", packages or {}, {})
+        links, faults = root.findall("link"), Faults()
+        masses = dict[str, float]()
+        for link in links:
+            with faults:
+                masses[name_of(link)] = read_mass(link)
+            if link.find("inertial/mass") is not None and link.find("inertial/inertia") is None:
+                faults.append(f"link '{name_of(link)}': has mass but no <inertia>; give it both")
         moving = [name_of(joint) for joint in root.findall("joint") if joint.get("type") != "fixed"]
-        require(
-            not moving, f"a target is rigid, but joint '{', '.join(moving)}' moves; make it fixed"
-        )
-        body = name_of(heavy[0])
+        if moving:
+            faults.append(
+                f"a target is rigid, but joint '{', '.join(moving)}' moves; make it fixed"
+            )
+        if not any(masses.values()):
+            faults.append("one link must have the target's mass, not 0 (none)")
         frames = [name_of(frame) for frame in root.findall("frame")]
-        require(
-            GRASP in frames or len(frames) == 1,
-            f"{'more than one frame' if frames else 'no frame'} where it could be held; add "
-            f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, on its surface, '
-            "with z into the target",
-        )
-        origin, place = heavy[0].find("inertial/origin"), f"link '{body}'"
-        require(
-            heavy[0].find("inertial/inertia") is not None,
-            f"{place}: has mass but no <inertia>; give it both",
-        )
-        tensor = read_inertia(heavy[0])
-        rotation = RollPitchYaw(vector(origin, "rpy", place)).ToRotationMatrix().matrix()
-        tensor = rotation @ tensor @ rotation.T
-        scale = max(float(np.abs(tensor).max()), 1e-300)
-        # no products of 1e-16 in place of zeros
-        tensor = scale * np.round(tensor / scale, 12) + 0.0
+        body = max(masses, key=lambda name: masses[name], default="")
+        if GRASP not in frames and len(frames) != 1:
+            faults.append(
+                f"{'more than one frame' if frames else 'no frame'} where it could be held; add "
+                f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, on its '
+                "surface, with z into the target"
+            )
+        faults.raise_all()
+        center, tensor = _gathered(root, body)
         return Target(
             source=path,
             body=body,
             grasp=GRASP if GRASP in frames else frames[0],
-            mass=read_mass(heavy[0]),
-            center_of_mass=tuple(vector(origin, "xyz", place).tolist()),
+            mass=sum(masses.values()),
+            center_of_mass=tuple(center.tolist()),
             inertia=tuple(
                 float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
             ),
             root=root,
             header=header,
+            remarks=tuple(remarks),
         )
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
+
+
+def _gathered(root: Element, body: str) -> tuple[np.ndarray, np.ndarray]:
+    """Give one link the mass of all that are fixed to it.
+
+    Returns: the centre of mass (3), m, and the inertia (3, 3) about it, kg m^2, in its frame.
+    """
+    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
+    parts = list[tuple[float, np.ndarray, np.ndarray]]()
+    for link in root.findall("link"):
+        if not (mass := read_mass(link)):
+            continue
+        pose = _pose_of(body, joints).inverse() @ _pose_of(name_of(link), joints)
+        inertial = link.find("inertial")
+        place = pose @ _origin(inertial, f"link '{name_of(link)}'")
+        turn = place.rotation().matrix()
+        parts.append((mass, place.translation(), turn @ read_inertia(link) @ turn.T))
+        if name_of(link) != body and inertial is not None:
+            link.remove(inertial)
+    total = sum(mass for mass, _, _ in parts)
+    center = sum((mass * at for mass, at, _ in parts), np.zeros(3)) / total
+    tensor = np.zeros((3, 3))
+    for mass, at, inertia in parts:
+        arm = at - center
+        tensor += inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    scale = max(float(np.abs(tensor).max()), 1e-300)
+    # no products of 1e-16 in place of zeros
+    tensor = scale * np.round(tensor / scale, 12) + 0.0
+    if len(parts) > 1:
+        held = next(link for link in root.findall("link") if name_of(link) == body)
+        for inertial in held.findall("inertial"):
+            held.remove(inertial)
+        merged = add_link(Element("robot"), body, total, center, tensor)
+        held.insert(0, merged[0])
+    return center, tensor
+
+
+def _origin(element: Element | None, place: str) -> RigidTransform:
+    origin = None if element is None else element.find("origin")
+    turn = RollPitchYaw(vector(origin, "rpy", place))
+    return RigidTransform(turn, vector(origin, "xyz", place))
+
+
+def _pose_of(link: str, joints: Mapping[str, Element]) -> RigidTransform:
+    """The pose of a link in the root, over fixed joints by child."""
+    pose, seen = RigidTransform(), set[str]()
+    while link in joints:
+        require(link not in seen, f"link '{link}': its joints form a loop")
+        seen.add(link)
+        joint = joints[link]
+        pose = _origin(joint, f"joint '{name_of(joint)}'") @ pose
+        link = end_of(joint, "parent")
+    return pose

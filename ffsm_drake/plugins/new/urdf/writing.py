@@ -11,8 +11,9 @@ from xml.etree.ElementTree import Element
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
-from ffsm_drake.plugins.new.urdf.elements import WORLD, name_of
+from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of, package_folders
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
+from ffsm_drake.plugins.new.urdf.stl import as_wavefront
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
 from ffsm_drake.spacecraft.model_files import DRAWABLE
@@ -23,7 +24,6 @@ _NAMED_FILE = re.compile(
 )
 _REASONS = {
     "dynamics": "damping and friction left out ({n} times): the equations of motion here have none",
-    "mimic": "<mimic> left out ({n} times): such a joint is controlled on its own",
     "collision": "collision shapes left out ({n} times): contact is not modelled",
 }
 
@@ -53,12 +53,14 @@ def write_urdf(
         root, base_links=servicer.base_links, radius=max(0.02 * servicer.reach, 0.01)
     )
     if drawn:
-        remarks.append(f"links without a picture drawn as plain bodies: {drawn}")
+        boxes = [name for name in drawn if name in servicer.base_links]
+        ignored = f" (not counted for clearances: {listed(boxes)})" if boxes else ""
+        remarks.append(f"links without a picture drawn as plain bodies: {listed(drawn)}{ignored}")
     root.set("name", root.get("name") or "servicer")
     ElementTree.indent(root)
     ElementTree.register_namespace("drake", DRAKE.strip("{}"))
-    listed = "".join(f"\n  - {remark}" for remark in remarks)
-    comment = f"Made from {servicer.source.name} by 'ffsm new'.{listed}".replace("--", "- -")
+    items = "".join(f"\n  - {remark}" for remark in remarks)
+    comment = f"Made from {servicer.source.name} by 'ffsm new'.{items}".replace("--", "- -")
     parts = (
         '<?xml version="1.0" encoding="UTF-8"?>',
         *([servicer.header] if servicer.header else []),
@@ -77,6 +79,8 @@ def _strip(root: Element) -> Counter[str]:
         name = element.get("name") if element.tag == "link" else None
         if WORLD in (name, None if parent is None else parent.get("link")):
             root.remove(element)
+        elif element.tag == "transmission" and _has_rotor(element):
+            continue  # Drake adds its inertia to the joint's
         elif element.tag not in (
             "link",
             "joint",
@@ -87,7 +91,7 @@ def _strip(root: Element) -> Counter[str]:
             left_out[element.tag] += 1
     for joint in root.iter("joint"):
         place = f"joint '{name_of(joint)}'"
-        for tag in ("dynamics", "mimic", "calibration", "safety_controller"):
+        for tag in ("dynamics", "calibration", "safety_controller"):
             for element in joint.findall(tag):
                 joint.remove(element)
                 if tag != "dynamics" or any(
@@ -102,6 +106,10 @@ def _strip(root: Element) -> Counter[str]:
             if not any(float(mass.get("value") or 0.0) for mass in inertial.findall("mass")):
                 link.remove(inertial)
     return left_out
+
+
+def _has_rotor(transmission: Element) -> bool:
+    return any(element.tag.endswith("rotor_inertia") for element in transmission.iter())
 
 
 def _omissions(left_out: Counter[str]) -> Iterator[str]:
@@ -133,7 +141,10 @@ def _inline_colors(root: Element) -> None:
 def _copy_meshes(
     root: Element, source: Path, folder: Path, packages: Mapping[str, Path]
 ) -> Iterator[str]:
-    """Copy the drawable meshes and address the copies; drop other visuals. Yields remarks."""
+    """Copy the drawable meshes, STL as Wavefront, and address the copies; drop other visuals.
+
+    Yields remarks.
+    """
     missing: list[str] = []
     undrawable: list[str] = []
     places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
@@ -145,24 +156,35 @@ def _copy_meshes(
             address = mesh.attrib.pop("uri", "")
             address = mesh.get("filename") or address
             file = _find_mesh(address, source, packages)
-            if file is None or file.suffix.lower() not in DRAWABLE:
+            is_stl = file is not None and file.suffix.lower() == ".stl"
+            converted = as_wavefront(file) if file is not None and is_stl else None
+            if file is None or (converted is None and file.suffix.lower() not in DRAWABLE):
                 link.remove(visual)
                 (missing if file is None else undrawable).append(address)
                 continue
             place = places.setdefault(file.parent, f"{len(places) + 1}")
+            if converted is not None:
+                (folder / place).mkdir(parents=True, exist_ok=True)
+                write_text(folder / place / f"{file.name}.obj", converted)
+                mesh.set("filename", f"{folder.name}/{place}/{file.name}.obj")
+                continue
             for each in _with_companions(file):
                 target = folder / place / each.relative_to(file.parent)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(each, target)
             mesh.set("filename", f"{folder.name}/{place}/{file.name}")
+    beside = [address for address in missing if "://" not in address]
     for addresses, problem, remedy in (
-        (missing, "not found", "give --package NAME=FOLDER to have them drawn"),
-        (undrawable, "of an undrawable format", f"convert them to {', '.join(DRAWABLE)}"),
-    ):
+        (beside, "not found", f"put them beside {source.name}, as named in it"),
+        ([address for address in missing if address not in beside], "not found",
+         "give --package NAME=FOLDER to have them drawn"),
+        (undrawable, "of an undrawable format",
+         f"convert them to {', '.join((*DRAWABLE, '.stl'))}"),
+    ):  # fmt: skip
         if addresses:
             # Only the name of an absolute path: the copy should not reveal its author's folders.
             shown = [
-                each if each.startswith("package://") else Path(each).name
+                Path(each).name if each.startswith(("/", "file:")) else each
                 for each in dict.fromkeys(addresses)
             ]
             yield f"meshes {problem} ({len(addresses)} times, {', '.join(shown[:3])}): {remedy}"
@@ -175,9 +197,7 @@ def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path
         candidates = [source.parent / rest]
     else:
         package, _, inside = rest.partition("/")
-        folders = [packages[package]] if package in packages else []
-        folders += [above if above.name == package else above / package for above in source.parents]
-        candidates = [folder / inside for folder in folders]
+        candidates = [folder / inside for folder in package_folders(package, source, packages)]
     return next((file.resolve() for file in candidates if file.is_file()), None)
 
 

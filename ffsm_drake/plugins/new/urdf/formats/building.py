@@ -1,0 +1,119 @@
+"""A URDF put together from bodies and joints."""
+
+from collections.abc import Mapping
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of
+from ffsm_drake.spacecraft.checked_urdf import DRAKE
+
+_ZERO = 1e-14  # relative; products of inertia below it come from rounding
+
+
+def text(values: object) -> str:
+    """Numbers as text that gives them back."""
+    return " ".join(f"{value + 0.0!r}" for value in np.ravel(np.asarray(values, float)).tolist())
+
+
+def origin(parent: Element, pose: RigidTransform) -> None:
+    """Add a pose to a joint, an inertial or a visual."""
+    rpy = pose.rotation().ToRollPitchYaw().vector()
+    SubElement(parent, "origin", xyz=text(pose.translation()), rpy=text(rpy))
+
+
+def add_link(root: Element, name: str, mass: float, center: object, inertia: np.ndarray) -> Element:
+    """A link with a mass (kg), its centre (3, m) and the inertia (3, 3, kg m^2) about that, in the
+    link's axes.
+    """
+    link = SubElement(root, "link", name=name)
+    if mass or inertia.any():
+        inertial = SubElement(link, "inertial")
+        SubElement(inertial, "origin", xyz=text(center), rpy="0 0 0")
+        SubElement(inertial, "mass", value=text(mass))
+        scale = np.abs(inertia).max()
+        tensor = np.where(np.abs(inertia) < max(_ZERO * scale, 1e-15), 0.0, inertia)
+        moments = {
+            f"i{'xyz'[i]}{'xyz'[j]}": text(tensor[i, j]) for i in range(3) for j in range(i, 3)
+        }
+        SubElement(inertial, "inertia", moments)
+    return link
+
+
+def add_joint(
+    root: Element,
+    name: str,
+    kind: str,
+    ends: tuple[str, str],
+    pose: RigidTransform,
+    *,
+    axis: object = (0.0, 0.0, 1.0),
+    limits: Mapping[str, float] | None = None,
+    rotor: float = 0.0,
+) -> Element:
+    """A joint between a parent and a child, at a pose in the parent; with the limits (attributes of
+    <limit>), and the inertia (kg m^2 or kg) that its drive's rotor adds.
+    """
+    joint = SubElement(root, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=ends[0])
+    SubElement(joint, "child", link=ends[1])
+    origin(joint, pose)
+    if kind != "fixed":
+        SubElement(joint, "axis", xyz=text(axis))
+        known = {key: text(value) for key, value in (limits or {}).items() if np.isfinite(value)}
+        SubElement(joint, "limit", known)
+    if rotor:
+        add_rotor(root, name, rotor)
+    return joint
+
+
+def add_rotor(root: Element, joint: str, inertia: float) -> None:
+    """The inertia (kg m^2 or kg) that a drive's rotor adds to a joint, in the form that Drake
+    reads.
+    """
+    transmission = SubElement(root, "transmission", name=f"{joint}_transmission")
+    SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
+    SubElement(transmission, "joint", name=joint)
+    actuator = SubElement(transmission, "actuator", name=f"{joint}_drive")
+    SubElement(actuator, f"{DRAKE}rotor_inertia", value=text(inertia))
+    SubElement(actuator, f"{DRAKE}gear_ratio", value="1")
+
+
+def add_visual(
+    link: Element, kind: str, pose: RigidTransform, color: np.ndarray | None, **size: str
+) -> None:
+    """A shape of a link: its kind (an element of <geometry>), and that element's attributes."""
+    visual = SubElement(link, "visual")
+    origin(visual, pose)
+    SubElement(SubElement(visual, "geometry"), kind, size)
+    if color is not None:
+        rgba = text(np.round(color, 4))
+        SubElement(SubElement(visual, "material", name=rgba), "color", rgba=rgba)
+
+
+def keep_servicer(root: Element) -> list[str]:
+    """Remove the bodies beside a free body that carries moving joints; the names of their roots.
+
+    Bodies held by the world stay where no such body is free.
+    """
+    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
+    links = {name_of(link): link for link in root.findall("link")}
+
+    def stem_of(name: str) -> str:
+        """The root above a link, or the link that the world holds."""
+        while name in joints and (above := end_of(joints[name], "parent")) != WORLD:
+            name = above
+        return name
+
+    stems = {name: stem_of(name) for name in links}
+    arms = {stems[name] for name, joint in joints.items() if joint.get("type") != "fixed"}
+    free = arms & {stem for stem in stems.values() if stem not in joints}
+    kept = free or arms or set(stems.values())
+    lone = dict.fromkeys(stem for stem in stems.values() if stem not in kept)
+    for name, stem in stems.items():
+        if stem in lone:
+            root.remove(links[name])
+            if name in joints:
+                root.remove(joints[name])
+    return list(lone)

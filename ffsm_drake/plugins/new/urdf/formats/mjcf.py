@@ -1,0 +1,338 @@
+"""MJCF, as MuJoCo compiles it: defaults, includes, inertias from shapes and all compiler options
+are applied.
+"""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
+
+from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
+from ffsm_drake.plugins.new.urdf.formats.building import (
+    add_joint,
+    add_link,
+    add_visual,
+    keep_servicer,
+    text,
+)
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, require
+
+_DRAWN_GROUPS = 3  # MuJoCo shows the geoms of groups 0 to 2
+_PASSED_OVER = {  # number in the compiled model -> what it counts
+    "nu": "actuators (but for their limits)", "ntendon": "tendons", "ncam": "cameras",
+    "nlight": "lights", "nsensor": "sensors", "nkey": "keyframes", "ntex": "textures",
+    "nskin": "skins", "npair": "contact pairs", "nmocap": "mocap bodies",
+    "nhfield": "height fields",
+}  # fmt: skip
+
+
+def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[str]]:
+    """The URDF of an MJCF file, and remarks. Raises ModelError: MuJoCo is not installed or cannot
+    compile it, or parts of it cannot be represented.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ModelError(
+            "is MJCF, which MuJoCo compiles: pip install 'ffsm-drake[mjcf]'"
+        ) from error
+    usual = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            spec = mujoco.MjSpec.from_file(str(path))
+            missing = _drop_missing_files(spec)
+            model = spec.compile()
+    except (ValueError, RuntimeError, TypeError) as error:
+        raise ModelError(f"MuJoCo cannot compile it: {one_line(error)}") from error
+    finally:
+        mujoco.set_mju_user_warning(usual)
+    reader = _Reader(mujoco, model, spec)
+    faults = [*reader.faults()]
+    require(not faults, "has what cannot be simulated here: " + "; ".join(faults))
+    root = reader.root()
+    lone = keep_servicer(root)
+    passed = [
+        *reader.passed_over(),
+        *([f"missing files ({', '.join(missing)})"] if missing else []),
+    ]
+    remarks = [f"passed over, of no effect in free flight: {', '.join(passed)}"] if passed else []
+    if lone:
+        remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
+    return root, remarks
+
+
+def _drop_missing_files(spec: Any) -> list[str]:
+    """Remove textures, and meshes that are only pictures, whose files are missing; their names."""
+    folder, names = Path(spec.modelfiledir), list[str]()
+    delete = getattr(spec, "delete", lambda element: element.delete())  # older MuJoCo
+    for asset in spec.textures:
+        if asset.file and not (folder / spec.texturedir / asset.file).is_file():
+            for material in spec.materials:
+                material.textures = ["" if t == asset.name else t for t in material.textures]
+            names.append(Path(asset.file).name)
+            delete(asset)
+    for asset in spec.meshes:
+        if asset.file and not (folder / spec.meshdir / asset.file).is_file():
+            name = asset.name or Path(asset.file).stem
+            shapes = [each for each in spec.geoms if each.meshname == name]
+            if all(each.parent.explicitinertial for each in shapes):  # else MuJoCo names the file
+                names.append(Path(asset.file).name)
+                for each in (*shapes, asset):
+                    delete(each)
+    return names
+
+
+class _Reader:
+    """A compiled model (its m) as a URDF."""
+
+    def __init__(self, mujoco: Any, m: Any, spec: Any) -> None:
+        self.mujoco, self.m, self.spec = mujoco, m, spec
+        self.rotors = self._rotors()
+        moving = m.body_weldid > 0
+        free = {int(m.jnt_bodyid[k]) for k in self._joints(mujoco.mjtJoint.mjJNT_FREE)}
+        self.kept = {int(body) for body in np.flatnonzero(moving)}
+        for body in sorted(self.kept):  # a mounted arm's fixed foot
+            while body and body not in free:
+                body = int(m.body_parentid[body])
+                self.kept |= {body} - {0}
+
+    def _joints(self, kind: Any) -> list[int]:
+        return np.flatnonzero(self.m.jnt_type == int(kind)).tolist()
+
+    def _name(self, kind: str, index: int) -> str:
+        type_of = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+        name = self.mujoco.mj_id2name(self.m, type_of, index)
+        return name or f"{kind}_{index}"
+
+    def faults(self) -> Iterator[str]:
+        """Elements that change dynamics and have no counterpart, one text each."""
+        m, kinds = self.m, self.mujoco.mjtJoint
+        for joint in self._joints(kinds.mjJNT_BALL):
+            yield (
+                f"joint '{self._name('joint', joint)}' is a ball joint; replace it by three hinges "
+                "(bodies of negligible mass between them)"
+            )
+        for joint in self._joints(kinds.mjJNT_FREE):
+            if m.dof_armature[m.jnt_dofadr[joint] :][:6].any():
+                yield (
+                    f"the free joint '{self._name('joint', joint)}' has armature, an inertia of no "
+                    'body; take <freejoint/>, or armature="0"'
+                )
+        springs = np.column_stack(
+            [m.jnt_stiffness, getattr(m, "jnt_stiffnesspoly", m.jnt_stiffness)]
+        )
+        if stiff := [self._name("joint", k) for k in range(m.njnt) if springs[k].any()]:
+            yield f"springs at joints {', '.join(stiff)}; set stiffness to 0"
+        for k in np.flatnonzero(m.eq_active0).tolist():
+            if self._follower(k) is None:
+                yield (
+                    f"the equality constraint '{self._name('equality', k)}', which couples bodies "
+                    "or joints; join them by a body, or remove it"
+                )
+        acts = (m.tendon_stiffness, m.tendon_limited, m.tendon_armature)
+        for k in range(m.ntendon):
+            if any(np.any(each[k]) for each in acts):
+                yield (
+                    f"tendon '{self._name('tendon', k)}' with a stiffness, limit or armature; "
+                    "remove these"
+                )
+        if m.nflex:
+            yield "flexible bodies (<flex>)"
+        if (m.body_plugin >= 0).any():
+            yield "plugins of bodies"
+        for name, extra in self.rotors.items():
+            if extra is None:
+                yield f"joint '{name}': its actuators' armature couples it with others"
+
+    def _rotors(self) -> dict[str, float | None]:
+        """The inertia that drives add to each joint: the mass matrix with and without armature.
+        None: it is not the joint's alone.
+        """
+        m, found = self.m, dict[str, float | None]()
+        fields = ("dof_armature", "actuator_armature")
+        arrays = [getattr(m, field) for field in fields if hasattr(m, field)]
+        kept, whole = [each.copy() for each in arrays], self._mass_matrix()
+        for each in arrays:
+            each[:] = 0.0
+        extra = whole - self._mass_matrix()
+        for each, value in zip(arrays, kept, strict=True):
+            each[:] = value
+        tolerance = 1e-12 * float(np.abs(whole).max(initial=0.0))
+        for joint in filter(self._is_single, range(m.njnt)):
+            k, name = int(m.jnt_dofadr[joint]), self._name("joint", joint)
+            is_own = np.abs(np.delete(extra[k], k)).max(initial=0.0) <= tolerance
+            own = float(m.dof_armature[k])
+            size = own if abs(extra[k, k] - own) <= tolerance else float(extra[k, k])
+            found[name] = size if is_own else None
+        return found
+
+    def _mass_matrix(self) -> np.ndarray:
+        """The mass matrix (nv, nv) in the reference configuration."""
+        m, data = self.m, self.mujoco.MjData(self.m)
+        self.mujoco.mj_forward(m, data)
+        columns = np.zeros((m.nv, m.nv))
+        for unit, column in zip(np.eye(m.nv), columns, strict=True):
+            self.mujoco.mj_mulM(m, data, column, unit)
+        return columns.T
+
+    def _is_single(self, joint: int) -> bool:
+        kinds = self.mujoco.mjtJoint
+        return int(self.m.jnt_type[joint]) in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE))
+
+    def _follower(self, k: int) -> tuple[int, int, float, float] | None:
+        """The joint that an equality ties to another, that one, multiplier and offset; None unless
+        it is of that kind.
+        """
+        m = self.m
+        first, second, data = int(m.eq_obj1id[k]), int(m.eq_obj2id[k]), m.eq_data[k]
+        is_line = m.eq_type[k] == int(self.mujoco.mjtEq.mjEQ_JOINT) and not data[2:5].any()
+        return (first, second, float(data[1]), float(data[0])) if is_line and second >= 0 else None
+
+    def passed_over(self) -> Iterator[str]:
+        """Elements without effect in free flight, with their numbers."""
+        m, usual = self.m, self.mujoco.MjOption()
+        names = [name for name in dir(usual) if not name.startswith("_")]
+        other = [
+            name
+            for name in names
+            if not callable(getattr(usual, name))
+            and np.any(getattr(m.opt, name) != getattr(usual, name))
+        ]
+        if other:
+            yield f"options ({', '.join(other)})"
+        for key, what in _PASSED_OVER.items():
+            if number := int(getattr(m, key)):
+                yield f"{number} {what}"
+        fixed = [self._name("body", k) for k in range(1, m.nbody) if k not in self.kept]
+        if fixed:
+            yield f"bodies fixed to the world ({listed(fixed)})"
+
+    def root(self) -> Element:
+        """The URDF."""
+        root = Element("robot", name=self.spec.modelname or "servicer")
+        for body in sorted(self.kept):
+            self._add_body(root, body)
+        for site in range(self.m.nsite):
+            body = int(self.m.site_bodyid[site])
+            name = self._name("site", site)
+            alone = np.count_nonzero(self.m.site_bodyid == body) == 1 or name == "grasp"
+            taken = {each.get("name") for each in root}
+            if body in self.kept and alone and name not in taken:
+                pose = _pose(self.m.site_pos[site], self.m.site_quat[site])
+                rpy = pose.rotation().ToRollPitchYaw().vector()
+                SubElement(
+                    root, "frame", name=name, link=self._name("body", body),
+                    xyz=text(pose.translation()), rpy=text(rpy),
+                )  # fmt: skip
+        return root
+
+    def _add_body(self, root: Element, body: int) -> None:
+        m, name = self.m, self._name("body", body)
+        turn = _pose((0, 0, 0), m.body_iquat[body]).rotation().matrix()
+        inertia = turn @ np.diag(m.body_inertia[body]) @ turn.T
+        link = add_link(root, name, float(m.body_mass[body]), m.body_ipos[body], inertia)
+        for shape in range(m.ngeom):
+            if m.geom_bodyid[shape] == body and m.geom_group[shape] < _DRAWN_GROUPS:
+                self._add_shape(link, shape)
+        joints = range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
+        if not all(map(self._is_single, joints)):
+            return
+        above = int(m.body_parentid[body])
+        parent = WORLD if above == 0 else self._name("body", above)
+        pose = _pose(m.body_pos[body], m.body_quat[body])
+        for k in joints:
+            here = m.jnt_pos[k]
+            pose = pose @ RigidTransform(here)
+            last = k == joints[-1] and not here.any()
+            child = name if last else f"{self._name('joint', k)}_axis"
+            if not last:
+                SubElement(root, "link", name=child)
+            self._add_joint(root, k, (parent, child), pose)
+            parent, pose = child, RigidTransform(-here)
+            if last:
+                return
+        add_joint(root, f"{name}_fixed", "fixed", (parent, name), pose)
+
+    def _add_joint(
+        self, root: Element, joint: int, ends: tuple[str, str], pose: RigidTransform
+    ) -> None:
+        m, name = self.m, self._name("joint", joint)
+        hinge = m.jnt_type[joint] == int(self.mujoco.mjtJoint.mjJNT_HINGE)
+        start, dof = float(m.qpos0[m.jnt_qposadr[joint]]), int(m.jnt_dofadr[joint])
+        limits = {"effort": self._effort(joint)}
+        if m.jnt_limited[joint]:
+            limits["lower"], limits["upper"] = (m.jnt_range[joint] - start).tolist()
+        kind = ("revolute" if "lower" in limits else "continuous") if hinge else "prismatic"
+        element = add_joint(
+            root, name, kind, ends, pose,
+            axis=m.jnt_axis[joint], limits=limits, rotor=self.rotors[name] or 0.0,
+        )  # fmt: skip
+        if m.dof_damping[dof] or m.dof_frictionloss[dof]:
+            damping, friction = text(m.dof_damping[dof]), text(m.dof_frictionloss[dof])
+            SubElement(element, "dynamics", damping=damping, friction=friction)
+        for k in np.flatnonzero(m.eq_active0).tolist():
+            if (tie := self._follower(k)) and tie[0] == joint:
+                _, leader, multiplier, offset = tie
+                SubElement(
+                    element, "mimic", joint=self._name("joint", leader),
+                    multiplier=text(multiplier), offset=text(offset),
+                )  # fmt: skip
+
+    def _effort(self, joint: int) -> float:
+        """The largest force of a joint's actuators, N m or N; infinite: not limited."""
+        m, efforts = self.m, list[float]()
+        if m.jnt_actfrclimited[joint]:
+            efforts.append(float(np.abs(m.jnt_actfrcrange[joint]).max()))
+        for k in range(len(m.actuator_trntype)):
+            is_own = m.actuator_trntype[k] == int(self.mujoco.mjtTrn.mjTRN_JOINT)
+            if is_own and m.actuator_trnid[k][0] == joint:
+                gear = abs(float(np.ravel(m.actuator_gear[k])[0]))
+                if m.actuator_forcelimited[k]:
+                    efforts.append(gear * float(np.abs(m.actuator_forcerange[k]).max()))
+                elif m.actuator_biastype[k] == 0 and np.any(m.actuator_ctrllimited[k]):
+                    most = float(np.abs(m.actuator_ctrlrange[k]).max())
+                    efforts.append(gear * most * abs(float(m.actuator_gainprm[k][0])))
+        return min((each for each in efforts if each > 0.0), default=np.inf)
+
+    def _add_shape(self, link: Element, shape: int) -> None:
+        m, kinds = self.m, self.mujoco.mjtGeom
+        pose, size = _pose(m.geom_pos[shape], m.geom_quat[shape]), m.geom_size[shape]
+        kind, color = int(m.geom_type[shape]), m.geom_rgba[shape]
+        if m.geom_matid[shape] >= 0:
+            color = m.mat_rgba[m.geom_matid[shape]]
+        shapes: dict[int, tuple[str, dict[str, Any]]] = {
+            int(kinds.mjGEOM_SPHERE): ("sphere", {"radius": size[0]}),
+            int(kinds.mjGEOM_CAPSULE): ("capsule", {"radius": size[0], "length": 2.0 * size[1]}),
+            int(kinds.mjGEOM_CYLINDER): ("cylinder", {"radius": size[0], "length": 2.0 * size[1]}),
+            int(kinds.mjGEOM_BOX): ("box", {"size": 2.0 * size}),
+            int(kinds.mjGEOM_ELLIPSOID): (
+                f"{DRAKE}ellipsoid", dict(zip("abc", size, strict=True))
+            ),
+        }  # fmt: skip
+        if kind in shapes:
+            name, sizes = shapes[kind]
+            add_visual(
+                link, name, pose, color, **{key: text(value) for key, value in sizes.items()}
+            )
+        elif kind == int(kinds.mjGEOM_MESH):
+            mesh = int(m.geom_dataid[shape])
+            file = self.spec.meshes[mesh].file
+            if file:
+                folder = Path(self.spec.modelfiledir) / self.spec.meshdir
+                moved = _pose(m.mesh_pos[mesh], m.mesh_quat[mesh])
+                add_visual(
+                    link, "mesh", pose @ moved.inverse(), color,
+                    filename=str((folder / file).resolve()), scale=text(m.mesh_scale[mesh]),
+                )  # fmt: skip
+
+
+def _pose(position: object, quaternion: object) -> RigidTransform:
+    unit = np.array(quaternion, dtype=float)
+    return RigidTransform(Quaternion(unit / np.linalg.norm(unit)), np.array(position, dtype=float))

@@ -1,0 +1,223 @@
+"""SDFormat, with links and joints as Drake's parser reads them."""
+
+import logging
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+
+from ffsm_drake.common.errors import one_line
+from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
+from ffsm_drake.plugins.new.urdf.formats.building import (
+    add_joint,
+    add_link,
+    add_visual,
+    keep_servicer,
+    text,
+)
+from ffsm_drake.spacecraft.checked_urdf import Faults, require
+
+# Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
+_PASSED_OVER = (
+    "plugin", "sensor", "light", "physics", "scene", "gui", "wind", "atmosphere", "magnetic_field",
+    "gravity", "audio", "actor", "road", "state", "population", "spherical_coordinates",
+    "self_collide", "enable_wind", "allow_auto_disable", "kinematic", "velocity_decay",
+    "particle_emitter", "projector", "battery", "audio_sink", "audio_source", "gripper",
+    "must_be_base_link", "collision", "visual",
+)  # fmt: skip
+_SHAPES = {  # geometry of SDFormat -> element of a URDF, and its attributes by SDFormat's names
+    "box": ("box", {"size": "size"}),
+    "sphere": ("sphere", {"radius": "radius"}),
+    "cylinder": ("cylinder", {"radius": "radius", "length": "length"}),
+    "capsule": ("capsule", {"radius": "radius", "length": "length"}),
+    "mesh": ("mesh", {"uri": "filename", "scale": "scale"}),
+}
+
+
+def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[str]]:
+    """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
+    of it cannot be represented.
+    """
+    tree = ElementTree.parse(path).getroot()
+    visuals = dict(_visuals(tree))
+    passed = Counter(_remove(tree))
+    plant, springs = _parsed(tree, path, packages)
+    root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
+    frames = {frame.get("name", "") for frame in tree.iter("frame")}
+    faults = Faults([f"{springs} springs at joints; set spring_stiffness to 0"] if springs else [])
+    bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
+    names = _unique(plant, bodies)
+    for body in bodies:
+        scoped = _scoped(plant, body)
+        _add_body(root, names[scoped], body, visuals.get(scoped, []))
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    unique = _unique(plant, joints)
+    for joint in joints:
+        with faults:
+            _add_joint(root, unique[_scoped(plant, joint)], plant, joint, names)
+    faults.raise_all()
+    for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
+        for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
+            if frame.name() in frames:
+                pose = frame.GetFixedPoseInBodyFrame()
+                rpy = pose.rotation().ToRollPitchYaw().vector()
+                SubElement(
+                    root, "frame", name=frame.name(), xyz=text(pose.translation()), rpy=text(rpy),
+                    link=names[_scoped(plant, frame.body())],
+                )  # fmt: skip
+    shown = [f"<{tag}> ({count} times)" for tag, count in passed.items() if tag != "visual"]
+    remarks = [f"passed over, of no effect in free flight: {', '.join(shown)}"] if shown else []
+    if lone := keep_servicer(root):
+        remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
+    return root, remarks
+
+
+def _visuals(element: Element, scope: str = "") -> Iterator[tuple[str, list[Element]]]:
+    """The visuals of each link, by its scoped name."""
+    for child in element:
+        name = f"{scope}{child.get('name', '')}"
+        if child.tag == "link":
+            yield name, child.findall("visual")
+        elif child.tag in ("world", "model"):
+            yield from _visuals(child, f"{name}::" if child.tag == "model" else scope)
+
+
+def _scoped(plant: MultibodyPlant, element: Any) -> str:
+    """The name of a body or joint, after that of its model."""
+    return f"{plant.GetModelInstanceName(element.model_instance())}::{element.name()}"
+
+
+def _unique(plant: MultibodyPlant, elements: list[Any]) -> dict[str, str]:
+    """Names of bodies or joints by scoped name: their own, or where others have that, with the
+    model's.
+    """
+    taken = Counter(element.name() for element in elements)
+    return {
+        (scoped := _scoped(plant, element)): (
+            element.name() if taken[element.name()] == 1 else scoped.replace("::", "_")
+        )
+        for element in elements
+    }
+
+
+def _remove(tree: Element) -> Iterator[str]:
+    """Remove what is passed over; yields its tags."""
+    for element in list(tree.iter()):
+        for child in list(element):
+            if child.tag in _PASSED_OVER:
+                element.remove(child)
+                yield child.tag
+
+
+def _parsed(tree: Element, path: Path, packages: Mapping[str, Path]) -> tuple[MultibodyPlant, int]:
+    """Drake's reading of a file whose unused elements are removed, and its number of springs."""
+    plant, told = MultibodyPlant(time_step=0.0), _Told()
+    parser, log = Parser(plant), logging.getLogger("drake")
+    for name, root in packages.items():
+        parser.package_map().Add(name, str(root))
+    log.addHandler(told)
+    before, log.propagate = log.propagate, False
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / f"{path.stem}.sdf"
+            file.write_bytes(ElementTree.tostring(tree, encoding="utf-8"))
+            try:
+                parser.AddModels(str(file))
+            except (RuntimeError, ValueError, SystemExit) as error:
+                told.texts.append(one_line(error))
+            told.texts = [
+                re.sub(f"/?{re.escape(str(file))}", path.name, each) for each in told.texts
+            ]
+    finally:
+        log.removeHandler(told)
+        log.propagate = before
+    faults = Faults(dict.fromkeys(told.texts))
+    faults.raise_all()
+    return plant, plant.num_force_elements() - 1  # gravity
+
+
+class _Told(logging.Handler):
+    """Gathers Drake's warnings."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts = list[str]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(" ".join(record.getMessage().split()))
+
+
+def _add_body(root: Element, name: str, body: Any, visuals: list[Element]) -> None:
+    inertia = body.default_spatial_inertia()
+    mass, center = float(inertia.get_mass()), inertia.get_com()
+    tensor = np.zeros((3, 3))
+    if mass:
+        tensor = inertia.Shift(center).CalcRotationalInertia().CopyToFullMatrix3()
+    link = add_link(root, name, mass, center, tensor)
+    for visual in visuals:
+        geometry, pose = visual.find("geometry"), visual.findtext("pose", "0 0 0 0 0 0").split()
+        for kind in () if geometry is None else geometry:
+            if kind.tag in _SHAPES and len(pose) == 6:
+                shape, keys = _SHAPES[kind.tag]
+                sizes = {
+                    to: value.strip()
+                    for given, to in keys.items()
+                    if (value := kind.findtext(given)) is not None
+                }
+                place = np.array(pose, dtype=float)
+                diffuse = visual.findtext("material/diffuse")
+                color = None if diffuse is None else np.array(diffuse.split(), dtype=float)
+                if color is not None and color.shape == (3,):
+                    color = np.append(color, 1.0)
+                at = RigidTransform(RollPitchYaw(place[3:]), place[:3])
+                add_visual(link, shape, at, color, **sizes)
+
+
+def _add_joint(
+    root: Element, name: str, plant: MultibodyPlant, joint: Any, names: Mapping[str, str]
+) -> None:
+    """A joint; where its frame is not the child's, with a link between."""
+    kind = joint.type_name()
+    known = ("revolute", "prismatic", "weld")
+    require(kind in known, f"joint '{name}' is {kind}; replace it by joints of one degree")
+    is_standing = joint.parent_body().index() == 0
+    parent = WORLD if is_standing else names[_scoped(plant, joint.parent_body())]
+    child = names[_scoped(plant, joint.child_body())]
+    pose = joint.frame_on_parent().GetFixedPoseInBodyFrame()
+    onward = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
+    if kind == "weld":
+        add_joint(root, name, "fixed", (parent, child), pose @ joint.X_FM() @ onward)
+        return
+    limits = {
+        "lower": float(joint.position_lower_limits()[0]),
+        "upper": float(joint.position_upper_limits()[0]),
+        "velocity": float(joint.velocity_upper_limits()[0]),
+    }
+    drives = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
+    rotor = 0.0
+    for drive in drives:
+        if drive.joint().index() == joint.index():
+            limits["effort"] = float(drive.effort_limit())
+            rotor += float(drive.default_rotor_inertia()) * float(drive.default_gear_ratio()) ** 2
+    axis = joint.revolute_axis() if kind == "revolute" else joint.translation_axis()
+    if kind == "revolute" and not np.isfinite(limits["upper"] - limits["lower"]):
+        kind = "continuous"
+    between = child if onward.IsNearlyIdentity(1e-12) else f"{name}_axis"
+    element = add_joint(
+        root, name, kind, (parent, between), pose, axis=axis, limits=limits, rotor=rotor
+    )
+    if damping := float(joint.default_damping()):
+        SubElement(element, "dynamics", damping=text(damping), friction="0")
+    if between != child:
+        SubElement(root, "link", name=between)
+        add_joint(root, f"{name}_fixed", "fixed", (between, child), onward)

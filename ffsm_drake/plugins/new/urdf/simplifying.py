@@ -1,0 +1,152 @@
+"""Simplification of a URDF: bases held by joints become free, following joints become fixed, ranges
+of zero go.
+"""
+
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from ffsm_drake.plugins.new.urdf.elements import (
+    WORLD,
+    end_of,
+    listed,
+    name_of,
+    read_joint,
+    read_mass,
+    vector,
+)
+from ffsm_drake.spacecraft.checked_urdf import number, require
+
+_BASES = {  # kinds of the joints between the world and a base -> what that base is
+    ("floating",): "free",
+    ("planar",): "planar",
+    ("prismatic", "prismatic", "turn"): "planar",
+    ("prismatic", "prismatic", "prismatic", "turn", "turn", "turn"): "free",
+}
+_DEGREES = (20.0, 720.0)  # a range (upper less lower) between these is not in radians
+
+
+def free_base(root: Element) -> str | None:
+    """Remove the joints that let a base float or slide in the world, or below a massless root,
+    with the massless links between. Returns "free" or "planar" (it moved in the plane of x and y
+    only); None if there were none.
+
+    Raises ModelError: such a joint has a rotor, an inertia that no body has.
+    """
+    joints = root.findall("joint")
+    links = {name_of(link): link for link in root.findall("link")}
+    children = {end_of(joint, "child") for joint in joints}
+    for ground in [WORLD, *(name for name in links if name not in children and name != WORLD)]:
+        chain, here = list[Element](), ground
+        while len(chain) < len(joints) and not (here in links and read_mass(links[here])):
+            onward = [joint for joint in joints if end_of(joint, "parent") == here]
+            if len(onward) != 1 or onward[0].get("type") == "fixed":
+                break
+            chain.append(onward[0])
+            here = end_of(onward[0], "child")
+        turns = {"revolute": "turn", "continuous": "turn"}
+        kinds = [turns.get(joint.get("type", ""), joint.get("type", "")) for joint in chain]
+        base = _BASES.get(tuple(sorted(kinds)))
+        if base is None:
+            continue
+        names = [name_of(joint) for joint in chain]
+        rotors = [name for name in names if rotor_of(root, name)]
+        require(
+            not rotors,
+            f"joints {', '.join(rotors)} of the base have an armature, an inertia of no body; set "
+            "it to 0",
+        )
+        for joint in chain:
+            root.remove(joint)
+            if (link := links.get(end_of(joint, "parent"))) is not None:
+                root.remove(link)
+        axis = vector(chain[-1].find("axis"), "xyz", f"joint '{names[-1]}'", "1 0 0")
+        is_upright = len(chain) == 1 or abs(axis[2]) > 0.99 * np.linalg.norm(axis)
+        return base if is_upright else "free"
+    return None
+
+
+def rotor_of(root: Element, joint: str) -> float:
+    """The inertia that rotors add to a joint, kg m^2 or kg, as given for Drake."""
+    total = 0.0
+    for transmission in root.findall("transmission"):
+        if any(name_of(each) == joint for each in transmission.findall("joint")):
+            place = f"transmission of joint '{joint}'"
+            found = {
+                element.tag.rpartition("}")[2]: number(element, "value", place)
+                for actuator in transmission.findall("actuator")
+                for element in actuator
+                if element.get("value") is not None
+            }
+            total += found.get("rotor_inertia", 0.0) * found.get("gear_ratio", 1.0) ** 2
+    return total
+
+
+def fix_followers(root: Element) -> dict[str, str]:
+    """Fix the joints that follow others (<mimic>) where those rest; follower -> leader."""
+    joints = {name_of(joint): joint for joint in root.findall("joint")}
+    found = dict[str, str]()
+    for name, joint in joints.items():
+        mimic, place = joint.find("mimic"), f"joint '{name}'"
+        if mimic is None:
+            continue
+        leader = mimic.get("joint", "")
+        require(leader in joints, f"{place}: follows '{leader}', which does not exist")
+        value = number(mimic, "multiplier", place, "1") * read_joint(joints[leader]).rest
+        value += number(mimic, "offset", place, "0")
+        axis = vector(joint.find("axis"), "xyz", place, "1 0 0")
+        axis /= max(float(np.linalg.norm(axis)), 1e-12)
+        origin = joint.find("origin")
+        start = RollPitchYaw(vector(origin, "rpy", place)).ToRotationMatrix()
+        pose = RigidTransform(start, vector(origin, "xyz", place)) @ (
+            RigidTransform(value * axis)
+            if joint.get("type") == "prismatic"
+            else RigidTransform(AngleAxis(value, axis), np.zeros(3))
+        )
+        if value:
+            origin = SubElement(joint, "origin") if origin is None else origin
+            rpy = pose.rotation().ToRollPitchYaw().vector()
+            for key, numbers in (("xyz", pose.translation()), ("rpy", rpy)):
+                origin.set(key, " ".join(f"{x + 0.0!r}" for x in numbers.tolist()))
+        for element in (*joint.findall("mimic"), *joint.findall("limit")):
+            joint.remove(element)
+        joint.set("type", "fixed")
+        found[name] = leader
+    return found
+
+
+def vague_limits(root: Element) -> Iterator[str]:
+    """Remove ranges of 0 to 0; yields remarks on limits that say nothing, or are in degrees."""
+    unknown: dict[str, list[str]] = {"effort": [], "velocity": [], "range": []}
+    degrees = list[str]()
+    for joint in root.findall("joint"):
+        limit, name = joint.find("limit"), name_of(joint)
+        if limit is None or joint.get("type") not in ("revolute", "continuous", "prismatic"):
+            continue
+        given = {
+            key: number(limit, key, f"joint '{name}'")
+            for key in ("lower", "upper", "effort", "velocity")
+            if key in limit.attrib
+        }
+        for key in ("effort", "velocity"):
+            unknown[key] += [name] if given.get(key) == 0.0 else []
+        if joint.get("type") == "continuous" or not given.keys() & {"lower", "upper"}:
+            continue
+        lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
+        if lower == upper == 0.0:
+            unknown["range"].append(name)
+            for key in ("lower", "upper"):
+                limit.attrib.pop(key, None)
+        if joint.get("type") == "revolute" and _DEGREES[0] <= upper - lower <= _DEGREES[1]:
+            degrees.append(f"{name} {lower:g} to {upper:g} rad")
+    told = [f"{key} of {listed(names)}" for key, names in unknown.items() if names]
+    if told:
+        yield f"limits of 0 say nothing and do not limit: {'; '.join(told)}"
+    if degrees:
+        yield (
+            f"limits of many turns, perhaps in degrees, where a URDF has radians: "
+            f"{listed(degrees)}; the velocity limits too?"
+        )

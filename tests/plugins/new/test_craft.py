@@ -1,0 +1,328 @@
+"""Crafts of unusual kinds, targets of several links, and sizes that follow from mass and reach."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from outside_urdfs import TURN, joint, link, robot
+
+from ffsm_drake.cli import main
+from ffsm_drake.common.errors import ModelError, ScenarioError
+from ffsm_drake.plugins.new.asked import Asked, WheelData
+from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
+from ffsm_drake.plugins.new.urdf import read_target, read_urdf, write_urdf
+from ffsm_drake.scenario import load_scenario
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.nominal import make_true_plant
+
+BUS = link("bus", mass=200, inertia=(40, 35, 30))
+SMALL = link(
+    "bus", mass=7, inertia=(0.1, 0.1, 0.1),
+    extra='<visual><geometry><box size="0.3 0.3 0.3"/></geometry></visual>',
+)  # fmt: skip
+RANGE = 'lower="-1.5" upper="1.5" effort="40" velocity="1"'
+
+
+def arm(
+    *more: str, bus: str = BUS, limits: str = RANGE, length: float = 0.8, on: float = 0.6
+) -> str:
+    """A two-joint arm on a bus, with further parts."""
+    return robot(
+        bus,
+        link("upper", mass=5, inertia=(0.3, 0.3, 0.02), com=(0, 0, 0.4 * length)),
+        link("fore", mass=3, inertia=(0.1, 0.1, 0.01), com=(0, 0, 0.3 * length)),
+        joint("shoulder", "bus", "upper", axis="0 1 0", xyz=f"0 0 {on}", limit=limits),
+        joint("elbow", "upper", "fore", axis="1 0 0", xyz=f"0 0 {length}", limit=limits),
+        link("tool"),
+        joint("tip", "fore", "tool", kind="fixed", xyz=f"0 0 {length}"),
+        *more,
+    )
+
+
+def written(folder: Path, text: str, name: str = "craft") -> Path:
+    file = folder / f"{name}.urdf"
+    file.write_text(text)
+    return file
+
+
+def made(folder: Path, text: str, **options: object) -> NewScenario:
+    return new_scenario(written(folder, text), folder / "new", **options)  # type: ignore[arg-type]
+
+
+SLIDES = (
+    link("world"), link("x"), link("y"),
+    joint("base_x", "world", "x", kind="prismatic", axis="1 0 0", limit=RANGE),
+    joint("base_y", "x", "y", kind="prismatic", axis="0 1 0", limit=RANGE),
+    joint("base_yaw", "y", "bus", kind="continuous"),
+)  # fmt: skip
+PLANAR = (link("world"), joint("slide", "world", "bus", kind="planar"))
+FLOATING = (link("root"), joint("float", "root", "bus", kind="floating"))
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize(
+    ("parts", "is_planar"), [(SLIDES, True), (PLANAR, True), (FLOATING, False)]
+)
+def test_a_base_held_by_joints_becomes_free(
+    tmp_path: Path, parts: tuple[str, ...], is_planar: bool
+) -> None:
+    new = made(tmp_path, arm(*parts))
+    assert new.servicer.base == "bus"
+    assert [each.name for each in new.servicer.joints] == ["shoulder", "elbow"]
+    assert new.servicer.is_planar is is_planar
+    initial, harmonics = new.scenario.initial_posture, new.scenario.disturbance.harmonics
+    is_flat = initial.base_position[2] == 0.0 and initial.base_rpy[:2] == [0.0, 0.0]
+    assert is_flat is is_planar
+    assert ("base_position_z" in harmonics) is not is_planar
+    assert any("slides in a plane" in each for each in new.remarks) is is_planar
+
+
+def test_a_sliding_base_of_its_own_mass_or_rotor_is_refused(tmp_path: Path) -> None:
+    heavy = [*SLIDES]
+    heavy[1] = link("x", mass=3)
+    with pytest.raises(ModelError, match="attached to the world"):
+        read_urdf(written(tmp_path, arm(*heavy)))
+    rotor = (
+        '<transmission name="t" xmlns:drake="http://drake.mit.edu"><joint name="base_x"/>'
+        '<actuator name="a"><drake:rotor_inertia value="2"/></actuator></transmission>'
+    )
+    with pytest.raises(ModelError, match="joints base_x of the base have an armature"):
+        read_urdf(written(tmp_path, arm(*SLIDES, rotor)))
+
+
+def test_rotors_of_a_urdf_stay(tmp_path: Path) -> None:
+    """Drake adds gear^2 times a rotor's inertia to the joint's."""
+    rotor = (
+        '<transmission name="t" xmlns:drake="http://drake.mit.edu">'
+        '<type>transmission_interface/SimpleTransmission</type><joint name="elbow"/>'
+        '<actuator name="a"><drake:rotor_inertia value="0.01"/><drake:gear_ratio value="10"/>'
+        "</actuator></transmission>"
+    )
+    plants = []
+    for k, more in enumerate([(), (rotor,)]):
+        (tmp_path / str(k)).mkdir()
+        new = made(tmp_path / str(k), arm(*more))
+        plants.append(make_true_plant(load_scenario(new.scenario_file)))
+    light, heavy = (each.plant.CalcMassMatrix(each.context) for each in plants)
+    extra = np.zeros_like(light)
+    extra[-1, -1] = 1.0
+    assert heavy - light == pytest.approx(extra)
+
+
+def test_all_faults_of_a_file_in_one_message(tmp_path: Path) -> None:
+    text = arm(
+        link("a", mass=1, inertia=(0.1, 0.1, 1.0)),
+        link("b"),
+        joint("a_to_b", "a", "b", limit='lower="1" upper="-1"'),
+        joint("all", "bus", "a", limit=TURN),
+        joint("ball", "bus", "c", kind="spherical"),
+        '<frame name="tool" link="nowhere" xyz="0 0 0" rpy="0 0 0"/>',
+    )
+    with pytest.raises(ModelError) as error:
+        read_urdf(written(tmp_path, text))
+    for fault in (
+        "link 'a': no body has the principal moments",
+        "joint 'a_to_b': its lower limit 1 lies above its upper limit -1",
+        "joint 'all': the name clashes",
+        "its child link 'c' does not exist",
+        "frame 'tool': its link 'nowhere' does not exist",
+    ):
+        assert fault in str(error.value)
+    numbers = arm().replace('mass value="5"', 'mass value="x"').replace('lower="-1.5"', 'lower=""')
+    with pytest.raises(ModelError, match=r"3 faults: \(1\) link 'upper'.*\(3\) joint 'elbow'"):
+        read_urdf(written(tmp_path, numbers))
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [
+        ('lower="0" upper="0" effort="0" velocity="0"', "limits of 0 say nothing and do not limit: "
+         "effort of shoulder, elbow; velocity of shoulder, elbow; range of shoulder, elbow"),
+        ('lower="-2" upper="2" effort="0"', "do not limit: effort of shoulder, elbow"),
+        ('lower="-150" upper="150" velocity="60"', "perhaps in degrees, where a URDF has radians"),
+    ],
+)  # fmt: skip
+def test_limits_that_say_nothing_are_named(tmp_path: Path, limits: str, told: str) -> None:
+    new = made(tmp_path, arm(limits=limits))
+    assert told in " ".join(new.remarks)
+    assert not [each for each in new.remarks if "overlap" in each]
+    with pytest.raises(ModelError, match="its limits leave it no motion; make it fixed"):
+        read_urdf(written(tmp_path, arm(limits='lower="0.3" upper="0.3"')))
+
+
+def test_fingers(tmp_path: Path) -> None:
+    """A finger that rests at a limit is moved into its range; one that follows it is fixed."""
+    finger = 'lower="0" upper="0.05" effort="5" velocity="0.1"'
+    follow = '<mimic joint="left" multiplier="-1"/>'
+    new = made(
+        tmp_path,
+        arm(
+            link("l", mass=0.1, inertia=(1e-4, 1e-4, 1e-4)),
+            link("r", mass=0.1, inertia=(1e-4, 1e-4, 1e-4)),
+            joint("left", "fore", "l", kind="prismatic", axis="0 1 0", limit=finger, xyz="0 0 0.7"),
+            joint("right", "fore", "r", kind="prismatic", axis="0 1 0", extra=follow,
+                  xyz="0 0 0.7", limit='lower="-0.05" upper="0" effort="5" velocity="0.1"'),
+        ),
+    )  # fmt: skip
+    assert [each.name for each in new.servicer.joints] == ["shoulder", "elbow", "left"]
+    assert new.servicer.tip.frame == "tool"
+    assert new.scenario.initial_posture.joints["left"] == pytest.approx(0.005)
+    copy = (tmp_path / "new/craft.urdf").read_text()
+    right = re.search(r'<joint name="right" type="fixed">.*?</joint>', copy, re.DOTALL)
+    assert right is not None
+    assert 'xyz="0.0 -0.00500' in right[0]
+    result = CliRunner().invoke(main, ["validate", str(new.scenario_file), "--json"])
+    assert '"warnings": []' in result.output
+    leading = joint("r", "fore", "l", extra='<mimic joint="elbow"/>')
+    with pytest.raises(ModelError, match="follows 'elbow' \\(<mimic>\\), which moves the tip"):
+        read_urdf(written(tmp_path, arm(link("l", mass=1), leading)))
+
+
+def test_a_target_of_welded_links_is_one_body(tmp_path: Path) -> None:
+    frame = '<frame name="grasp" link="body" xyz="0 0 -0.5" rpy="0 0 0"/>'
+    parts = (
+        link("body", mass=50, inertia=(5, 5, 5)),
+        link("panel", mass=2, inertia=(0.5, 0.1, 0.6)),
+        joint("weld", "body", "panel", kind="fixed", xyz="0 1 0", rpy="0 0 1.5707963267948966"),
+    )
+    target = read_target(written(tmp_path, robot(*parts, frame), "client"))
+    assert (target.body, target.mass) == ("body", 52.0)
+    assert target.center_of_mass == pytest.approx((0.0, 2.0 / 52.0, 0.0))
+    shift = 50.0 * 2.0 / 52.0  # reduced mass, at 1 m
+    assert target.inertia == pytest.approx((5.1 + shift, 5.5, 5.6 + shift, 0, 0, 0))
+    new = made(tmp_path, arm(), target=tmp_path / "client.urdf")
+    plant = make_true_plant(load_scenario(new.scenario_file))
+    assert plant.plant.CalcTotalMass(plant.context) == pytest.approx(208.0 + 52.0)
+    with pytest.raises(ModelError) as error:
+        read_target(written(tmp_path, robot(*parts, joint("x", "body", "c")), "client"))
+    assert "joint 'x' moves" in str(error.value)
+    assert "no frame where it could be held" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("word", "mass", "size"),
+    [(None, 50.0, 0.794), ("20", 20.0, 0.585), ("20kg", 20.0, 0.585), ("20kg,0.3m", 20.0, 0.3)],
+)
+def test_mass_and_size_of_the_target(
+    tmp_path: Path, word: str | None, mass: float, size: float
+) -> None:
+    file = written(tmp_path, arm())
+    options = [] if word is None else ["--target", word]
+    words = ["new", str(tmp_path / "new"), "--urdf", str(file), *options]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    assert f"holds a target of {mass:g} kg, a cube of {size:g} m" in result.output
+    box = f'<box size="{" ".join(3 * [str(size)])}"'
+    assert box in (tmp_path / "new/target/cube.urdf").read_text()
+
+
+def test_a_target_is_no_longer_than_the_arm(tmp_path: Path) -> None:
+    new = made(tmp_path, arm(length=0.1))
+    assert new.side == 0.2
+    assert new.payload_mass == 8.0  # 1000 kg/m^3
+
+
+CROWDED = (
+    link("wall", mass=1, extra='<visual><geometry><box size="3 3 0.1"/></geometry></visual>'),
+    joint("stand", "bus", "wall", kind="fixed", xyz="0 0 2.45"),
+)
+
+
+def test_the_advice_on_a_smaller_target_helps(tmp_path: Path) -> None:
+    """The advice is a value that was tried; followed, it leaves no remark."""
+    told = "".join(
+        each
+        for each in made(tmp_path, arm(*CROWDED), payload_mass=50.0, payload_size=2.0).remarks
+        if "overlap" in each
+    )
+    found = re.search(r"--target (\d+)kg,([\d.]+)m keeps clear", told)
+    assert found, told
+    (tmp_path / "again").mkdir()
+    again = made(
+        tmp_path / "again",
+        arm(*CROWDED),
+        payload_mass=float(found[1]),
+        payload_size=float(found[2]),
+    )
+    assert not [each for each in again.remarks if "overlap" in each]
+
+
+def test_no_advice_where_none_helps(tmp_path: Path) -> None:
+    block = '<visual><geometry><box size="2 2 2"/></geometry></visual>'
+    bus = link("bus", mass=300, inertia=(120, 120, 120), extra=block)
+    new = made(tmp_path, arm(bus=bus, length=0.1, on=0.2))
+    (told,) = [each for each in new.remarks if "overlap" in each]
+    assert "--target" not in told
+    assert "bus and debris overlap" in told
+
+
+def test_an_invented_base_does_not_count_for_clearances(tmp_path: Path) -> None:
+    flat = link("bus", mass=200, inertia=(400, 400, 790))  # as a box: 6.9 m wide
+    new = made(tmp_path, arm(bus=flat))
+    assert any("not counted for clearances: bus" in each for each in new.remarks)
+    model = load_scenario(new.scenario_file).model
+    for invented in (False, True):
+        pairs = Clearance(model, invented=invented).pairs
+        assert ("bus" in {body.name() for pair in pairs for body in pair}) is invented
+
+
+@pytest.mark.parametrize("thrusters", ["12", "12x0.1N"])
+def test_a_small_base_gets_small_actuators(tmp_path: Path, thrusters: str) -> None:
+    asked = Asked.parsed(thrusters=thrusters, wheels="3", sensors="flight")
+    new = made(tmp_path, arm(bus=SMALL, length=0.1, on=0.16), asked=asked)
+    units = new.scenario.actuation.thrusters.units.values()
+    assert {each.force for each in units} == {0.0875 if thrusters == "12" else 0.1}
+    assert max(max(map(abs, each.position)) for each in units) < 0.2
+    wheel = new.scenario.actuation.wheels.units["wheel_1"]
+    assert wheel.inertia == pytest.approx(0.005 * 0.1)
+    assert wheel.torque_limit < 0.05
+
+
+def test_wheels_by_data_sheet() -> None:
+    found = Asked.parsed(wheels="3x0.02Nm,0.5Nms,6000rpm").wheels
+    assert found == WheelData(3, 0.02, 0.5, 6000.0)
+    (first, *_) = found.units(1.0, None).values()
+    assert (first["torque_limit"], first["speed_limit"]) == (0.02, 628.0)
+    assert first["inertia"] * first["speed_limit"] == pytest.approx(0.5, rel=1e-2)
+
+
+def test_wheels_larger_than_the_base_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises((ModelError, ScenarioError)) as error:
+        made(
+            tmp_path, arm(bus=SMALL, length=0.1, on=0.16),
+            asked=Asked.parsed(wheels="3x0.02Nm,200Nms", sensors="flight"),
+        )  # fmt: skip
+    assert "give smaller wheels" in str(error.value)
+    assert len(str(error.value)) < 300
+
+
+def test_long_names_stand_apart(tmp_path: Path) -> None:
+    long = "a_joint_with_a_name_that_is_longer_than_the_column"
+    text = arm().replace('"elbow"', f'"{long}"')
+    assert f"{long}  revolute" in made(tmp_path, text).summary()
+
+
+def test_stl_is_drawn(tmp_path: Path) -> None:
+    """Binary and text; the same corners become one."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    record = np.zeros(4, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    record["corners"] = corners[faces]
+    binary = bytes(80) + (4).to_bytes(4, "little") + record.tobytes()
+    lines = [f"vertex {x} {y} {z}" for face in faces for x, y, z in corners[face]]
+    (tmp_path / "meshes").mkdir()
+    visual = '<visual><geometry><mesh filename="meshes/a.stl"/></geometry></visual>'
+    for content in (binary, ("solid a\n" + "\n".join(lines)).encode()):
+        (tmp_path / "meshes/a.stl").write_bytes(content)
+        file = written(tmp_path, arm(bus=link("bus", mass=200, extra=visual)))
+        remarks = write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
+        assert not [each for each in remarks if "mesh" in each]
+        drawn = (tmp_path / "out/meshes/1/a.stl.obj").read_text().splitlines()
+        assert sorted(drawn[:4]) == ["v 0 0 0", "v 0 0 1", "v 0 1 0", "v 1 0 0"]
+        assert len(drawn) == 8
+    (tmp_path / "meshes/a.stl").write_text("solid nothing")
+    assert "of an undrawable format" in " ".join(
+        write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
+    )

@@ -1,0 +1,199 @@
+"""SDFormat and xacro through ``ffsm new``."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.cli import main
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.plugins.new.urdf import Servicer, read_target, read_urdf, write_urdf
+
+SDF = """<sdf version="1.9"><model name="craft">{extra}
+  <link name="bus"><inertial><mass>200</mass><inertia><ixx>60</ixx><iyy>50</iyy><izz>40</izz>
+    </inertia></inertial>{bus}</link>
+  <link name="upper"><pose>0.1 0 0.6 0.2 0 0.1</pose><inertial><pose>0 0.1 0.4 0.3 0 0</pose>
+    <mass>8</mass><inertia><ixx>0.5</ixx><iyy>0.4</iyy><izz>0.2</izz><ixy>0.05</ixy></inertia>
+    </inertial></link>
+  <link name="fore"><pose relative_to="upper">0 0 0.8 0 0 0</pose><inertial><mass>5</mass><inertia>
+    <ixx>0.2</ixx><iyy>0.2</iyy><izz>0.01</izz></inertia></inertial></link>
+  <frame name="tool" attached_to="fore"><pose>0 0 0.5 0 0 0</pose></frame>
+  <joint name="shoulder" type="revolute"><pose>0 0.05 -0.1 0 0.3 0</pose><parent>bus</parent>
+    <child>upper</child><axis><xyz>0 1 0</xyz>{limit}</axis></joint>
+  <joint name="boom" type="prismatic"><parent>upper</parent><child>fore</child><axis>
+    <xyz expressed_in="bus">0 0 1</xyz><limit><lower>0</lower><upper>0.4</upper></limit></axis>
+  </joint></model></sdf>"""
+LIMIT = "<limit><lower>-2</lower><upper>1</upper><effort>80</effort></limit>"
+
+
+def read(text: str, folder: Path) -> Servicer:
+    file = folder / "craft.sdf"
+    file.write_text(text)
+    return read_urdf(file)
+
+
+def sdf(extra: str = "", bus: str = "", limit: str = LIMIT) -> str:
+    return SDF.format(extra=extra, bus=bus, limit=limit)
+
+
+def mass_matrix(file: Path) -> tuple[list[str], np.ndarray]:
+    """Names of the joints, and H in one configuration."""
+    plant = MultibodyPlant(time_step=0.0)
+    Parser(plant).AddModels(str(file))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    rng = np.random.default_rng(1)
+    joints = map(plant.get_joint, plant.GetJointIndices())
+    joints = sorted((j for j in joints if j.num_velocities() == 1), key=lambda j: j.name())
+    for joint in joints:
+        q = plant.GetPositions(context)
+        q[joint.position_start()] = rng.uniform(0.1, 0.6)
+        plant.SetPositions(context, q)
+    order = [*range(6), *(joint.velocity_start() for joint in joints)]
+    return [joint.name() for joint in joints], plant.CalcMassMatrix(context)[np.ix_(order, order)]
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize(
+    "text",
+    [sdf(), sdf(limit='<limit><effort>9</effort></limit><drake:rotor_inertia '
+                'xmlns:drake="drake.mit.edu">0.4</drake:rotor_inertia>')],
+)  # fmt: skip
+def test_mass_matrix_of_sdformat_is_drakes(text: str, tmp_path: Path) -> None:
+    servicer = read(text, tmp_path)
+    assert servicer.tip.frame == "tool"
+    write_urdf(servicer, tmp_path, file_name="craft.urdf", packages={})
+    (names, expected), (same, found) = (
+        mass_matrix(tmp_path / f"craft.{kind}") for kind in ("sdf", "urdf")
+    )
+    assert names == same == ["boom", "shoulder"]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_limits_and_what_is_passed_over(tmp_path: Path) -> None:
+    sensor = '<sensor name="imu" type="imu"/><visual name="v"><geometry><box><size>1 1 1</size>'
+    servicer = read(
+        sdf('<plugin name="p" filename="f"/>', f"{sensor}</box></geometry></visual>"), tmp_path
+    )
+    shoulder, boom = servicer.joints
+    assert (shoulder.lower, shoulder.upper, shoulder.effort) == (-2.0, 1.0, 80.0)
+    assert (boom.lower, boom.upper) == (0.0, 0.4)
+    assert servicer.remarks == (
+        "passed over, of no effect in free flight: <plugin> (1 times), <sensor> (1 times)",
+    )
+    assert servicer.root.find("link[@name='bus']/visual/geometry/box") is not None
+
+
+def test_all_faults_of_an_sdformat_file(tmp_path: Path) -> None:
+    text = sdf().replace("<izz>0.2</izz>", "<izz>2</izz>").replace("<izz>0.01<", "<izz>4<")
+    with pytest.raises(ModelError) as error:
+        read(text, tmp_path)
+    for name in ("upper", "fore"):
+        assert f"link named {name} has invalid inertia" in str(error.value)
+    spring = "<dynamics><spring_stiffness>3</spring_stiffness></dynamics>"
+    with pytest.raises(ModelError, match="1 springs at joints"):
+        read(sdf(limit=spring), tmp_path)
+
+
+def test_bodies_beside_the_servicer(tmp_path: Path) -> None:
+    world = sdf().replace('<sdf version="1.9">', '<sdf version="1.9"><world name="w">')
+    other = '<model name="client"><link name="bus"/></model>'
+    rock = '<model name="rock"><static>true</static><link name="rock"/></model>'
+    servicer = read(world.replace("</sdf>", f"{other}{rock}</world></sdf>"), tmp_path)
+    assert servicer.base == "craft_bus"
+    assert any("client_bus, rock" in remark for remark in servicer.remarks)
+    standing = '<joint name="f" type="fixed"><parent>world</parent><child>bus</child></joint>'
+    with pytest.raises(ModelError, match="attached to the world"):
+        read(sdf(standing), tmp_path)
+
+
+XACRO = """<robot name="craft" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:arg name="mass" default="100"/>
+  <xacro:include filename="$(find parts)/link.xacro"/>
+  <xacro:body name="bus" mass="$(arg mass)"/><xacro:body name="arm" mass="5"/>
+  <joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><origin xyz="0 0 ${1/2}"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>
+</robot>"""
+MACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="body"
+  params="name mass"><link name="${name}"><inertial><mass value="${mass}"/><inertia ixx="${mass/9}"
+  iyy="${mass/9}" izz="${mass/9}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  </xacro:macro></robot>"""
+
+
+@pytest.mark.parametrize("folder", ["above", "given"])
+def test_xacro_with_arguments_and_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    file = tmp_path / "craft/craft.urdf.xacro"
+    parts = tmp_path / ("parts" if folder == "above" else "elsewhere")
+    for each in (file.parent, parts):
+        each.mkdir()
+    file.write_text(XACRO)
+    (parts / "link.xacro").write_text(MACRO)
+    monkeypatch.chdir(tmp_path)
+    words = ["new", "out", "--model", str(file), "--xacro-arg", "mass=300", "--json"]
+    if folder == "given":
+        missing = CliRunner().invoke(main, words)
+        assert missing.exit_code == 2
+        assert "--package parts=FOLDER" in missing.output
+        words += ["--package", f"parts={parts}"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    assert '"mass": 300.0' in result.output
+    assert Path("out/craft.urdf").is_file()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('<xacro:arg name="a" default="1"/>${b}', "cannot be expanded: name 'b' is not defined"),
+        ('<link name="$(arg b)"/>', "give --xacro-arg NAME=VALUE"),
+        ('<xacro:include filename="none.xacro"/>', "cannot be expanded: No such file"),
+    ],
+)
+def test_what_xacro_cannot_expand_is_one_line(text: str, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "craft.xacro"
+    file.write_text(f'<robot name="c" xmlns:xacro="http://www.ros.org/wiki/xacro">{text}</robot>')
+    with pytest.raises(ModelError) as error:
+        read_urdf(file)
+    assert told in str(error.value)
+
+
+def test_arguments_for_another_format_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "craft.sdf").write_text(sdf())
+    with pytest.raises(ModelError, match="--xacro-arg is for xacro files"):
+        read_urdf(tmp_path / "craft.sdf", arguments={"a": "1"})
+
+
+def test_a_target_in_mjcf(tmp_path: Path) -> None:
+    file = tmp_path / "client.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="client"><freejoint/><geom type="box" size="0.3 0.3 0.3" '
+        'mass="30"/><body name="panel" pos="0 1 0"><geom type="box" size="0.4 0.4 0.01" mass="3"/>'
+        '<site name="panel_tip" pos="0 0.4 0"/></body><site name="grasp" pos="0 0 -0.3"/></body>'
+        "</worldbody></mujoco>"
+    )
+    target = read_target(file)
+    assert (target.body, target.grasp, target.mass) == ("client", "grasp", 33.0)
+    assert target.center_of_mass == pytest.approx((0.0, 3.0 / 33.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "extra"),
+    [
+        ("mujoco", "<mujoco/>", "ffsm-drake[mjcf]"),
+        ("xacro", '<robot><xacro:a xmlns:xacro="x/xacro"/></robot>', "ffsm-drake[xacro]"),
+    ],
+)
+def test_what_to_install_is_told(
+    name: str, text: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    (tmp_path / "craft.xml").write_text(text)
+    with pytest.raises(ModelError, match=re.escape(f"pip install '{extra}'")):
+        read_urdf(tmp_path / "craft.xml")

@@ -1,0 +1,248 @@
+"""MJCF through ``ffsm new``: the mass matrix is MuJoCo's; what cannot be represented is told."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, joints_of
+from ffsm_drake.spacecraft.plant import make_plant
+
+BUS = '<inertial pos="0 0 0" mass="200" diaginertia="60 50 40"/>'
+LINK = '<inertial pos="0 0 0.4" mass="8" diaginertia="0.5 0.5 0.02"/>'
+FORE = '<inertial pos="0 0 0.3" mass="5" diaginertia="0.2 0.2 0.01"/>'
+
+
+def arm(
+    *, joint: str = "", bus: str = BUS, link: str = LINK, outside: str = "", base: str = ""
+) -> str:
+    """A bus with two links: attributes of the first joint, inertias, elements outside, and of the
+    bus.
+    """
+    return f"""<mujoco>{outside}<worldbody><body name="bus"><freejoint/>{bus}{base}
+      <body name="upper" pos="0.1 0 0.6" euler="0.2 0 0.1">{link}
+        <joint name="shoulder" axis="0 1 0.2" pos="0 0.05 0.1" {joint}/>
+        <body name="fore" pos="0 0 0.8">{FORE}<joint name="elbow" axis="0 1 0"/></body>
+      </body></body></worldbody></mujoco>"""
+
+
+# What a file can do to the inertias of a model, one case each.
+CASES = {
+    "plain": arm(),
+    "armature": arm(joint='armature="1"'),
+    "armature_of_class": arm(
+        outside='<default><joint armature="0.3"/></default>', joint='type="slide"'
+    ),
+    "armature_of_motor": arm(joint='armature="0.1"').replace(
+        "</mujoco>", '<actuator><motor joint="elbow" gear="30"/></actuator></mujoco>'
+    ),
+    "radian": arm(outside='<compiler angle="radian"/>', joint='range="-2 2"'),
+    "degree": arm(joint='range="-90 90"'),
+    "eulerseq": arm(outside='<compiler eulerseq="ZYX" angle="radian"/>'),
+    "ref": arm(joint='ref="30" range="-90 90"'),
+    "inertiafromgeom": arm(
+        outside='<compiler inertiafromgeom="true"/>',
+        bus='<geom type="box" size="0.4 0.5 0.6" mass="90" euler="10 20 30" pos="0.1 0 0"/>',
+        link=LINK + '<geom type="capsule" fromto="0 0 0 0.1 0.2 0.8" size="0.04"/>',
+    ).replace(FORE, '<geom type="cylinder" size="0.03 0.3" pos="0 0 0.3" density="500"/>'),
+    "balanceinertia": arm(
+        outside='<compiler balanceinertia="true"/>',
+        link='<inertial pos="0 0 0.4" mass="8" diaginertia="0.1 0.1 0.5"/>',
+    ),
+    "bounds": arm(outside='<compiler boundmass="9" boundinertia="0.3"/>'),
+    "settotalmass": arm(outside='<compiler settotalmass="100"/>'),
+    "fullinertia": arm(
+        link='<inertial pos="0 0 0.4" mass="8" fullinertia="0.5 0.4 0.3 0.02 -0.03 0.01"/>'
+    ),
+    "turned": arm(
+        link='<inertial pos="0.1 0 0.4" euler="20 30 40" mass="8" diaginertia="0.5 0.4 0.2"/>'
+    ),
+    "joints_in_a_row": arm().replace(
+        '<joint name="elbow" axis="0 1 0"/>',
+        '<joint name="a" axis="0 1 0" pos="0 0 -0.1"/><joint name="b" type="slide"/>'
+        '<joint name="elbow" axis="1 0 0" pos="0.1 0 0"/>',
+    ),
+    "fused": arm(
+        outside='<compiler fusestatic="true"/>',
+        base='<body name="box" pos="0 0 1"><geom type="box" size="0.1 0.1 0.1" mass="3"/></body>',
+    ),
+    "welded": arm(base='<body pos="0 1 1" euler="40 0 0"><geom size="0.1" mass="3"/></body>'),
+    "fingers": arm(base='<site name="dock"/>').replace(
+        "</worldbody>",
+        "</worldbody><option timestep='0.01' cone='elliptic' gravity='0 0 -3'/>"
+        "<sensor><gyro site='dock'/></sensor><keyframe><key name='home'/></keyframe>",
+    ),
+}
+
+
+def made(text: str, folder: Path) -> tuple[Path, tuple[str, ...]]:
+    """The URDF that is written for an MJCF text, and the remarks."""
+    file = folder / "model.xml"
+    file.write_text(text)
+    servicer = read_urdf(file)
+    write_urdf(servicer, folder, file_name="model.urdf", packages={})
+    return folder / "model.urdf", servicer.remarks
+
+
+def mass_matrices(xml: str, urdf: Path, base: str = "bus") -> tuple[np.ndarray, np.ndarray]:
+    """H by MuJoCo and by Drake in one configuration, in Drake's coordinates."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    directives = urdf.with_name("model.dmd.yaml")
+    directives.write_text(
+        "directives:\n- add_model: {name: servicer, file: package://own/model.urdf}\n"
+    )
+    plant = make_plant(
+        Model(
+            directives=str(directives), packages={"own": str(urdf.parent)},
+            end_effector=f"servicer::{base}",
+        )
+    )  # fmt: skip
+    joints = [joint.name() for joint in joints_of(plant)]
+    quaternion = rng.normal(size=4)
+    quaternion /= np.linalg.norm(quaternion)
+    angles = rng.uniform(-1.0, 1.0, len(joints))
+    data.qpos[:7] = [*rng.normal(size=3), *quaternion]
+    # MuJoCo's order of v is position, rotation (body axes), joints; Drake's rotation (world) first.
+    change = np.zeros((model.nv, model.nv))
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, quaternion)
+    change[:3, 3:6], change[3:6, :3] = np.eye(3), turn.reshape(3, 3).T
+    for k, name in enumerate(joints):
+        joint = model.joint(name)
+        data.qpos[joint.qposadr[0]] = model.qpos0[joint.qposadr[0]] + angles[k]
+        change[joint.dofadr[0], NUM_BASE_VELOCITIES + k] = 1.0
+    mujoco.mj_forward(model, data)
+    columns = np.zeros((model.nv, model.nv))
+    for unit, column in zip(np.eye(model.nv), columns, strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, np.concatenate([quaternion, data.qpos[:3], angles]))
+    return change.T @ columns @ change, plant.CalcMassMatrix(context)
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("case", CASES)
+def test_mass_matrix_is_mujocos(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
+    urdf, _ = made(CASES[case], tmp_path)
+    assert not Path("MUJOCO_LOG.TXT").exists()
+    expected, found = mass_matrices(CASES[case], urdf)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
+
+
+def test_mesh_with_density(tmp_path: Path) -> None:
+    corners = [(x, y, z) for x in (0, 0.3) for y in (0, 0.2) for z in (0, 0.5)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners]
+    lines += ["f " + " ".join(face) for face in ("1 2 4", "1 4 3", "5 7 8", "5 8 6", "1 5 6",
+              "1 6 2", "3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4")]  # fmt: skip
+    (tmp_path / "block.obj").write_text("\n".join(lines))
+    text = arm(
+        outside='<asset><mesh name="block" file="block.obj" scale="1 2 1"/></asset>',
+        link='<geom type="mesh" mesh="block" density="700" euler="10 0 0" pos="0.1 0 0"/>',
+    )
+    urdf, _ = made(text, tmp_path)
+    written = text.replace('file="block.obj"', f'file="{tmp_path}/block.obj"')
+    expected, found = mass_matrices(written, urdf)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
+    assert (tmp_path / "meshes/1/block.obj").is_file()
+    assert 'scale="1.0 2.0 1.0"' in urdf.read_text()
+
+
+def test_includes_and_classes(tmp_path: Path) -> None:
+    (tmp_path / "fore.xml").write_text(
+        f'<mujoco><body name="fore" pos="0 0 0.8">{FORE}<joint name="elbow" class="stiff"/></body>'
+        "</mujoco>"
+    )
+    text = arm(outside='<default><default class="stiff"><joint armature="2"/></default></default>')
+    start = text.index('<body name="fore"')
+    text = text[:start] + '<include file="fore.xml"/>' + text[text.index("</body>", start) + 7 :]
+    urdf, _ = made(text, tmp_path)
+    whole = text.replace('<include file="fore.xml"/>', (tmp_path / "fore.xml").read_text()[8:-9])
+    expected, found = mass_matrices(whole, urdf)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
+
+
+def test_without_effect_is_listed_in_one_line(tmp_path: Path) -> None:
+    _, remarks = made(CASES["fingers"], tmp_path)
+    (line,) = [remark for remark in remarks if "passed over" in remark]
+    for part in ("cone", "gravity", "timestep", "1 sensors", "1 keyframes"):
+        assert part in line
+
+
+def test_effort_and_range(tmp_path: Path) -> None:
+    text = arm(joint='range="-60 90" ref="30"').replace(
+        "</mujoco>",
+        '<actuator><motor joint="shoulder" gear="20" ctrlrange="-2 2"/>'
+        '<general joint="elbow" forcerange="-7 7"/></actuator></mujoco>',
+    )
+    file = tmp_path / "model.xml"
+    file.write_text(text)
+    shoulder, elbow = read_urdf(file).joints
+    assert (shoulder.effort, elbow.effort) == (40.0, 7.0)
+    assert np.rad2deg([shoulder.lower, shoulder.upper]) == pytest.approx([-90.0, 60.0])
+    assert elbow.kind == "continuous"
+
+
+def test_all_that_cannot_be_represented_is_told_at_once(tmp_path: Path) -> None:
+    text = arm(joint='stiffness="3"').replace("<freejoint/>", '<joint type="free" armature="1"/>')
+    text = text.replace('axis="0 1 0"', 'type="ball"').replace(
+        "</mujoco>", '<equality><weld body1="fore"/></equality></mujoco>'
+    )
+    with pytest.raises(ModelError) as error:
+        made(text, tmp_path)
+    for fault in ("ball joint", "springs at joints shoulder", "equality", "free joint"):
+        assert fault in str(error.value)
+
+
+def test_followers_are_fixed_where_their_leader_rests(tmp_path: Path) -> None:
+    fingers = "".join(
+        f'<body name="{name}" pos="0 {y} 0.6"><inertial pos="0 0 0.02" mass="0.1" '
+        f'diaginertia="1e-4 1e-4 1e-5"/><joint name="{name}_slide" type="slide" axis="0 1 0" '
+        'range="0 0.04"/></body>'
+        for name, y in (("left", 0.05), ("right", -0.05))
+    )
+    text = arm().replace('<joint name="elbow" axis="0 1 0"/>', f'<joint name="elbow"/>{fingers}')
+    text = text.replace(
+        "</mujoco>",
+        '<equality><joint joint1="right_slide" joint2="left_slide" polycoef="0 -1 0 0 0"/>'
+        "</equality></mujoco>",
+    )
+    file = tmp_path / "model.xml"
+    file.write_text(text)
+    servicer = read_urdf(file)
+    assert [joint.name for joint in servicer.joints] == ["shoulder", "elbow", "left_slide"]
+    assert servicer.tip.frame == "fore"
+    assert any("right_slide (follows left_slide)" in remark for remark in servicer.remarks)
+
+
+def test_target_and_free_bodies(tmp_path: Path) -> None:
+    text = arm().replace(
+        "</worldbody>",
+        '<body name="client"><freejoint/><geom size="0.3" mass="20"/></body>'
+        '<body name="wall"><geom type="box" size="1 1 1"/></body></worldbody>',
+    )
+    _, remarks = made(text, tmp_path)
+    told = " ".join(remarks)
+    assert "client" in told
+    assert "bodies fixed to the world (wall)" in told
+
+
+def test_missing_pictures_are_left_out(tmp_path: Path) -> None:
+    """A mesh that gives a body its mass is another matter."""
+    outside = (
+        '<asset><texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>'
+        '<mesh name="named" file="a.stl"/><mesh file="b.stl"/></asset>'
+    )
+    shapes = '<geom type="mesh" mesh="named" material="m"/><geom type="mesh" mesh="b"/>'
+    text = arm(outside=outside, link=LINK + shapes)
+    urdf, remarks = made(text, tmp_path)
+    assert "missing files (t.png, a.stl, b.stl)" in " ".join(remarks)
+    expected, found = mass_matrices(arm(), urdf)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
+    with pytest.raises(ModelError, match=r"MuJoCo cannot compile it: .*a\.stl"):
+        made(arm(outside=outside, link=shapes), tmp_path)
