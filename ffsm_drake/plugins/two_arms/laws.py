@@ -23,11 +23,13 @@ from ffsm_drake.scenario.contacts import InternalForce
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import configuration, find_body
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.setup import BlockSetup
 
 _INTERNAL = "internal_force"
+# Memory that others read or set for all velocities.
+_OF_ALL = (*OPTIONAL_OUTPUTS, "delayed_desired_velocity", "delayed_velocity")
 # Sections that give values by coordinate to a law.
 _OF_A_LAW = ("controllers", "estimator", "sensing")
 
@@ -183,6 +185,24 @@ class MinimalLaw(ControlLaw):
         """See ControlLaw."""
         return self.law.held()
 
+    @property
+    def reaching_gain(self) -> ReachingGain | None:
+        """See ControlLaw: zero for velocities that follow."""
+        own = self.law.reaching_gain
+        if own is None:
+            return None
+        return ReachingGain(
+            start=self._whole(own.start),
+            largest=self._whole(own.largest),
+            rate=None if own.rate is None else self._whole(own.rate),
+            rest=lambda k_s: self._whole(own.rest(k_s[..., self.model.free])),
+        )
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """See ControlLaw."""
+        free = self.model.free
+        return self._whole(self.law.switching_gain_after(s[..., free], g[..., free]))
+
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""
         free, following = self.model.free, self.model.following
@@ -198,7 +218,7 @@ class MinimalLaw(ControlLaw):
             is_new=sample.is_new if sample.is_new is None else self._new(sample.is_new),
         )
         own = {
-            name: value[..., free] if name in OPTIONAL_OUTPUTS else value
+            name: value[..., free] if name in _OF_ALL else value
             for name, value in state.items()
             if name != _INTERNAL
         }
@@ -233,10 +253,14 @@ class MinimalLaw(ControlLaw):
 
     def _padded(self, memory: State) -> dict[str, np.ndarray]:
         found = dict(memory)
-        for name in filter(found.__contains__, OPTIONAL_OUTPUTS):
-            values = np.zeros((*found[name].shape[:-1], self.share.size))
-            values[..., self.model.free] = found[name]
-            found[name] = values
+        for name in filter(found.__contains__, _OF_ALL):
+            found[name] = self._whole(found[name])
+        return found
+
+    def _whole(self, values: np.ndarray) -> np.ndarray:
+        """Values (..., nv) of all velocities from those of the minimal ones."""
+        found = np.zeros((*values.shape[:-1], self.share.size))
+        found[..., self.model.free] = values
         return found
 
 

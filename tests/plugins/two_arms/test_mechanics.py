@@ -144,6 +144,17 @@ def test_a_compliant_contact_follows_its_spring() -> None:
     assert_allclose(wrench[5:-5], spring[5:-5], rtol=0, atol=0.03 * np.abs(wrench).max())
 
 
+def test_a_flexible_panel_leaves_the_loop_closed() -> None:
+    panel = {"position": [0, 1, 0], "direction": [0, 1, 0], "mass": 8.0, "frequency": 0.25}
+    given = load_scenario(
+        "two_arms",
+        ["duration=2", "controller=computed_torque", {"model": {"flexible": {"port": panel}}}],
+    )
+    run = simulate(given, check_stability=False)
+    assert run.metrics["contacts"]["gap"] < 1e-9
+    assert np.abs(run.dataset["hidden_position"].values).max() > 1e-8
+
+
 def test_one_contact_is_the_weld_of_the_model() -> None:
     left = scenario().contacts["left"]
     given = dataclasses.replace(scenario("duration=0.1"), contacts={"left": left})
