@@ -20,6 +20,7 @@ ERRORS = {"none": (), "1 mrad, 1 mm": (ENCODERS, "contacts.right.position_error=
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--laws", nargs="*", default=PAPER_LAWS)
     parser.add_argument("--repeats", type=int, default=5, help="of the runs whose cost is taken")
     given = parser.parse_args()
     print(
@@ -27,7 +28,7 @@ def main() -> None:
         "base rad | base m |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    for law in PAPER_LAWS:
+    for law in given.laws:
         for chain, seeds in (("plain", 1), ("minimal, force: null", 1), ("minimal", given.seeds)):
             for errors, overrides in ERRORS.items():
                 print(_row(law, chain, errors, overrides, seeds), flush=True)

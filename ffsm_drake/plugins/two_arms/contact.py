@@ -266,7 +266,7 @@ class _Contact(LeafSystem):
         return along if chain.is_spatial else chain.wrench_map @ along
 
     def _geometry(self, state: np.ndarray) -> "_Geometry":
-        """What follows from the plant's state [q; v]."""
+        """Everything that depends on the plant's state [q; v] alone."""
         plant, own, chain = self._model.plant, self._model.context, self._chain
         plant.SetPositionsAndVelocities(own, state)
         v = state[plant.num_positions() :]
@@ -293,7 +293,7 @@ class _Contact(LeafSystem):
 
 
 class _Geometry(NamedTuple):
-    """What the state of the plant says about the contacts."""
+    """The contacts' quantities that depend on the plant's state alone."""
 
     jacobian: np.ndarray  # A (m, nv)
     gap: np.ndarray  # (6 for each contact)

@@ -1,7 +1,7 @@
 """The internal force of a closed chain under a law that is not adapted to it: how it grows.
 
-At rest the chain moves as v = S nu, and its law sees an error that no motion takes away: that of
-the calibration. A law that adds to its last force adds to the internal force at every sample.
+At rest the chain moves as v = S nu, and no motion takes away the error of the calibration. A law
+with time-delay estimation adds to the internal force at every sample.
 """
 
 import dataclasses

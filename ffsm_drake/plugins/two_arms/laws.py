@@ -63,14 +63,18 @@ class ChainModel(PlantModel):
     tree: TreeModel
     free: Any  # indices of nu in v (n)
     following: Any  # indices of the other velocities (m)
-    # the last configuration, with A and S there: a law asks several times
+    # the last configuration, with A, S and H there: used several times per sample
     kept: list[tuple[np.ndarray, ...]] = dataclasses.field(default_factory=list, compare=False)
 
     def calc_map(self, q: np.ndarray) -> tuple[np.ndarray, ...]:
-        """A (..., m, nv) and S (..., nv, n) in configurations q (..., nq)."""
+        """A (..., m, nv), S (..., nv, n) and H (..., nv, nv) in configurations q (..., nq)."""
         if not (self.kept and self.kept[0][0] is q):
             constraints = self.tree.calc_constraints(q)
-            self.kept[:] = [(q, constraints, self.map_of(constraints))]
+            if q.ndim > 1:
+                whole = self.tree.calc_mass_matrix(q)
+            else:  # the context is at q
+                whole = self.plant.CalcMassMatrix(self.context)
+            self.kept[:] = [(q, constraints, self.map_of(constraints), whole)]
         return self.kept[0][1:]
 
     def map_of(self, constraints: np.ndarray) -> np.ndarray:
@@ -93,14 +97,21 @@ class ChainModel(PlantModel):
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """S' H S (..., n, n)."""
-        whole = self.calc_map(q)[1]
-        found: np.ndarray = whole.mT @ self.tree.calc_mass_matrix(q) @ whole
+        _, whole, tree = self.calc_map(q)
+        free, following = self.free, self.following
+        # by blocks, S = [1; D]
+        rows, across = tree[..., following, :], whole[..., following, :]
+        mixed = rows[..., free].mT @ across
+        found: np.ndarray = across.mT @ (rows[..., following] @ across)
+        found += tree[..., free, :][..., free]
+        found += mixed
+        found += mixed.mT
         return found
 
     @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """S' (C + H dS/dt nu) (..., n) for minimal velocities v (..., n)."""
-        constraints, whole = self.calc_map(q)
+        constraints, whole, _ = self.calc_map(q)
         rates = whole @ v
         drift = np.zeros(rates.size)
         drift[self.following] = -np.linalg.solve(
@@ -129,7 +140,9 @@ class InternalControl:
         """F at the next sample."""
         if sample.contact_wrench is None:
             return force
-        measured = sample.contact_wrench @ self.model.chain.wrench_map
+        measured = sample.contact_wrench
+        if not self.model.chain.is_spatial:
+            measured = measured @ self.model.chain.wrench_map
         return force + self.gain * (self.wanted(sample) - measured)
 
     def _load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -206,16 +219,18 @@ class MinimalLaw(ControlLaw):
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""
         free, following = self.model.free, self.model.following
-        constraints, whole = self.model.calc_map(sample.q)
-        down = whole.mT
-        given = sample._replace(
-            v=sample.v[..., free],
-            v_d=sample.v_d[..., free],
-            a_d=sample.a_d[..., free],
-            e=sample.e[..., free],
-            e_dot=sample.e_dot[..., free],
-            applied_force=times(down, sample.applied_force),
-            is_new=sample.is_new if sample.is_new is None else self._new(sample.is_new),
+        constraints, whole, _ = self.model.calc_map(sample.q)
+        given = Sample(
+            sample.q,
+            sample.v[..., free],
+            sample.q_d,
+            sample.v_d[..., free],
+            sample.a_d[..., free],
+            sample.e[..., free],
+            sample.e_dot[..., free],
+            times(whole.mT, sample.applied_force),
+            sample.is_first,
+            None if sample.is_new is None else self._new(sample.is_new),
         )
         own = {
             name: value[..., free] if name in _OF_ALL else value
@@ -223,7 +238,7 @@ class MinimalLaw(ControlLaw):
             if name != _INTERNAL
         }
         force, memory = self.law.step(given, own)
-        # those that follow take tau_d with (1 / W_d + D W_f D') tau_d = D W_f w, S = [1; D]
+        # tau_d of the velocities that follow: (1 / W_d + D W_f D') tau_d = D W_f w, S = [1; D]
         across = whole[..., following, :]
         weighted = across * self.share[free]
         inner = weighted @ across.mT + self._softness
