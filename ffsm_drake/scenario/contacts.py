@@ -123,8 +123,8 @@ def _contact_problems(scenario: Any) -> Problems:
     elif scenario.model.servicer and contacts[carrying].frame != scenario.model.grasp:
         yield f"contacts.{carrying}.frame", f"must be model.grasp ({scenario.model.grasp})"
     for key, problem in (
-        ("capture", scenario.grasps),
-        ("reference.goal", scenario.reference.goal == "stop"),
+        ("capture.approach", scenario.approach is not None),
+        ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
         ("reference.frame", scenario.reference.frame is not None),
         ("reference.kind", scenario.reference.kind == "optimal"),
         ("actuation.driven", bool(scenario.undriven)),
