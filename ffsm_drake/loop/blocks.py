@@ -44,6 +44,8 @@ from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
+# Wrenches on the target, of the contacts that close loops (``contacts``): 6 for each.
+WRENCH, WRENCHES = "contact_wrench", "6 contacts"
 # Outputs of actuators that act on the plant beside the applied force.
 BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
@@ -95,6 +97,7 @@ BLOCKS: dict[str, Ports] = {
             "applied_force": VELOCITY,
             "measurement_is_new": STATE,
             "desired_frame": FRAME,
+            WRENCH: WRENCHES,
             "restart": NUMBER,  # 1: this sample is a first one, regardless of earlier samples
         },
         outputs={"generalized_force": VELOCITY},
@@ -137,6 +140,7 @@ BLOCKS: dict[str, Ports] = {
         # The force on hidden coordinates, after the update of a control sample.
         optional_outputs={
             "next_generalized_force": VELOCITY,
+            WRENCH: WRENCHES,
             "hidden_force": HIDDEN,
             "next_hidden_force": HIDDEN,
         },
@@ -210,6 +214,8 @@ class _Making:
             raise NotAlike("a restart of the law affects all copies")
         if len(scenarios) > 1 and any(scenario.faults for scenario in scenarios):
             raise NotAlike("a spacecraft with faults runs alone")
+        if len(scenarios) > 1 and any(len(scenario.contacts) > 1 for scenario in scenarios):
+            raise NotAlike("a closed chain runs alone")
         self._setups = [
             BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
             for scenario, nominal in zip(scenarios, nominals, strict=True)

@@ -36,6 +36,7 @@ from ffsm_drake.loop.blocks import (
     ISOLATED,
     OF_ACTUATORS,
     TOLD,
+    WRENCH,
     make_blocks,
 )
 from ffsm_drake.scenario import MassProperties, Scenario, kind_of
@@ -542,6 +543,11 @@ class _Wiring:
             for system in last:
                 builder.Connect(_port(acts), system.GetInputPort("other_force"))
             acts = self._sum("last_force", [acts, *((system, name) for system in last)])
+        if self._controller.HasInputPort(WRENCH):
+            for system in forces.values():
+                if system.HasOutputPort(WRENCH):
+                    port = self._controller.GetInputPort(WRENCH)
+                    builder.Connect(system.GetOutputPort(WRENCH), port)
         on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
         if self._split.names:
             acts = self._on_whole_plant(acts, on_hidden)

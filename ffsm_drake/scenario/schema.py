@@ -18,6 +18,7 @@ from ffsm_drake.common.settings import Problems, setting
 from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Approach, Capture, Closing
+from ffsm_drake.scenario.contacts import Chain, Contact
 from ffsm_drake.scenario.faults import Faults
 from ffsm_drake.scenario.fields import (
     ZERO,
@@ -98,6 +99,10 @@ class Scenario:
     capture: Capture | None = unitless(
         None, "the grasp of a moving target; null: the target is held and at rest at the start"
     )
+    contacts: dict[str, Contact] = unitless(
+        {}, "hands that hold the target, by any names; empty: the one of model.end_effector alone"
+    )
+    chain: Chain = setting(Chain())
     reference: Reference = setting(Reference())
     planning: Planning = setting(Planning())
     clearance: float = setting(
@@ -298,6 +303,7 @@ _OF_THE_RUN = (
     "python_path",
     "estimator",
     "command_filter",
+    "chain",
     "disturbance",
     "environment",
     "sensing",

@@ -41,6 +41,7 @@ def plastic_grasp(
     velocity: np.ndarray,
     target_velocity: np.ndarray,
     braked: Sequence[int] = (),
+    constraints: np.ndarray | None = None,
 ) -> Grasp:
     """The plastic grasp; see the module docstring.
 
@@ -51,6 +52,8 @@ def plastic_grasp(
       velocity: v (nv) of the servicer before.
       target_velocity: V (6), [w_WP; v_WP] of the target before.
       braked: indices of the joints in v that brakes stop; the base, v[:6], has none.
+      constraints: A (m, nv) of further hands that grasp in the same instant, A v+ = 0; none with
+        brakes.
     """
     if any(not 6 <= index < velocity.size for index in braked):
         raise ValueError(
@@ -66,6 +69,9 @@ def plastic_grasp(
     else:
         after[free] = np.linalg.solve(mass_matrix[np.ix_(free, free)], p[free])
         brakes[list(braked)] = (mass_matrix @ after - p)[list(braked)]
+    if constraints is not None:
+        inverse = np.linalg.solve(mass_matrix, constraints.T)
+        after -= inverse @ np.linalg.solve(constraints @ inverse, constraints @ after)
     target_momentum = target_inertia @ target_velocity
     held = target_inertia @ (jacobian @ velocity)  # momentum of a target moving with the arm
     return Grasp(

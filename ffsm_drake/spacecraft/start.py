@@ -22,6 +22,9 @@ def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
     state = model.split.whole(np.concatenate([q, v]))
     if scenario.grasps:
         state[model.plant.num_positions() :] += _after_grasp(scenario, model)
+    if len(scenario.contacts) > 1:
+        closed: np.ndarray = service("closed_chain_start", "contacts")(scenario, model, state)
+        return closed
     return state
 
 

@@ -13,7 +13,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
 from ffsm_drake.spacecraft.plant import coordinates_of
 from ffsm_drake.systems.part import Part
-from ffsm_drake.systems.registry import own_actuators
+from ffsm_drake.systems.registry import own_actuators, section_parts
 
 # Axes, edges and corners of a cube.
 _DIRECTIONS = np.array(
@@ -104,9 +104,11 @@ def limits_of(
 def joint_limits(
     scenario: Scenario, plant: MultibodyPlant, parts: Iterable[Part] | None = None
 ) -> list[Limit]:
-    """``limits_of`` without the actuators' limits of force: limits without enforcement."""
+    """``limits_of`` without the actuators' limits of force: limits without enforcement; ``parts``
+    default to those of all the scenario's own sections.
+    """
     coordinates = coordinates_of(plant)
-    given = own_actuators(scenario) if parts is None else parts
+    given = section_parts(scenario).values() if parts is None else parts
     own = (limit for part in given for limit in part.limits(coordinates))
     return [*urdf_limits(scenario.model, plant), *own]
 

@@ -166,8 +166,11 @@ def _follow(
     scenario: Scenario, make_nominal: Callable[[], PlantModel], motion: PlannedMotion
 ) -> PlannedMotion:
     """A motion along a prescribed frame path: joints follow the frame, undriven coordinates the
-    conservation of momentum.
+    conservation of momentum. A closed chain's follow its target.
     """
+    if len(scenario.contacts) > 1:
+        chain: PlannedMotion = service("closed_chain_motion", "contacts")(motion, scenario)
+        return chain
     if scenario.reference.frame is None and not scenario.undriven:
         return motion
     plain, nominal = Scenario(), make_nominal()

@@ -55,6 +55,7 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "sensing.faults": lambda scenario: scenario.faults,
     "sensing.detection": lambda scenario: scenario.faults,
     "forces.disturbance": lambda _: True,
+    "forces.contacts": lambda scenario: len(scenario.contacts) > 1,
     "forces.environment": lambda scenario: scenario.environment,
     "forces.gripper": lambda scenario: scenario.closing,
     "forces.jam": lambda scenario: scenario.faults,

@@ -53,6 +53,7 @@ NEEDED = {
     "policy": [["validate", "postcapture", "--set", "controller=policy:a.onnx"]],
     "report": [],
     "task_space": [[*SHORT, "--controller", "resolved_rate"]],
+    "two_arms": [["run", "two_arms", "--no-report", "--out", "out"]],
     "udp": [["run", "postcapture", "-c", "ffsm_drake.plugins.udp.external:External"]],
 }
 # Of a copy of the package: what is left is imported, and commands run.

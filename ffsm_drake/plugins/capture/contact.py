@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.plugins import service
 from ffsm_drake.common.so3 import quaternion_of
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.scenario import Capture, Scenario
@@ -151,6 +152,7 @@ def contact_at(
         velocity=velocity,
         target_velocity=target_velocity,
         braked=known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else (),
+        constraints=closed_chain(scenario, model, q)[1] if len(scenario.contacts) > 1 else None,
     )
     grasp = plastic_grasp(**vars(situation))
     effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
@@ -184,6 +186,7 @@ class _Situation:
     velocity: np.ndarray
     target_velocity: np.ndarray
     braked: Sequence[int]
+    constraints: np.ndarray | None = None
 
 
 def _compliant(situation: _Situation, gripper: Compliance, p_PE: np.ndarray) -> CompliantGrasp:
@@ -197,7 +200,7 @@ def _compliant(situation: _Situation, gripper: Compliance, p_PE: np.ndarray) -> 
         target_velocity=moved @ situation.target_velocity,
     )
     return compliant_grasp(
-        **vars(at_gripper),
+        **{name: value for name, value in vars(at_gripper).items() if name != "constraints"},
         stiffness=np.repeat([gripper.rotational_stiffness, gripper.stiffness], 3),
         damping=np.repeat([gripper.rotational_damping, gripper.damping], 3),
     )
@@ -220,6 +223,8 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
     """
     capture = scenario.capture or Capture()
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    if len(scenario.contacts) > 1:
+        q = closed_chain(scenario, model, q)[0]
     return contact_at(
         scenario,
         model,
@@ -227,6 +232,15 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
         velocity=model.split.whole_velocities(servicer_velocity(scenario, capture, model, q)),
         target_velocity=target_twist(scenario, capture, model, q),
     )
+
+
+def closed_chain(
+    scenario: Scenario, model: PlantModel, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The configuration q (nq) with all hands on the target, and A (m, nv) of the closed loops."""
+    found: tuple[np.ndarray, np.ndarray]
+    found = service("closed_chain", "contacts")(scenario, model.plant, model.context, q)
+    return found
 
 
 def target_path(

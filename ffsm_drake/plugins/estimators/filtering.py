@@ -34,6 +34,11 @@ class FilteredLaw(ControlLaw):
         return self.law.tracks_frame
 
     @property
+    def contacts_read(self) -> int:  # type: ignore[override]
+        """As the wrapped law."""
+        return self.law.contacts_read
+
+    @property
     def wide(self) -> bool:  # type: ignore[override]
         """True if the wrapped law is."""
         return is_wide(self.law)

@@ -84,7 +84,11 @@ def make_controller(
         )
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
-    made = _make(setup, factory)
+    if len(scenario.contacts) > 1 and scenario.chain.law != "plain":
+        in_chain = service("closed_chain_law", "chain.law")
+        made = in_chain(setup, lambda own: _make(own, factory))
+    else:
+        made = _make(setup, factory)
     if isinstance(made, type):
         place = f"controller '{scenario.controller}'"
         raise BlockError(f"{place} must be a control law or a Drake system, not a class of them")

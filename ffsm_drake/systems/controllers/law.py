@@ -66,6 +66,8 @@ class Sample(NamedTuple):
     # (..., 19) desired [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the
     # frame F of ``reference.frame``; None: there is none, or the law tracks no frame
     desired_frame: np.ndarray | None = None
+    # (..., 6 contacts) measured wrenches on the target, for a law with ``contacts_read``
+    contact_wrench: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -169,6 +171,8 @@ class ControlLaw(abc.ABC):
 
     # True if it tracks a frame: it gets ``desired_frame``, and is evaluated by the frame's pose.
     tracks_frame: ClassVar[bool] = False
+    # Number of contacts (``contacts``) whose wrench it reads.
+    contacts_read: ClassVar[int] = 0
     # True if ``step`` gives every row of arrays (B, nv) the same bits as alone, with a row for each
     # run in vector fields too, and a column (B, 1) in numbers that differ; other fields are equal,
     # except the model and ``of_each`` fields. Runs in one diagram then share one law (``is_wide``).

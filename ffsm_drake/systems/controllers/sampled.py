@@ -40,6 +40,7 @@ class SampledController(LeafSystem):
       measurement_is_new: optional (nq + nv), 1 for entries with a new measurement at this sample;
         without the port all are new.
       desired_frame: optional (19), for a law tracking a frame; see ``Sample.desired_frame``.
+      contact_wrench: optional (6 for each contact), for a law with ``contacts_read``.
       restart: optional (1), above 0.5 if the law restarts at this sample.
     Outputs, read from the state; no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint
@@ -111,6 +112,11 @@ class SampledController(LeafSystem):
             self.DeclareVectorInputPort("desired_frame", self._copies * FRAME_SIZE)
             if getattr(self.law, "tracks_frame", False)
             else None
+        )
+
+        contacts = getattr(self.law, "contacts_read", 0)
+        self._wrench = (
+            self.DeclareVectorInputPort("contact_wrench", 6 * contacts) if contacts else None
         )
 
     def _first_memory(self, num_velocities: int) -> State:
@@ -235,6 +241,8 @@ class SampledController(LeafSystem):
             inputs["measurement_is_new"] = self._is_new.Eval(context)
         if self._desired_frame is not None and self._desired_frame.HasValue(context):
             inputs["desired_frame"] = self._desired_frame.Eval(context)
+        if self._wrench is not None and self._wrench.HasValue(context):
+            inputs["contact_wrench"] = self._wrench.Eval(context)
         memory = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if self._copies > 1:
             inputs = {name: each.reshape(self._copies, -1) for name, each in inputs.items()}
@@ -268,6 +276,7 @@ class SampledController(LeafSystem):
             # The quaternion has one entry more than the rotation vector.
             None if is_new is None else is_new[..., 1:] != 0.0,
             inputs.get("desired_frame"),
+            inputs.get("contact_wrench"),
         )
         force, memory = self._step(sample, memory, time)
         if self._undriven is not None:

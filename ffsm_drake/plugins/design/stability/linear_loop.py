@@ -13,6 +13,7 @@ from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
 MARGINAL = 1e-6  # distance from the unit circle within which a pole neither grows nor decays
+_KEPT = 1e-7  # singular value of A - 1 that is zero, but for the differences' rounding
 STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
 
 
@@ -100,6 +101,19 @@ class LinearLoop:
     def is_marginal(self) -> bool:
         """Whether small errors neither grow nor decay."""
         return abs(self.spectral_radius - 1.0) < MARGINAL
+
+    @property
+    def unit_poles(self) -> int:
+        """The number of poles at one: of states that nothing moves back.
+
+        They are counted as the directions that A keeps: eigenvalues at one of a matrix that is far
+        from normal are found with few digits.
+        """
+        kept = self._fed_back[1]
+        if not np.isfinite(kept).all():
+            return 0
+        sizes = np.linalg.svd(kept - np.eye(len(kept)), compute_uv=False)
+        return int((sizes < _KEPT).sum())
 
     @property
     def kept_memory(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
@@ -129,6 +130,9 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
     worst, status = found.worst, _status(found, leg)
     for loop in _resting(found, leg):
         linearizer.refuse_marginal(loop)
+    growing = chain_growth(linearizer)
+    if growing:
+        status = "unstable"
     return LegVerdict(
         leg=leg,
         radius=worst.spectral_radius,
@@ -137,9 +141,23 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
         instants=len(found.loops),
         rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
-        sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
-        f"instants, {_scope(linearizer.given, leg)}",
+        sentence=f"{leg}: {growing or _told(found, leg, status, start)}{gains}, at "
+        f"{len(found.loops)} instants, {_scope(linearizer.given, leg)}",
     )
+
+
+def chain_growth(linearizer: Linearizer) -> str:
+    """How the internal force of a closed chain grows at the end of the motion; "" if it does not,
+    or there is no chain.
+    """
+    scenario, loop = linearizer.given, linearizer.at(linearizer.end)
+    if len(scenario.contacts) < 2 or linearizer.law is None or not loop.unit_poles:
+        return ""
+    end = linearizer.motion.evaluate(linearizer.end)[0]
+    told: str = service("closed_chain_growth", "contacts")(
+        linearizer.scenario, linearizer.law, end, loop.unit_poles
+    )
+    return told
 
 
 def _at_larger_gains(

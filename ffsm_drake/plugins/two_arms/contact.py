@@ -1,0 +1,312 @@
+"""Contacts that close a loop: their force on the plant, and its internal part."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Demultiplexer
+from scipy.linalg import block_diag
+from scipy.linalg.lapack import dposv
+
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario.contacts import WRENCH, Contact, closing_contacts
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.limits import Limit
+from ffsm_drake.spacecraft.nominal import change_payload, damping_of, make_flexible_plant
+from ffsm_drake.systems.part import Metric, Part, Signal, View
+from ffsm_drake.systems.setup import BlockSetup
+
+WRENCHES, GAP = "contact_wrench", "contact_gap"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Contacts(Part):
+    """The section ``contacts``, beside the weld of the model."""
+
+    title, section = "Contacts", "Contacts"
+    about = "The wrench on the target at each contact beside the weld of the model, in the axes of "
+    about += "the contact's frame on the target."
+    contacts: Mapping[str, Contact] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Contacts | None":
+        """The contacts that close a loop; None without any."""
+        contacts = closing_contacts(scenario)
+        return cls(contacts=contacts) if contacts else None
+
+    def build(self, setup: BlockSetup) -> LeafSystem:
+        """The force of the contacts."""
+        return ContactForce(setup)
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Wrench on the target and gap of each contact."""
+        names, units = self._components, self._units
+        return (
+            Signal(
+                name=WRENCHES,
+                unit="N m or N",
+                meaning="moment and force of the hand on the target at each contact, in the axes "
+                "of the contact's frame",
+                components=names,
+                held=False,
+                panels=units,
+                heading="Wrench at the contacts",
+            ),
+            Signal(
+                name=GAP,
+                unit="rad or m",
+                meaning="rotation and position of the hand from where the contact holds it",
+                components=tuple(
+                    name.replace("moment", "rotation").replace("force", "position")
+                    for name in names
+                ),
+                held=False,
+                heading="",
+            ),
+        )
+
+    def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
+        """The limits of the wrenches."""
+        given = [
+            each for one in self.contacts.values() for each in (one.moment_limit, one.force_limit)
+        ]
+        if not any(given):
+            return ()
+        bound = np.repeat([np.inf if each is None else each for each in given], 3)
+        names = self._components
+        return [
+            Limit(
+                quantity=WRENCHES,
+                source="the limits of the contacts",
+                names=names,
+                units=tuple(self._units.values()),
+                upper=bound,
+                lower=-bound,
+            )
+        ]
+
+    def metrics(self) -> Sequence[Metric]:
+        """Largest internal force and moment, over the run and over its last second; the gap."""
+        return (
+            Metric(
+                key="contacts.force",
+                unit="N",
+                label="Largest force at the contacts",
+                ranked=True,
+                of=lambda run: _sizes(run)[..., 1].max(),
+            ),
+            Metric(
+                key="contacts.moment",
+                unit="N m",
+                label="Largest moment at the contacts",
+                ranked=True,
+                of=lambda run: _sizes(run)[..., 0].max(),
+            ),
+            Metric(
+                key="contacts.force_at_end",
+                unit="N",
+                label="Largest force in the last second",
+                of=lambda run: _sizes(run)[_last(run) :, :, 1].max(),
+            ),
+            Metric(
+                key="contacts.moment_at_end",
+                unit="N m",
+                label="Largest moment in the last second",
+                of=lambda run: _sizes(run)[_last(run) :, :, 0].max(),
+            ),
+            Metric(
+                key="contacts.gap",
+                unit="rad or m",
+                label="Largest gap of the contacts",
+                of=lambda run: np.abs(run[GAP]).max(),
+            ),
+        )
+
+    @property
+    def _components(self) -> tuple[str, ...]:
+        if len(self.contacts) == 1:
+            return WRENCH
+        return tuple(f"{name}_{axis}" for name in self.contacts for axis in WRENCH)
+
+    @property
+    def _units(self) -> dict[str, str]:
+        return {name: "N" if "force" in name else "N m" for name in self._components}
+
+
+def _sizes(run: View) -> np.ndarray:
+    """Sizes of moment and force (n, contacts, 2), N m and N."""
+    wrench = run[WRENCHES]
+    sizes: np.ndarray = np.linalg.norm(wrench.reshape(len(wrench), -1, 2, 3), axis=-1)
+    return sizes
+
+
+def _last(run: View) -> int:
+    """The sample at which the last second begins."""
+    return max(0, len(run.time) - 1 - round(1.0 / run.scenario.sample_time))
+
+
+class ContactForce(Diagram):
+    """The force of the contacts, which close loops of the plant's tree.
+
+    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv). Outputs:
+    ``generalized_force`` (nv), ``contact_wrench`` (on the target) and ``contact_gap`` (6 for each
+    contact).
+    """
+
+    def __init__(self, setup: BlockSetup) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        self._contact = builder.AddSystem(_Contact(setup))
+        for index in range(self._contact.num_input_ports()):
+            port = self._contact.get_input_port(index)
+            builder.ExportInput(port, port.get_name())
+        nv = len(setup.coordinates.names)
+        whole = self._contact.get_output_port().size()
+        size = (whole - nv) // 2
+        parts = builder.AddSystem(Demultiplexer([nv, size, size]))
+        builder.Connect(self._contact.get_output_port(), parts.get_input_port())
+        for index, name in enumerate(("generalized_force", WRENCHES, GAP)):
+            builder.ExportOutput(parts.get_output_port(index), name)
+        builder.BuildInto(self)
+
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        self._contact.set_payload(properties)
+
+
+class _Contact(LeafSystem):
+    """Force, wrenches and gaps in one output: with three, Drake would call it three times.
+
+    A rigid contact holds A v = 0: its multipliers solve A H^-1 (f + A' lambda) = -(dA/dt v + 2 w A
+    v + w^2 gap), f being all other forces and w its ``stabilization``. A compliant one gives lambda
+    = -(K gap + D A v).
+    """
+
+    def __init__(self, setup: BlockSetup) -> None:
+        super().__init__()
+        self._scenario, self._model = setup.scenario, make_flexible_plant(setup.scenario)
+        coordinates, split = setup.coordinates, self._model.split
+        plant = self._model.plant
+        self._chain = ClosedChain(plant, setup.scenario, true=True)
+        nv, nq = len(coordinates.names), len(coordinates.position_names)
+        self._split, self._known = split, split.known if split.names else None
+        loss = damping_of(plant)
+        self._loss = loss if loss.any() else None
+        # the last state with what follows from it: a period begins with the state at the end of
+        # the one before
+        self._kept: tuple[bytes, Any] = b"", None
+        self._set_gains()
+        self._state = self.DeclareVectorInputPort("state", nq + nv)
+        self._other = self.DeclareVectorInputPort("other_force", nv)
+        hidden = 2 * len(split.names)
+        self._hidden = self.DeclareVectorInputPort("hidden_state", hidden) if hidden else None
+        size = nv + 12 * len(self._chain.loops)
+        self._nv, self._values = nv, np.empty(size)
+        self.DeclareVectorOutputPort("all", size, weak_callback(self._calc))
+        untie(self)
+
+    def _set_gains(self) -> None:
+        """Rates (m) of rigid contacts, stiffness and damping (m, m) of compliant ones."""
+        loops = self._chain.loops
+        rows = [len(loop.rows) for loop in loops]
+        w = np.repeat([loop.contact.stabilization for loop in loops], rows)
+        self._twice, self._square = 2.0 * w, w * w
+        compliant = np.repeat([loop.contact.kind == "compliant" for loop in loops], rows)
+        self._rigid, self._soft = np.flatnonzero(~compliant), np.flatnonzero(compliant)
+        self._stiffness, self._damping = (
+            block_diag(*(loop.rows @ np.diag(gains(loop.contact)) @ loop.rows.T for loop in loops))
+            for gains in (_stiffness, _damping)
+        )
+
+    def set_payload(self, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        change_payload(self._model.plant, self._model.context, self._scenario, properties)
+        self._kept = b"", None
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        state, force = self._state.Eval(context), self._other.Eval(context)
+        if self._hidden is not None:
+            state = self._split.whole(state, self._hidden.Eval(context))
+            force = self._split.whole_velocities(force)
+        if (content := state.tobytes()) != self._kept[0]:
+            self._kept = content, self._geometry(state)
+        found = self._kept[1]
+        multipliers = found.soft if found.inner is None else self._rigid_ones(found, state, force)
+        acts, values = multipliers @ found.jacobian, self._values
+        values[: self._nv] = acts if self._known is None else acts[self._known]
+        values[self._nv : -len(found.gap)] = -self._wrench(multipliers)  # on the target
+        values[-len(found.gap) :] = found.gap
+        output.SetFromVector(values)
+
+    def _rigid_ones(self, found: "_Geometry", state: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """The multipliers (m) with those of rigid contacts, under all other forces (nv)."""
+        force = force + found.given
+        if self._known is not None:  # with the springs of flexible parts
+            plant, own = self._model.plant, self._model.context
+            plant.SetPositionsAndVelocities(own, state)
+            plant.get_applied_generalized_force_input_port().FixValue(own, force)
+            acceleration = plant.get_generalized_acceleration_output_port().Eval(own)
+            force = plant.CalcMassMatrix(own) @ acceleration
+        _, rigid, failed = dposv(found.inner, found.wanted - force @ found.inverse)
+        if failed:  # a singular posture
+            rigid = np.full(rigid.size, np.nan)
+        if not self._soft.size:
+            return rigid
+        multipliers = found.soft.copy()
+        multipliers[self._rigid] = rigid
+        return multipliers
+
+    def _wrench(self, along: np.ndarray) -> np.ndarray:
+        """(6 for each contact) from what is along the constraints (m)."""
+        chain = self._chain
+        return along if chain.is_spatial else chain.wrench_map @ along
+
+    def _geometry(self, state: np.ndarray) -> "_Geometry":
+        """Everything that depends on the plant's state [q; v] alone."""
+        plant, own, chain = self._model.plant, self._model.context, self._chain
+        plant.SetPositionsAndVelocities(own, state)
+        v = state[plant.num_positions() :]
+        jacobian, gap = chain.jacobian(own), chain.gap(own)
+        rate, soft, given = jacobian @ v, None, np.zeros(v.size)
+        if self._known is None:
+            given = -plant.CalcBiasTerm(own)
+            if self._loss is not None:
+                given -= self._loss * v
+        if self._soft.size:
+            soft = -(self._stiffness @ gap + self._damping @ rate)
+            soft[self._rigid] = 0.0
+            given += soft @ jacobian
+        if not self._rigid.size:
+            return _Geometry(jacobian, self._wrench(gap), soft, given)
+        wanted = self._twice * rate
+        wanted += self._square * gap
+        wanted += chain.bias(own)
+        rows = jacobian
+        if self._soft.size:
+            rows, wanted = jacobian[self._rigid], wanted[self._rigid]
+        _, inverse, _ = dposv(plant.CalcMassMatrix(own), rows.T)  # H^-1 A'
+        return _Geometry(jacobian, self._wrench(gap), soft, given, rows @ inverse, inverse, -wanted)
+
+
+class _Geometry(NamedTuple):
+    """The contacts' quantities that depend on the plant's state alone."""
+
+    jacobian: np.ndarray  # A (m, nv)
+    gap: np.ndarray  # (6 for each contact)
+    soft: Any  # (m) multipliers of compliant contacts; None: there are none
+    given: np.ndarray  # (nv) known forces: of compliant contacts, bias and damping
+    inner: Any = None  # A H^-1 A' (r, r) of the rigid contacts; None: there are none
+    inverse: Any = None  # H^-1 A' (nv, r)
+    wanted: Any = None  # (r) A dv/dt
+
+
+def _stiffness(contact: Contact) -> list[float]:
+    return [contact.rotational_stiffness] * 3 + [contact.stiffness] * 3
+
+
+def _damping(contact: Contact) -> list[float]:
+    return [contact.rotational_damping] * 3 + [contact.damping] * 3

@@ -1,0 +1,116 @@
+"""The internal force of a closed chain under a law that is not adapted to it: how it grows.
+
+At rest the chain moves as v = S nu, and no motion takes away the error of the calibration. A law
+with time-delay estimation adds to the internal force at every sample.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.plant import coordinates_of
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+
+_EXAMPLE = 1e-3  # rad or m, of every joint of the closing arms, where a scenario has no error
+_LONGEST = 20.0  # s
+_HUGE = 1e6  # N or N m, where the forecast ends
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Growth:
+    """The internal force at rest, under the calibration errors of a scenario or an example."""
+
+    is_example: bool  # the scenario has no calibration error
+    time: np.ndarray  # s (n)
+    wrench: np.ndarray  # (n, 6) N m and N, of the first contact that closes a loop
+
+    @property
+    def force(self) -> np.ndarray:
+        """Its size (n), N."""
+        size: np.ndarray = np.linalg.norm(self.wrench[:, 3:], axis=1)
+        return size
+
+    @property
+    def moment(self) -> np.ndarray:
+        """Its size (n), N m."""
+        size: np.ndarray = np.linalg.norm(self.wrench[:, :3], axis=1)
+        return size
+
+    @property
+    def rate(self) -> float:
+        """Growth of the force over the last second, N/s."""
+        before = np.searchsorted(self.time, self.time[-1] - 1.0)
+        return float((self.force[-1] - self.force[before]) / (self.time[-1] - self.time[before]))
+
+
+def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray) -> Growth:
+    """The growth of the internal force at rest, without noise and disturbance.
+
+    The chain moves exactly, with its dynamics at q; the law sees its errors and rates.
+
+    Args:
+      scenario: the scenario, with its calibration errors.
+      law: the law.
+      q: the reference's configuration (nq).
+    """
+    model, period = make_true_plant(scenario), scenario.sample_time
+    chain = ClosedChain(model.plant, scenario, true=True)
+    error, is_example = _calibration(scenario, chain, q)
+    model.plant.SetPositions(model.context, chain.closed(q, model.context))
+    A, H = chain.jacobian(model.context), model.plant.CalcMassMatrix(model.context)
+    _, _, rows = np.linalg.svd(A)
+    S = rows[len(A) :].T  # v = S nu
+    drive = np.linalg.solve(S.T @ H @ S, S.T)
+    reaction = np.linalg.solve(A @ np.linalg.solve(H, A.T), np.linalg.solve(H, A.T).T)
+    moved, rate, force = np.zeros(S.shape[1]), np.zeros(S.shape[1]), np.zeros(len(q) - 1)
+    state, still, wrenches = law.initial_state(), np.zeros(len(q) - 1), list[np.ndarray]()
+    for k in range(round(min(scenario.duration, _LONGEST) / period)):
+        v = S @ rate
+        sample = Sample(q, v, q, still, still, error - S @ moved, -v, force, is_first=k == 0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            force, state = law.step(sample, state)
+        acceleration = drive @ force
+        moved = moved + period * rate + 0.5 * period**2 * acceleration
+        rate = rate + period * acceleration
+        wrenches.append((chain.wrench_map @ (reaction @ force))[:6])
+        if not np.abs(wrenches[-1]).max() < _HUGE:
+            break
+    return Growth(
+        is_example=is_example,
+        time=period * np.arange(1, len(wrenches) + 1),
+        wrench=np.array(wrenches),
+    )
+
+
+def _calibration(scenario: Scenario, chain: ClosedChain, q: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The error (nv) that the law sees where base and carrying arm are on the reference, and
+    whether it is an example.
+    """
+    coordinates, context = coordinates_of(chain.plant), chain.plant.CreateDefaultContext()
+    bias = coordinates.vector(scenario.sensing.position_bias, key="sensing", default=0.0)
+    error = position_error(q, chain.closed(q, context)) - bias
+    if np.abs(error).max() > 1e-9:
+        return error, False
+    for loop in chain.loops:
+        error[loop.joints] = _EXAMPLE
+    return error, True
+
+
+def growth_in_words(scenario: Scenario, law: ControlLaw, q: np.ndarray, poles: int) -> str:
+    """The growth in one sentence; arguments as ``growth``, with the number of poles at one."""
+    found = growth(scenario, law, q)
+    errors = "calibration errors"
+    if found.is_example:
+        errors = "a calibration error of 1 mrad of each joint of an arm"
+    told = f"{found.force[-1]:.3g} N and {found.moment[-1]:.3g} N m in {found.time[-1]:.3g} s"
+    if not math.isfinite(found.force[-1]) or found.force[-1] >= _HUGE:
+        told = f"more than {_HUGE:g} N in {found.time[-1]:.3g} s"
+    return (
+        f"internal force not controlled: {poles} poles at one; at rest {errors} let it grow to "
+        f"{told}, by {found.rate:.3g} N/s in the end; set chain.law: minimal"
+    )

@@ -1,0 +1,408 @@
+"""Control laws in a closed chain.
+
+Every law with time-delay estimation adds Hhat (u - q'') to its last force. In a chain, u has parts
+that the constraints A v = 0 exclude, from any error of the kinematics: they add up as an internal
+force that no tracking error shows. Here the law, whichever it is, works in velocities nu with v = S
+nu, A S = 0, with the mass matrix S' H S; its force w is applied as the least tau with S' tau = w.
+To it A' F is added, where F integrates the error of the wrench measured at the contacts.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dgesv, dposv
+
+from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.products import times
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import InternalForce
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel, stacked
+from ffsm_drake.spacecraft.plant import configuration, find_body
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
+from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
+from ffsm_drake.systems.setup import BlockSetup
+
+_INTERNAL = "internal_force"
+# Memory that others read or set for all velocities.
+_OF_ALL = (*OPTIONAL_OUTPUTS, "delayed_desired_velocity", "delayed_velocity")
+# Sections that give values by coordinate to a law.
+_OF_A_LAW = ("controllers", "estimator", "sensing")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TreeModel(PlantModel):
+    """The nominal plant with the constraints of its loops."""
+
+    chain: ClosedChain
+
+    @stacked
+    def calc_constraints(self, q: np.ndarray) -> np.ndarray:
+        """A (..., m, nv) in configurations q (..., nq)."""
+        self._set_state(q)
+        return self.chain.jacobian(self.context)
+
+    @stacked
+    def calc_constraint_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """dA/dt v (..., m) for velocities v (..., nv)."""
+        self._set_state(q, v)
+        return self.chain.bias(self.context)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ChainModel(PlantModel):
+    """The nominal plant in minimal velocities nu (n), v = S nu.
+
+    Configurations q (..., nq) are those of the tree; all else is along nu.
+    """
+
+    tree: TreeModel
+    free: Any  # indices of nu in v (n)
+    following: Any  # indices of the other velocities (m)
+    # the last configuration, with A, S and H there: used several times per sample
+    kept: list[tuple[np.ndarray, ...]] = dataclasses.field(default_factory=list, compare=False)
+
+    def calc_map(self, q: np.ndarray) -> tuple[np.ndarray, ...]:
+        """A (..., m, nv), S (..., nv, n) and H (..., nv, nv) in configurations q (..., nq)."""
+        if not (self.kept and self.kept[0][0] is q):
+            constraints = self.tree.calc_constraints(q)
+            if q.ndim > 1:
+                whole = self.tree.calc_mass_matrix(q)
+            else:  # the context is at q
+                whole = self.plant.CalcMassMatrix(self.context)
+            self.kept[:] = [(q, constraints, self.map_of(constraints), whole)]
+        return self.kept[0][1:]
+
+    def map_of(self, constraints: np.ndarray) -> np.ndarray:
+        """S (..., nv, n) of A (..., m, nv)."""
+        across = constraints[..., self.following], constraints[..., self.free]
+        if constraints.ndim > 2:
+            found = np.tile(self._still, (*constraints.shape[:-2], 1, 1))
+            found[..., self.following, :] = -np.linalg.solve(*across)
+        else:
+            found = self._still.copy()
+            found[self.following] = -dgesv(*across)[2]  # faster on few numbers
+        return found
+
+    @functools.cached_property
+    def _still(self) -> np.ndarray:
+        """S (nv, n) where nothing follows."""
+        found = np.zeros((len(self.tree.coordinates.names), len(self.coordinates.names)))
+        found[self.free] = np.eye(found.shape[1])
+        return found
+
+    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """S' H S (..., n, n)."""
+        _, whole, tree = self.calc_map(q)
+        free, following = self.free, self.following
+        # by blocks, S = [1; D]
+        rows, across = tree[..., following, :], whole[..., following, :]
+        mixed = rows[..., free].mT @ across
+        found: np.ndarray = across.mT @ (rows[..., following] @ across)
+        found += tree[..., free, :][..., free]
+        found += mixed
+        found += mixed.mT
+        return found
+
+    @stacked
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """S' (C + H dS/dt nu) (..., n) for minimal velocities v (..., n)."""
+        constraints, whole, _ = self.calc_map(q)
+        rates = whole @ v
+        drift = np.zeros(rates.size)
+        drift[self.following] = -np.linalg.solve(
+            constraints[:, self.following], self.tree.calc_constraint_bias(q, rates)
+        )
+        return whole.T @ self.tree.calc_inverse_dynamics(q, rates, drift)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class InternalControl:
+    """Integral action on the wrenches at the contacts; F (..., m) is its force on the target."""
+
+    gain: float  # times the sample time
+    preload: np.ndarray  # (m)
+    share: float
+    model: TreeModel
+    target: str
+
+    def wanted(self, sample: Sample) -> np.ndarray:
+        """The wanted wrenches (..., m), along the constraints."""
+        if not self.share:
+            return self.preload
+        return self.preload + self.share * self._load(sample.q_d, sample.v_d, sample.a_d)
+
+    def step(self, sample: Sample, force: np.ndarray) -> np.ndarray:
+        """F at the next sample."""
+        if sample.contact_wrench is None:
+            return force
+        measured = sample.contact_wrench
+        if not self.model.chain.is_spatial:
+            measured = measured @ self.model.chain.wrench_map
+        return force + self.gain * (self.wanted(sample) - measured)
+
+    def _load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The wrenches (..., m) that each contact alone would need to move the target."""
+        if q.ndim > 1:
+            return np.stack([self._load(*one) for one in zip(q, v, a, strict=True)])
+        plant, context = self.model.plant, self.model.context
+        body = find_body(plant, self.target, key="payload.body")
+        motion = self.model.calc_frame_motion(q, v, a, body.body_frame())
+        w, alpha, linear = motion[7:10], motion[13:16], motion[16:19]
+        X_WB = body.EvalPoseInWorld(context)
+        R, M = X_WB.rotation().matrix(), body.CalcSpatialInertiaInBodyFrame(context)
+        p = R @ M.get_com()
+        inertia = R @ M.CalcRotationalInertia().CopyToFullMatrix3() @ R.T
+        force = M.get_mass() * (linear + np.cross(alpha, p) + np.cross(w, np.cross(w, p)))
+        moment = inertia @ alpha + np.cross(w, inertia @ w) + M.get_mass() * np.cross(p, linear)
+        wrenches = []
+        for loop in self.model.chain.loops:
+            X_WG = loop.grasp.CalcPoseInWorld(context)
+            arm = X_WG.translation() - X_WB.translation()
+            turn = X_WG.rotation().matrix().T
+            wrenches += [turn @ (moment - np.cross(arm, force)), turn @ force]
+        return np.concatenate(wrenches) @ self.model.chain.wrench_map
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MinimalLaw(ControlLaw):
+    """A law in minimal velocities; its memory of all coordinates is zero for those that follow."""
+
+    law: ControlLaw
+    tree: TreeModel
+    model: ChainModel
+    internal: InternalControl | None
+    # (nv) squares of the force limits; the force is that of least tau^2 / share, summed
+    share: np.ndarray
+
+    @property
+    def contacts_read(self) -> int:  # type: ignore[override]
+        """All contacts that close loops, where their wrench is controlled."""
+        return len(self.tree.chain.loops) if self.internal is not None else 0
+
+    @property
+    def random_walks(self) -> tuple[str, ...]:
+        """See ControlLaw."""
+        return self.law.random_walks
+
+    def initial_state(self) -> State:
+        """The law's, and the force of the internal control."""
+        internal = {_INTERNAL: np.zeros(self.tree.chain.size)} if self.internal else {}
+        return {**self._padded(self.law.initial_state()), **internal}
+
+    def held(self) -> Mapping[str, float | None]:
+        """See ControlLaw."""
+        return self.law.held()
+
+    @property
+    def reaching_gain(self) -> ReachingGain | None:
+        """See ControlLaw: zero for velocities that follow."""
+        own = self.law.reaching_gain
+        if own is None:
+            return None
+        return ReachingGain(
+            start=self._whole(own.start),
+            largest=self._whole(own.largest),
+            rate=None if own.rate is None else self._whole(own.rate),
+            rest=lambda k_s: self._whole(own.rest(k_s[..., self.model.free])),
+        )
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """See ControlLaw."""
+        free = self.model.free
+        return self._whole(self.law.switching_gain_after(s[..., free], g[..., free]))
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        """One control sample; see ControlLaw."""
+        free, following = self.model.free, self.model.following
+        constraints, whole, _ = self.model.calc_map(sample.q)
+        given = Sample(
+            sample.q,
+            sample.v[..., free],
+            sample.q_d,
+            sample.v_d[..., free],
+            sample.a_d[..., free],
+            sample.e[..., free],
+            sample.e_dot[..., free],
+            times(whole.mT, sample.applied_force),
+            sample.is_first,
+            None if sample.is_new is None else self._new(sample.is_new),
+        )
+        own = {
+            name: value[..., free] if name in _OF_ALL else value
+            for name, value in state.items()
+            if name != _INTERNAL
+        }
+        force, memory = self.law.step(given, own)
+        # tau_d of the velocities that follow: (1 / W_d + D W_f D') tau_d = D W_f w, S = [1; D]
+        across = whole[..., following, :]
+        weighted = across * self.share[free]
+        inner = weighted @ across.mT + self._softness
+        driven = times(weighted, force)
+        if driven.ndim > 1:
+            taken = np.linalg.solve(inner, driven[..., None])[..., 0]
+        else:
+            taken = dposv(inner, driven)[1]
+        least = np.empty((*force.shape[:-1], self.share.size))
+        least[..., free] = force - times(across.mT, taken)
+        least[..., following] = taken
+        if self.internal is None:
+            return least, self._padded(memory)
+        internal = self.internal.step(sample, state[_INTERNAL])
+        # A' F on the joints takes F from the multipliers, which act on the hand
+        force = least + times(constraints.mT, internal)
+        return force, {**self._padded(memory), _INTERNAL: internal}
+
+    @functools.cached_property
+    def _softness(self) -> np.ndarray:
+        return np.diag(1.0 / self.share[self.model.following])
+
+    def _new(self, is_new: np.ndarray) -> np.ndarray:
+        positions, velocities = np.split(is_new, 2, axis=-1)
+        free = self.model.free
+        return np.concatenate([positions[..., free], velocities[..., free]], axis=-1)
+
+    def _padded(self, memory: State) -> dict[str, np.ndarray]:
+        found = dict(memory)
+        for name in filter(found.__contains__, _OF_ALL):
+            found[name] = self._whole(found[name])
+        return found
+
+    def _whole(self, values: np.ndarray) -> np.ndarray:
+        """Values (..., nv) of all velocities from those of the minimal ones."""
+        found = np.zeros((*values.shape[:-1], self.share.size))
+        found[..., self.model.free] = values
+        return found
+
+
+def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> ControlLaw:
+    """The law of a scenario in its closed chain.
+
+    Args:
+      setup: the setup of the controller.
+      make: makes the law for a setup.
+
+    Raises:
+      BlockError: the controller is not a control law.
+      ScenarioError: see ClosedChain.
+    """
+    scenario, nominal = setup.scenario, setup.nominal
+    chain = ClosedChain(nominal.plant, scenario, true=False)
+    shared = {name: getattr(nominal, name) for name in ("plant", "context", "coordinates", "split")}
+    tree = TreeModel(**shared, chain=chain)
+    model = _minimal_model(scenario, tree)
+    following = set(tree.coordinates.names) - set(model.coordinates.names)
+    own = dataclasses.replace(
+        setup,
+        nominal=model,
+        scenario=_without(scenario, following),
+        settings=_pruned(dict(setup.settings), following),
+    )
+    law = make(own)
+    if not (hasattr(law, "initial_state") and hasattr(law, "step")):
+        raise _unfit(setup, "is a Drake system")
+    _try(law, model, setup)
+    given = scenario.chain.force
+    limit = tree.coordinates.vector(
+        scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
+    )
+    largest = limit[np.isfinite(limit)].max(initial=1.0)
+    return MinimalLaw(
+        law=law,
+        tree=tree,
+        model=model,
+        internal=None if given is None else _internal_control(given, scenario, tree),
+        share=np.where(np.isfinite(limit), limit / largest, 1.0) ** 2,
+    )
+
+
+def _try(law: ControlLaw, model: ChainModel, setup: BlockSetup) -> None:
+    """Raise BlockError for a law that does not work in fewer velocities than the tree has."""
+    zero, q = np.zeros(len(model.coordinates.names)), model.plant.GetPositions(model.context)
+    sample = Sample(q, zero, q, zero, zero, zero, zero, zero, is_first=True)
+    try:
+        force, _ = law.step(sample, law.initial_state())
+        fits = np.shape(force) == zero.shape
+    except (ValueError, IndexError, TypeError, AttributeError):
+        fits = False
+    if not fits:
+        raise _unfit(setup, "needs the velocities of all joints")
+
+
+def _unfit(setup: BlockSetup, reason: str) -> BlockError:
+    return BlockError(
+        f"controller '{setup.name}' {reason}, and cannot work in a closed chain's minimal "
+        "velocities; take another one, or set chain.law: plain"
+    )
+
+
+def _internal_control(given: InternalForce, scenario: Scenario, tree: TreeModel) -> InternalControl:
+    preload = np.tile(np.array(given.preload), len(tree.chain.loops)) @ tree.chain.wrench_map
+    return InternalControl(
+        gain=given.gain * scenario.sample_time,
+        preload=preload,
+        share=given.share,
+        model=tree,
+        target=scenario.payload.body,
+    )
+
+
+def _minimal_model(scenario: Scenario, tree: TreeModel) -> ChainModel:
+    """The minimal velocities: all but joints of the closing arms, chosen in the initial posture so
+    that the others move them the least.
+    """
+    q = configuration(tree.plant, scenario.initial_posture, key="initial_posture")
+    tree.plant.SetPositions(tree.context, tree.chain.closed(q, tree.context))
+    following = list[int]()
+    for loop in tree.chain.loops:
+        jacobian = tree.chain.jacobian_of(loop, tree.context)[:, loop.joints]
+        for _ in range(len(loop.rows)):  # the longest column, and the rest across it
+            longest = int(np.argmax(np.linalg.norm(jacobian, axis=0)))
+            along = jacobian[:, longest] / np.linalg.norm(jacobian[:, longest])
+            jacobian = jacobian - np.outer(along, along @ jacobian)
+            following.append(int(loop.joints[longest]))
+    coordinates, chosen = tree.coordinates, np.array(sorted(following))
+    free = np.setdiff1d(np.arange(len(coordinates.names)), chosen)
+    joints = free[NUM_BASE_VELOCITIES:] - NUM_BASE_VELOCITIES
+    fewer = Coordinates(
+        tuple(coordinates.joints[i] for i in joints),
+        tuple(coordinates.joint_units[i] for i in joints),
+        coordinates.undriven,
+    )
+    return ChainModel(
+        plant=tree.plant,
+        context=tree.context,
+        coordinates=fewer,
+        split=tree.split,
+        tree=tree,
+        free=_as_slice(free),
+        following=_as_slice(chosen),
+    )
+
+
+def _as_slice(indices: np.ndarray) -> Any:
+    """Indices in a row as a slice, which takes a view; others unchanged."""
+    first, last = int(indices[0]), int(indices[-1])
+    return slice(first, last + 1) if last - first == indices.size - 1 else indices
+
+
+def _without(scenario: Scenario, names: set[str]) -> Scenario:
+    """The scenario without values of some coordinates in the sections of a law."""
+    return dataclasses.replace(
+        scenario, **{name: _pruned(getattr(scenario, name), names) for name in _OF_A_LAW}
+    )
+
+
+def _pruned(value: Any, names: set[str]) -> Any:
+    """Settings without values of some coordinates."""
+    if isinstance(value, Mapping):
+        return {key: _pruned(each, names) for key, each in value.items() if key not in names}
+    if dataclasses.is_dataclass(value):
+        fields = [field.name for field in dataclasses.fields(value)]
+        changes = {name: _pruned(getattr(value, name), names) for name in fields}
+        return dataclasses.replace(value, **changes)  # type: ignore[type-var]
+    return value

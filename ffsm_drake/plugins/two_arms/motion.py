@@ -1,0 +1,252 @@
+"""A motion of the closed chain: the target's pose along a polynomial, and the joints by inverse
+kinematics.
+
+The target moves in the base's frame on a line and about an eigenaxis, from its pose in the initial
+posture to that in the target posture, with the motion's own path parameter; the base moves as
+without the chain. The joints are splines in the path parameter, through the solutions of the
+inverse kinematics at nodes; each begins at the one before it and changes the joints least.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.framework import Context
+from scipy.interpolate import BSpline, make_interp_spline
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
+from ffsm_drake.plugins.two_arms.chain import LONGEST_STEP, ClosedChain
+from ffsm_drake.scenario import Reference, Scenario
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.plant import configuration, find_body, model_files
+from ffsm_drake.spacecraft.start import velocity_at_start
+from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.planned_motion import PlannedMotion
+
+_NODES, _MOST_NODES = 128, 2048
+_ACCURATE = 1e-10  # m, rad: gap between the nodes
+_REACHED = 1e-11  # m, rad: error of the target's pose at a node
+_STEPS = 60
+SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is planned
+
+
+class ChainMotion(PlannedMotion):
+    """A polynomial whose joints follow the target."""
+
+    def __init__(self, motion: PlannedMotion, scenario: Scenario) -> None:
+        """Args:
+          motion: the polynomial of the base.
+          scenario: the scenario, with the duration of that motion.
+
+        Raises ScenarioError: a hand does not reach, or an arm is singular.
+        """
+        velocity = None
+        if scenario.starts_moving:
+            velocity = velocity_at_start(scenario, make_nominal_plant(scenario))
+        self._in_time = velocity is not None
+        part = dataclasses.replace(
+            Scenario(),
+            model=scenario.model,
+            payload=scenario.payload,
+            contacts=scenario.contacts,
+            initial_posture=scenario.initial_posture,
+            target_posture=scenario.target_posture,
+            # without a velocity the path parameter is all that matters
+            reference=scenario.reference if self._in_time else Reference(),
+        )
+        end = motion.end if self._in_time else 1.0
+        knots, values = _path(part, model_files(scenario.model), velocity, end)
+        self._joints = BSpline(knots, values, k=5)
+        self._rates = self._joints.derivative(), self._joints.derivative(2)
+        self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
+        period = scenario.sample_time
+        super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        rows = self._motion.rows(times)
+        if self._in_time:
+            s = np.clip(times, 0.0, self.end)
+            ds, dds = np.where(times < self.end, 1.0, 0.0), np.zeros(times.size)
+        else:
+            s, ds, dds = self._blend.blend(times)
+        by_s, by_ss = (rate(s) for rate in self._rates)
+        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
+        n = nq - NUM_BASE_POSITIONS
+        rows[:, nq - n : nq] = self._joints(s)
+        rows[:, nq + nv - n : nq + nv] = ds[:, None] * by_s
+        rows[:, -n:] = dds[:, None] * by_s + (ds**2)[:, None] * by_ss
+        return rows
+
+
+@memoized(maxsize=8)
+def _path(
+    scenario: Scenario, files: tuple[Path, ...], velocity: np.ndarray | None, end: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Knots and coefficients of the joints (n), a spline of fifth order: by the path parameter, or
+    with a velocity (nv) at the start by time (s), to ``end``.
+    """
+    follower, nodes = _Follower(scenario, velocity, end), _NODES
+    while True:
+        s = np.linspace(0.0, end, nodes + 1)
+        spline = make_interp_spline(s, follower.solve(s), k=5)
+        between = 0.5 * (s[1:] + s[:-1])
+        if nodes >= _MOST_NODES or follower.error(between, spline(between)) < _ACCURATE:
+            return spline.t, spline.c
+        nodes *= 2
+
+
+class _Follower:
+    """The joints for poses of the target in the base's frame, base at the origin."""
+
+    def __init__(self, scenario: Scenario, velocity: np.ndarray | None, end: float) -> None:
+        self._model = model = make_nominal_plant(scenario)
+        self._chain = ClosedChain(model.plant, scenario, true=False)
+        self._target = find_body(model.plant, scenario.payload.body, key="payload.body")
+        self._start = self._chain.closed(self._posture(scenario, "initial_posture"), model.context)
+        model.plant.SetPositions(model.context, self._start)
+        self._first = self._target.EvalPoseInWorld(model.context)
+        self._blend, self._end = None, end
+        # rotation vectors and ways, by the blend and by the excursion of the velocity at the start
+        self._turns, self._ways = np.zeros((2, 2, 3))
+        if velocity is not None:
+            self._blend = Blend(scenario.reference, end)
+            arm = self._chain.carrying
+            self._turns[1], self._ways[1] = np.split(self._jacobian()[:, arm] @ velocity[arm], 2)
+        if scenario.reference.goal == "stop":
+            time = 0.0 if self._blend is None else self._blend.stopping_time
+            self._turns[0], self._ways[0] = time * self._turns[1], time * self._ways[1]
+        else:
+            model.plant.SetPositions(model.context, self._posture(scenario, "target_posture"))
+            last = self._target.EvalPoseInWorld(model.context)
+            self._turns[0] = rotation_error(_quaternion(last), _quaternion(self._first))
+            self._ways[0] = last.translation() - self._first.translation()
+
+    def _posture(self, scenario: Scenario, key: str) -> np.ndarray:
+        """A configuration with the base at the origin."""
+        return self._rooted(configuration(self._model.plant, getattr(scenario, key), key=key))
+
+    def _jacobian(self) -> np.ndarray:
+        """The Jacobian (6, nv) of the target's frame."""
+        plant, frame = self._model.plant, self._target.body_frame()
+        world = plant.world_frame()
+        found: np.ndarray = plant.CalcJacobianSpatialVelocity(
+            self._model.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+        )
+        return found
+
+    @staticmethod
+    def _rooted(q: np.ndarray) -> np.ndarray:
+        """q with the base at the origin."""
+        return np.concatenate([[1.0], np.zeros(6), q[NUM_BASE_POSITIONS:]])
+
+    def _pose(self, s: float) -> RigidTransform:
+        """The target's pose at a path parameter, or a time."""
+        along = np.array([s, 0.0])
+        if self._blend is not None:
+            along[:] = self._blend.blend(np.array([s]))[0][0], self._blend.stop(np.array([s]))[0][0]
+        turn = RotationMatrix(matrix_of(quaternion_of(along @ self._turns)))
+        place = self._first.translation() + along @ self._ways
+        return RigidTransform(turn @ self._first.rotation(), place)
+
+    def _off(self, s: float, q: np.ndarray) -> np.ndarray:
+        """Rotation vector and position (6) from the target's pose to that at s."""
+        self._model.plant.SetPositions(self._model.context, q)
+        X, wanted = self._target.EvalPoseInWorld(self._model.context), self._pose(s)
+        turn = rotation_error(_quaternion(wanted), _quaternion(X))
+        return np.concatenate([turn, wanted.translation() - X.translation()])
+
+    def error(self, s: np.ndarray, joints: np.ndarray) -> float:
+        """The largest error (m, rad) of the target's pose or a gap, for joints (m, n) at s (m)."""
+        worst = 0.0
+        for each, q in zip(s, joints, strict=True):
+            off = self._off(each, self._rooted(np.concatenate([np.zeros(7), q])))
+            worst = max(worst, np.abs(off).max())
+            worst = max(worst, np.abs(self._chain.gap(self._model.context)).max())
+        return worst
+
+    def solve(self, s: np.ndarray) -> np.ndarray:
+        """The joints (m, n) at path parameters (m)."""
+        q, found = self._start, []
+        for each in s.tolist():
+            q = self._follow(each, q)
+            found.append(q[NUM_BASE_POSITIONS:])
+        return np.array(found)
+
+    def _follow(self, s: float, q: np.ndarray) -> np.ndarray:
+        """The configuration at a path parameter, from one nearby."""
+        model, chain, q = self._model, self._chain, q.copy()
+        plant, arm = model.plant, chain.carrying
+        off = self._off(s, q)
+        for _ in range(_STEPS):
+            if np.abs(off).max() < _REACHED:
+                break
+            jacobian = self._jacobian()[:, arm]
+            step = np.linalg.lstsq(jacobian, off, rcond=1e-10)[0]
+            step *= min(1.0, LONGEST_STEP / max(np.abs(step).max(), 1e-300))
+            q[arm + 1] += step
+            off = self._off(s, q)
+        if not np.abs(off).max() < 1e-9:
+            raise self._refused(s, "the hand that carries the target does not reach")
+        try:
+            q = chain.closed(q, model.context)
+        except ScenarioError as error:
+            raise self._refused(s, str(error).partition(": ")[2].partition(";")[0]) from None
+        plant.SetPositions(model.context, q)
+        for loop in chain.loops:
+            jacobian = chain.jacobian_of(loop, model.context)
+            for joints in (arm, loop.joints):
+                least = np.linalg.svd(jacobian[:, joints], compute_uv=False)[len(loop.rows) - 1]
+                if least < SINGULAR:
+                    names = model.coordinates.names
+                    raise self._refused(
+                        s,
+                        f"the arm of {names[joints[0]]} to {names[joints[-1]]} is singular "
+                        f"(smallest singular value {least:.2g}, at least {SINGULAR:g})",
+                    )
+        return q
+
+    def _refused(self, s: float, problem: str) -> ScenarioError:
+        return ScenarioError(
+            "contacts",
+            f"no motion of the closed chain: at {100 * s / self._end:.3g} % of the path {problem}; "
+            "change initial_posture or target_posture",
+        )
+
+
+def _quaternion(pose: RigidTransform) -> np.ndarray:
+    found: np.ndarray = pose.rotation().ToQuaternion().wxyz()
+    return found
+
+
+def closed_chain(
+    scenario: Scenario, plant: MultibodyPlant, context: Context, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The plant's own q (nq) with the loops of the true contacts closed, and their A (m, nv)."""
+    chain = ClosedChain(plant, scenario, true=True)
+    q = chain.closed(q, context)
+    plant.SetPositions(context, q)
+    return q, chain.jacobian(context)
+
+
+def start_of(scenario: Scenario, model: PlantModel, state: np.ndarray) -> np.ndarray:
+    """The plant's own [q; v] with the loops of the true contacts closed, and no rate of the gaps.
+
+    Args:
+      scenario: the scenario.
+      model: the true plant.
+      state: [q; v] with the loops open.
+    """
+    plant, context = model.plant, model.context
+    q, v = np.split(state.copy(), [plant.num_positions()])
+    q, jacobian = closed_chain(scenario, plant, context, q)
+    if v.any():
+        inverse = np.linalg.solve(plant.CalcMassMatrix(context), jacobian.T)
+        v = v - inverse @ np.linalg.solve(jacobian @ inverse, jacobian @ v)
+    return np.concatenate([q, v])

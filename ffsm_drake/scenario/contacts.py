@@ -1,0 +1,144 @@
+"""The sections ``contacts`` and ``chain``: hands that hold the target together, and the control of
+the closed chain that they form.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import ORIGIN, choice_of, unitless, vector_in
+
+CONTACT_KINDS = ("rigid", "compliant")
+CHAIN_LAWS = ("minimal", "plain")
+WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
+
+
+@dataclass
+class Contact:
+    """A hand that holds the target.
+
+    The contact of ``model.end_effector`` is the weld of the model; every other one closes a loop.
+    """
+
+    effector: str = unitless("servicer::end_effector", "scoped name of the hand's frame")
+    frame: str = unitless(
+        "debris::grasp", "scoped name of the target's frame that the hand's coincides with"
+    )
+    kind: str = choice_of(
+        "rigid",
+        '"rigid": six constraints; "compliant": a spring and a damper between the frames',
+        *CONTACT_KINDS,
+    )
+    stabilization: float = setting(
+        10.0,
+        "1/s",
+        "rate at which a gap of a rigid contact decays (Baumgarte)",
+        least=0,
+    )
+    stiffness: float = setting(2e4, "N/m", "of a compliant contact", above=0)
+    damping: float = setting(200.0, "N s/m", "of a compliant contact", least=0)
+    rotational_stiffness: float = setting(500.0, "N m/rad", "of a compliant contact", above=0)
+    rotational_damping: float = setting(5.0, "N m s/rad", "of a compliant contact", least=0)
+    force_limit: float | None = setting(
+        None, "N", "largest force along an axis that a run should not exceed; null: none", above=0
+    )
+    moment_limit: float | None = setting(None, "N m", "largest moment, likewise", above=0)
+    position_error: list[float] = vector_in(
+        ORIGIN,
+        "m",
+        "calibration error: true position of the hand's frame in the target's, which the "
+        "controller takes as zero",
+    )
+    rotation_error: list[float] = vector_in(
+        ORIGIN, "rad", "calibration error: true rotation vector of the hand's frame in the target's"
+    )
+
+
+@dataclass
+class InternalForce:
+    """Control of the wrench of the contacts that close a loop, by integral action on the wrench
+    measured at their wrists.
+    """
+
+    gain: float = setting(5.0, "1/s", "gain on the integral of the wrench's error", least=0)
+    share: float = unitless(
+        0.0,
+        "share of the force and moment that move the nominal target, taken by these contacts",
+        least=0,
+        most=1,
+    )
+    preload: list[float] = setting(
+        [0.0] * 6,
+        "N m, N",
+        "desired moment and force on the target, beside the share, in the axes of its frame",
+        size=6,
+    )
+
+
+@dataclass
+class Chain:
+    """The control law in a closed chain (``contacts``)."""
+
+    law: str = choice_of(
+        "minimal",
+        '"minimal": the law in as many velocities as the chain has, the others follow; '
+        '"plain": the law as for an open chain, whose internal force grows with any calibration '
+        "error",
+        *CHAIN_LAWS,
+    )
+    force: InternalForce | None = unitless(
+        InternalForce(), "control of the internal force; null: none"
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Check the contacts: names, hands and unsupported combinations."""
+        yield from _contact_problems(scenario)
+
+
+def _contact_problems(scenario: Any) -> Problems:
+    contacts: dict[str, Contact] = scenario.contacts
+    if not contacts:
+        return
+    seen: dict[str, str] = {}
+    for name, contact in contacts.items():
+        key = f"contacts.{name}"
+        if not name.isidentifier():
+            yield key, "must be a name of letters, digits and underscores"
+        if contact.effector in seen:
+            yield (
+                f"{key}.effector",
+                f"'{contact.effector}' is the hand of '{seen[contact.effector]}' too; name "
+                "another one",
+            )
+        seen.setdefault(contact.effector, name)
+    carrying = seen.get(scenario.model.end_effector)
+    if carrying is None:
+        yield (
+            "contacts",
+            f"none has the effector {scenario.model.end_effector} (model.end_effector), whose hand "
+            "is welded to the target; add it",
+        )
+    elif contacts[carrying].kind != "rigid":
+        yield f"contacts.{carrying}.kind", "must be rigid: it is the weld of the model"
+    elif scenario.model.servicer and contacts[carrying].frame != scenario.model.grasp:
+        yield f"contacts.{carrying}.frame", f"must be model.grasp ({scenario.model.grasp})"
+    for key, problem in (
+        ("capture.approach", scenario.approach is not None),
+        ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
+        ("reference.frame", scenario.reference.frame is not None),
+        ("reference.kind", scenario.reference.kind == "optimal"),
+        ("actuation.driven", bool(scenario.undriven)),
+        ("supervisor", scenario.supervisor is not None),
+        ("faults", scenario.faults is not None),
+    ):
+        if problem and len(contacts) > 1:
+            yield key, "is not supported with more than one contact; leave it out"
+
+
+def closing_contacts(scenario: Any) -> dict[str, Contact]:
+    """The contacts that close a loop: those beside the model's weld."""
+    return {
+        name: contact
+        for name, contact in scenario.contacts.items()
+        if contact.effector != scenario.model.end_effector
+    }

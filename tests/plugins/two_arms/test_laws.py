@@ -1,0 +1,198 @@
+"""Control laws in the closed chain: internal force, load sharing, and what fails without."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from ffsm_drake import BlockError, ControlLaw, Scenario, load_scenario, make_nominal_plant, simulate
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.two_arms.growth import growth
+from ffsm_drake.runs.limits import broken_limits
+from ffsm_drake.scenario import PerCoordinate
+from ffsm_drake.systems.controllers import PAPER_LAWS
+
+CALIBRATION = (  # 1 mrad of each encoder, 1 mm at the hand
+    f"sensing.position_bias={{{', '.join(f'right_{k}: 1e-3' for k in range(1, 7))}}}",
+    "contacts.right.position_error=[1e-3, 0, 0]",
+)
+QUIET = ("sensing.velocity_noise=0", "disturbance.amplitude_scale=0")
+KNOWN = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
+
+
+def scenario(*overrides: str) -> Scenario:
+    return load_scenario("two_arms", [*overrides])
+
+
+def at_rest(given: Scenario) -> Scenario:
+    return dataclasses.replace(given, initial_posture=given.target_posture)
+
+
+@pytest.mark.parametrize("law", PAPER_LAWS)
+def test_calibration_errors_leave_a_small_internal_force(law: str) -> None:
+    given = scenario(f"controller={law}", *CALIBRATION, "duration=3")
+    contacts = simulate(given, check_stability=False).metrics["contacts"]
+    assert contacts["force_at_end"] < 1.0
+    assert contacts["moment_at_end"] < 2.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("law", PAPER_LAWS)
+def test_the_internal_force_stays_below_1_newton_in_20_runs(law: str) -> None:
+    for seed in range(20):
+        given = scenario(f"controller={law}", *CALIBRATION, f"random_seed={seed}")
+        run = simulate(given, check_stability=False)
+        assert run.outcome.status == "completed"
+        assert run.metrics["contacts"]["force"] < 1.0
+        assert run.metrics["contacts"]["moment"] < 2.0
+
+
+@pytest.mark.smoke
+def test_a_law_that_is_not_adapted_winds_up_unseen_in_the_errors() -> None:
+    runs = [
+        simulate(
+            scenario("controller=tdc", f"chain.law={law}", *CALIBRATION, "duration=3"),
+            check_stability=False,
+        )
+        for law in ("plain", "minimal")
+    ]
+    forces = [run.metrics["contacts"]["force_at_end"] for run in runs]
+    assert forces[0] > 100.0 * forces[1]
+    left = [np.abs(run.dataset["error"].values[-1, :12]).max() for run in runs]
+    assert left[0] < 0.01
+
+
+@pytest.mark.parametrize("law", ["tdc", "asmc"])
+@pytest.mark.parametrize("overrides", [CALIBRATION[:1], CALIBRATION[1:]], ids=["encoders", "hand"])
+def test_the_ramp_is_foretold(law: str, overrides: tuple[str, ...]) -> None:
+    """Within 10 %, at rest."""
+    small = [each.replace("1e-3", "1e-4") for each in overrides]
+    given = at_rest(scenario(f"controller={law}", "chain.law=plain", *QUIET, *small, "duration=4"))
+    with Linearizer(given) as linearizer:
+        assert linearizer.at(linearizer.end).unit_poles == 6
+        reference = linearizer.motion.evaluate(linearizer.end)[0]
+        foretold = growth(linearizer.scenario, linearizer.law, reference)
+    wrench = simulate(given, check_stability=False).dataset["contact_wrench"].values
+    force = np.linalg.norm(wrench[:, 3:], axis=1)
+    assert_allclose(foretold.rate, force[-1] - force[-101], rtol=0.1)
+    assert_allclose(foretold.force[-1], force[-1], rtol=0.1)
+    assert not foretold.is_example
+
+
+def test_the_verdict_tells_of_the_internal_force() -> None:
+    plain = verdict(scenario("controller=tdc", "chain.law=plain"), rehearsal=False)
+    assert any("6 poles at one" in line and "chain.law: minimal" in line for line in plain.lines)
+    assert plain.is_linearly_unstable
+    adapted = verdict(scenario("controller=tdc"), rehearsal=False)
+    assert not adapted.is_linearly_unstable
+    assert "poles at one" not in "".join(adapted.lines)
+
+
+def test_the_target_is_shared_and_pressed_as_wanted() -> None:
+    """The right hand's wrench: the share of what moves the target, and the preload."""
+    runs = [
+        simulate(
+            scenario(
+                "controller=tdc", *QUIET, KNOWN, "duration=4", "reference.duration=4",
+                f"chain.force={{share: 0.5, gain: 50, preload: {preload}}}",
+            ),
+            check_stability=False,
+        ).dataset
+        for preload in ([0] * 6, [0, 0, 1, 0, 0, 5])
+    ]  # fmt: skip
+    one, other = (run["contact_wrench"].values for run in runs)
+    assert_allclose(other[100:] - one[100:], np.tile([0, 0, 1, 0, 0, 5], (301, 1)), atol=1e-2)
+    model = make_nominal_plant(scenario(KNOWN))
+    q, v, a = (
+        runs[0][f"desired_{name}"].values for name in ("position", "velocity", "acceleration")
+    )
+    motion = model.calc_frame_motion(q, v, a, "debris::debris")
+    needed = 100.0 * np.linalg.norm(motion[:, 16:], axis=1)
+    taken = np.linalg.norm(one[:, 3:], axis=1)
+    assert needed.max() > 5.0
+    assert_allclose(taken[100:], 0.5 * needed[100:], atol=0.05 * needed.max())
+
+
+def test_force_limits_share_the_torques() -> None:
+    """The force of the arm with smaller limits is smaller; that on the base does not change."""
+    weak = {f"right_{k}": 2.0 for k in range(1, 7)} | {"all": 20.0}
+    limits: list[PerCoordinate | None] = [None, weak]
+    forces = []
+    for limit in limits:
+        given = scenario(*QUIET, "controller=tdc", "duration=2", "chain.force=null")
+        given = given.replace(actuation={"limit": limit})
+        data = simulate(given, check_stability=False).dataset
+        forces.append(np.abs(data["generalized_force"].values[:100]).mean(axis=0))
+    assert_allclose(forces[0][:6], forces[1][:6], rtol=1e-3, atol=1e-3)
+    assert forces[1][12:].sum() < 0.2 * forces[0][12:].sum()
+
+
+def test_computed_torque_tracks_in_minimal_velocities() -> None:
+    """With the exact model, the error stays at the integrator's."""
+    given = scenario("controller=computed_torque", *QUIET, KNOWN, "duration=4")
+    errors = simulate(given, check_stability=False).dataset["error"].values
+    assert np.abs(errors).max() < 1e-4
+
+
+def test_the_chains_model_is_that_of_the_constrained_tree() -> None:
+    """S' H S and the bias, against the tree's inverse dynamics along the chain's motion."""
+    given = scenario(KNOWN)
+    nominal = make_nominal_plant(given)
+    seen = []
+
+    class Watch(ControlLaw):
+        def __init__(self, model):
+            self.model = model
+
+        @classmethod
+        def from_setup(cls, setup):
+            seen.append(setup.nominal)
+            return cls(setup.nominal)
+
+        def step(self, sample, state):
+            return 0.0 * sample.e, state
+
+    simulate(scenario(KNOWN, "duration=0.01"), blocks={"controller": Watch}, check_stability=False)
+    chain, generator = seen[0], np.random.default_rng(0)
+    q = chain.tree.chain.closed(nominal.plant.GetPositions(chain.context), chain.context)
+    nu, rate = generator.normal(size=12), generator.normal(size=12)
+    constraints = chain.tree.calc_constraints(q)
+    whole = chain.map_of(constraints)
+    assert_allclose(constraints @ whole, 0.0, atol=1e-12)
+    v = whole @ nu
+    # any dv/dt with A dv/dt = -dA/dt v whose minimal part is the rate
+    a = whole @ rate
+    change = np.linalg.lstsq(
+        constraints[:, chain.following],
+        -chain.tree.calc_constraint_bias(q, v) - constraints @ a,
+        rcond=None,
+    )[0]
+    a[chain.following] += change
+    expected = whole.T @ nominal.calc_inverse_dynamics(q, v, a)
+    assert_allclose(chain.calc_inverse_dynamics(q, nu, rate), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["tvlqr", "resolved_rate"])
+def test_laws_of_the_whole_tree_are_refused(law: str) -> None:
+    with pytest.raises(BlockError, match=f"controller '{law}' needs the velocities of all joints"):
+        simulate(scenario(f"controller={law}", "duration=0.1"), check_stability=False)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [["estimator.kind=kalman"], ["estimator.kind=coupled"], ["command_filter.low_pass=20"]],
+    ids=["kalman", "coupled", "filtered"],
+)
+def test_estimators_and_filters_work_in_the_chain(overrides: list[str]) -> None:
+    given = scenario(*overrides, "duration=1")
+    run = simulate(given, check_stability=False)
+    assert run.outcome.status == "completed"
+    assert run.metrics["contacts"]["force_at_end"] < 2.0
+
+
+def test_a_run_beyond_the_limits_of_a_contact_says_so() -> None:
+    given = scenario("duration=1", "contacts.right.force_limit=0.05")
+    (line,) = broken_limits(given, simulate(given, check_stability=False).dataset)
+    assert line.startswith("the run: beyond the limits of the contacts: force_x")

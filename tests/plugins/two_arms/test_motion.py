@@ -1,0 +1,93 @@
+"""The motion of the closed chain: closed at every instant, exact rates, and refusals."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawn_arms import two_arms
+from numpy.testing import assert_allclose
+
+from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.systems.reference import make_motion
+
+ARMS = {
+    3: ("zzz", (0.25, 0.18, 0.137), (np.pi / 3, -np.pi / 2, -np.pi / 3), (-0.16, 0.08, 0.0)),
+    6: ("zyyxyx", (0.18, 0.62, 0.62, 0.12, 0.12, 0.12), (0.6, -0.6, 1.8, 0.5, 1.2, 0.2),
+        (-0.6, 0.0, 1.0)),
+    7: ("zyzyxyx", (0.18, 0.4, 0.4, 0.4, 0.12, 0.12, 0.12), (0.4, -1.2, 0.3, 1.9, 0.3, 1.0, 0.2),
+        (-0.6, 0.0, 1.0)),
+}  # fmt: skip
+
+
+@pytest.fixture(params=ARMS, ids="{}_joints".format)
+def drawn(request: pytest.FixtureRequest, tmp_path: Path) -> Scenario:
+    axes, lengths, joints, place = ARMS[request.param]
+    moved = -0.1 if axes == "zzz" else 0.15
+    return two_arms(tmp_path, axes, lengths, joints, place=place, moved=moved)
+
+
+@pytest.mark.smoke
+def test_loops_are_closed_along_the_motion_with_exact_rates(drawn: Scenario) -> None:
+    model = make_nominal_plant(drawn)
+    motion, chain = (
+        make_motion(drawn, model.coordinates),
+        ClosedChain(model.plant, drawn, true=False),
+    )
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    step, times = 1e-4, np.linspace(0.0, motion.end, 23)
+    rows = motion.rows(times)
+    for row in rows:
+        model.plant.SetPositions(model.context, row[:nq])
+        model.plant.SetVelocities(model.context, row[nq : nq + nv])
+        assert_allclose(chain.gap(model.context), 0.0, atol=1e-9)
+        assert_allclose(chain.jacobian(model.context) @ row[nq : nq + nv], 0.0, atol=1e-8)
+        change = chain.jacobian(model.context) @ row[nq + nv :] + chain.bias(model.context)
+        assert_allclose(change, 0.0, atol=1e-6)
+    inside = times[1:-1]
+    before, after = motion.rows(inside - step), motion.rows(inside + step)
+    joints = slice(7, nq), slice(nq + 6, nq + nv), slice(nq + nv + 6, None)
+    for low, high in itertools.pairwise(joints):
+        slope = (after[:, low] - before[:, low]) / (2 * step)
+        assert_allclose(slope, rows[1:-1, high], atol=1e-6)
+    assert np.abs(rows[-1, 7:nq] - rows[0, 7:nq]).max() > 0.05
+    assert not rows[[0, -1], nq:].any()
+
+
+@pytest.mark.slow
+def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario) -> None:
+    run = simulate(drawn.replace(duration=8.0, reference={"duration": 6.0}), check_stability=False)
+    contacts = run.metrics["contacts"]
+    assert run.outcome.status == "completed"
+    assert max(run.metrics["final_error"].values()) < 1e-4
+    assert contacts["force"] < 5.0
+    assert contacts["gap"] < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["contacts.right.effector=servicer::left_hand"], "is the hand of 'left' too"),
+        (["contacts.right.effector=servicer::left_link_4"], "is on the arm of contact 'left' too"),
+        (["contacts.right.effector=servicer::right_link_5"], "5 joints give its hand 5 of the 6"),
+        (["contacts.left.kind=compliant"], "must be rigid"),
+        (["contacts.left.effector=servicer::right_link_6"], "none has the effector"),
+        (["initial_posture.joints.left_2=-1.2"], "its hand does not reach"),
+        (["target_posture.joints.left_1=3.0"], "at .* % of the path its hand does not reach"),
+        (["target_posture.joints.left_5=0.0"], "at .* % of the path the arm of .* is singular"),
+        (["actuation.driven=[joints]"], "not supported with more than one contact"),
+        (["chain.force.preload=[1]"], "must hold 6 values"),
+    ],
+)
+def test_refusals_are_one_line(overrides: list[str], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words) as caught:
+        simulate(load_scenario("two_arms", [*overrides, "duration=0.1"]), check_stability=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_arm_with_too_few_joints_is_refused(tmp_path: Path) -> None:
+    axes, lengths, joints, place = ARMS[6]
+    short = two_arms(tmp_path, axes, lengths, joints, place=place, right=axes[:4])
+    with pytest.raises(ScenarioError, match=r"contacts.right: its arm's 4 joints .* 4 of the 6"):
+        simulate(short, check_stability=False)
