@@ -163,7 +163,7 @@ class _Tree:
                 self.joints.append(read_joint(element))
         if not faults:
             require(
-                any(joint.moves for joint in self.joints),
+                any(joint.kind != "fixed" for joint in self.joints) or not self.links,
                 "has no joint that moves; a servicer needs an arm with revolute or prismatic "
                 "joints",
             )

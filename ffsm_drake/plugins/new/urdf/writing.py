@@ -173,11 +173,10 @@ def _copy_meshes(
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(each, target)
             mesh.set("filename", f"{folder.name}/{place}/{file.name}")
-    beside = [address for address in missing if "://" not in address]
+    is_package = any(address.startswith(("package:", "model:")) for address in missing)
+    found_by = "give --package NAME=FOLDER" if is_package else f"put them beside {source.name}"
     for addresses, problem, remedy in (
-        (beside, "not found", f"put them beside {source.name}, as named in it"),
-        ([address for address in missing if address not in beside], "not found",
-         "give --package NAME=FOLDER to have them drawn"),
+        (missing, "not found", f"{found_by} to have them drawn"),
         (undrawable, "of an undrawable format",
          f"convert them to {', '.join((*DRAWABLE, '.stl'))}"),
     ):  # fmt: skip
