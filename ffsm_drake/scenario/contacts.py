@@ -87,7 +87,7 @@ class Chain:
         *CHAIN_LAWS,
     )
     force: InternalForce | None = unitless(
-        InternalForce(), "control of the internal force; null: none"
+        InternalForce(), "control of the internal force, with minimal; null: none"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
