@@ -31,6 +31,7 @@ from ffsm_drake.scenario import (
     schema_fields,
     thruster_layouts,
 )
+from ffsm_drake.scenario.contacts import CHAIN_LAWS
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 SETTINGS = settings(
@@ -89,6 +90,18 @@ SPECIAL = {
     "reserve": st.floats(0.0, 0.99),
     "goal": st.sampled_from(GOALS),
     "driven": st.just(["all"]),
+    "contacts": st.just({}),
+    "chain": st.fixed_dictionaries(
+        {},
+        optional={
+            "law": st.sampled_from(CHAIN_LAWS),
+            "force": st.none()
+            | st.fixed_dictionaries(
+                {"share": st.floats(0.0, 1.0)},
+                optional={"preload": st.lists(SIGNED, min_size=6, max_size=6)},
+            ),
+        },
+    ),
     "capture": st.none()
     | st.fixed_dictionaries(
         {"rate": st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)},
