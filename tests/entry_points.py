@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ffsm_drake.common.plugins import offered
+from ffsm_drake.common.plugins import SERVICES, offered, optional
 from ffsm_drake.systems.registry import block_names
 
 
@@ -17,6 +17,13 @@ def is_there(plugin):
 def needs(plugin):
     """A mark of tests that are skipped where a plug-in of this package has been deleted."""
     return pytest.mark.skipif(not is_there(plugin), reason=f"plug-in {plugin} is not installed")
+
+
+def uses(service):
+    """A mark of tests that are skipped where a service is missing, or a plug-in that it needs."""
+    return pytest.mark.skipif(
+        optional(SERVICES, service) is None, reason=f"no installed plug-in offers {service}"
+    )
 
 
 def install(folder: Path, modules: dict[str, str], groups: dict[str, dict[str, str]]) -> None:

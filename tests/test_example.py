@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from children import finished
-from entry_points import is_there, needs
+from entry_points import is_there, needs, uses
 
 from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
@@ -94,7 +94,7 @@ def main(monkeypatch, tmp_path):
     return runpy.run_path(str(EXAMPLES / "postcapture.py"))["main"]
 
 
-@needs("design")
+@uses("verdict")
 @pytest.mark.filterwarnings("default")
 @pytest.mark.usefixtures("cheap")
 def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, capfd):

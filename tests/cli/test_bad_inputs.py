@@ -27,7 +27,7 @@ import pytest
 import yaml
 from children import PIPE, CompletedProcess, child, finished
 from click.testing import CliRunner
-from entry_points import is_there, needs
+from entry_points import is_there, uses
 from record_tools import sealed
 
 from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
@@ -1006,6 +1006,7 @@ def warned(stderr: str) -> list[str]:
     return [line for line in stderr.splitlines() if line.startswith("warning: ")]
 
 
+@uses("plan_remarks")
 def test_limits_that_are_left(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, text in {**URDFS, "servicer.urdf": LIMITED, "mine.yaml": PLAN}.items():
@@ -1039,7 +1040,7 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
     assert applied == 1.5
 
 
-@needs("design")
+@uses("plan_remarks")
 def test_a_duration_between_samples_is_told():
     result = CliRunner().invoke(main, ["validate", "postcapture", "--set", "duration=0.0149"])
     assert (

@@ -12,16 +12,17 @@ from children import finished
 from entry_points import needs
 
 PARTS = golden.files()
+EVERY_LAW = ("schema", *golden.WITH_EVERY_LAW)
 
 
-# The schema has the gains of every law.
+# Of the parts that have every law.
 LAWS = [needs("planning"), needs("task_space")]
 
 
 @pytest.mark.parametrize(
     "path",
     [
-        pytest.param(path, id=path.stem, marks=LAWS if path.stem == "schema" else ())
+        pytest.param(path, id=path.stem, marks=LAWS if path.stem in EVERY_LAW else ())
         for path in PARTS
     ],
 )
