@@ -189,7 +189,7 @@ def gripper():
     )
 
 
-def two_arms():
+def two_armed():
     """Two arms on one body, the left one longer."""
     parts = [link("torso", mass=450.0, inertia=(200.0, 180.0, 210.0))]
     for side, y, lengths in (("right", -0.5, (0.7, 0.6, 0.2)), ("left", 0.5, (0.9, 0.8, 0.3))):
@@ -274,4 +274,4 @@ def simple_arm(*more, **limits):
     )
 
 
-OUTSIDE = {f.__name__: f for f in (six_joints, prismatic, gripper, two_arms, seven_joints)}
+OUTSIDE = {f.__name__: f for f in (six_joints, prismatic, gripper, two_armed, seven_joints)}

@@ -20,7 +20,7 @@ from outside_urdfs import (
     robot,
     simple_arm,
     stage,
-    two_arms,
+    two_armed,
 )
 
 from ffsm_drake import load_scenario, make_true_plant
@@ -66,10 +66,10 @@ CONTROLLERS = {
     "six_joints": ["tde_aismc", "aismc"],
     "prismatic": ["pd_plus"],
     "gripper": ["tdc"],
-    "two_arms": ["asmc", "tde_aismc"],
+    "two_armed": ["asmc", "tde_aismc"],
     "seven_joints": ["computed_torque"],
 }
-SLOW = ("two_arms", "seven_joints", "prismatic")
+SLOW = ("two_armed", "seven_joints", "prismatic")
 
 
 @pytest.mark.parametrize(
@@ -160,10 +160,10 @@ def pd_plus(new):
 
 @pytest.mark.slow
 def test_weak_or_slow_joints_get_more_time(made, tmp_path):
-    usual, urdf = made("two_arms"), tmp_path / "arm.urdf"
+    usual, urdf = made("two_armed"), tmp_path / "arm.urdf"
     assert usual.scenario.reference.duration == 20.0
     urdf.write_text(
-        two_arms().replace('effort="80"', 'effort="2"').replace('velocity="1.5"', 'velocity="0.1"')
+        two_armed().replace('effort="80"', 'effort="2"').replace('velocity="1.5"', 'velocity="0.1"')
     )
     weak = new_scenario(urdf, tmp_path / "weak")
     start, end = weak.scenario.initial_posture.joints, weak.scenario.target_posture.joints
@@ -176,7 +176,7 @@ def test_weak_or_slow_joints_get_more_time(made, tmp_path):
 
 
 def test_efforts_limit_the_actuators(made):
-    new = made("two_arms")
+    new = made("two_armed")
     limit = load_scenario(new.scenario_file).actuation.limit
     assert limit == {each.name: each.effort for each in new.servicer.joints}
     assert set(limit.values()) == {80.0}
@@ -394,7 +394,7 @@ def test_an_arm_without_a_world_stands_on_the_middle_of_a_cube(tmp_path):
 
 
 def test_printed(made):
-    text = made("two_arms").summary()
+    text = made("two_armed").summary()
     for part in (
         "torso, 450 kg of 485 kg",
         "left_tool, 3 joints, reach 2 m",

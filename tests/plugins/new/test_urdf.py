@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from outside_urdfs import BOX, OUTSIDE, TURN, gripper, joint, link, simple_arm, two_arms
+from outside_urdfs import BOX, OUTSIDE, TURN, gripper, joint, link, simple_arm, two_armed
 from pydrake.geometry import Role
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -27,7 +27,7 @@ def read(folder, text, **options):
 def test_tips_masses_and_reach(tmp_path):
     six, arms, hand, seven = (
         read(tmp_path, OUTSIDE[name]())
-        for name in ("six_joints", "two_arms", "gripper", "seven_joints")
+        for name in ("six_joints", "two_armed", "gripper", "seven_joints")
     )
     assert (six.tip.frame, len(six.tip.joints)) == ("tool0", 6)
     assert six.tip.reach == pytest.approx(0.2 + 0.8 + 0.7 + 0.15 + 0.15 + 0.1)
@@ -42,7 +42,7 @@ def test_tips_masses_and_reach(tmp_path):
 
 def test_tip_can_be_chosen(tmp_path):
     urdf = tmp_path / "arms.urdf"
-    urdf.write_text(two_arms())
+    urdf.write_text(two_armed())
     assert read_urdf(urdf, tip="right_elbow_link").tip.joints == ("right_shoulder", "right_elbow")
     with pytest.raises(
         ModelError, match="no link or frame 'nose' for the tip; choose one of right_shoulder_link, "
@@ -57,7 +57,7 @@ def test_what_is_left_out_is_said(tmp_path):
         write_urdf(
             read(tmp_path, OUTSIDE[name]()), tmp_path / name, file_name="copy.urdf", packages={}
         )
-        for name in ("six_joints", "gripper", "two_arms")
+        for name in ("six_joints", "gripper", "two_armed")
     )
     for text in (
         "damping and friction",
