@@ -363,7 +363,9 @@ def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
     ``settled``.
     """
     known: dict[str, Sequence[str]] = {}
-    for kind in section_kinds().values():
+    if scenario.faults is None:
+        return scenario
+    for kind in section_kinds():
         known |= kind.known_faults(scenario, coordinates)
     return settled(scenario, known)
 

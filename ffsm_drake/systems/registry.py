@@ -59,7 +59,7 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "forces.environment": lambda scenario: scenario.environment,
     "forces.gripper": lambda scenario: scenario.closing,
     "forces.jam": lambda scenario: scenario.faults,
-    "forces.plume": lambda _: False,  # a thruster's
+    "forces.plume": lambda scenario: getattr(scenario.actuation.thrusters, "plume", None),
 }
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
@@ -107,14 +107,12 @@ def section_parts(
     ``of``: only the parts within one block, such as the actuators of ``actuation``.
     """
     filled = {*scenario.blocks.choices(), *given}
-    # the error of a missing plug-in
-    for name in set(SECTIONS) - set(section_kinds()):
-        if not filled & {name, kind_of(name)} and SECTIONS[name](scenario):
-            load(plugins.SECTIONS, name, f"the scenario's section '{name}'")
     found = {
-        name: kind.of(scenario)
-        for name, kind in section_kinds().items()
-        if name.startswith(f"{of}." if of else "") and not filled & {name, kind_of(name)}
+        name: section_kind(name).of(scenario)
+        for name, is_used in SECTIONS.items()
+        if name.startswith(f"{of}." if of else "")
+        and not filled & {name, kind_of(name)}
+        and is_used(scenario)
     }
     return {name: part for name, part in found.items() if part is not None}
 
@@ -125,14 +123,22 @@ def own_actuators(scenario: Scenario) -> list[Part]:
 
 
 @functools.cache
-def section_kinds() -> dict[str, type[Part]]:
-    """The installed parts that stand in a section of the scenario, by block and section."""
-    own = SHIPPED["section"]
-    kinds = {
-        name: _load(own[name], name, ()) if name in own else optional(plugins.SECTIONS, name)
-        for name in SECTIONS
-    }
-    return {name: kind for name, kind in kinds.items() if kind is not None}
+def section_kind(name: str) -> type[Part]:
+    """The part of a section of the scenario. Raises BlockError: its plug-in has been deleted."""
+    own: dict[str, str] = SHIPPED["section"]
+    kind: type[Part]
+    if name in own:
+        kind = _load(own[name], name, ())
+    else:
+        kind = load(plugins.SECTIONS, name, f"the scenario's section '{name}'")
+    return kind
+
+
+def section_kinds() -> Iterator[type[Part]]:
+    """The parts of all sections, of those that are installed."""
+    for name in SECTIONS:
+        if name in SHIPPED["section"] or optional(plugins.SECTIONS, name) is not None:
+            yield section_kind(name)
 
 
 def find_factory(
