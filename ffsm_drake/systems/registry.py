@@ -46,7 +46,7 @@ SHIPPED: dict[str, dict[str, str]] = {
 SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "reference": lambda _: True,
     "sensing": lambda _: True,
-    "actuation": lambda scenario: not scenario.actuation.is_ideal,
+    "actuation": lambda scenario: _has_actuators(scenario),
     "actuation.thrusters": lambda scenario: scenario.actuation.thrusters,
     "actuation.wheels": lambda scenario: scenario.actuation.wheels,
     "actuation.drives": lambda scenario: scenario.actuation.drives,
@@ -61,6 +61,13 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "forces.jam": lambda scenario: scenario.faults,
     "forces.plume": lambda scenario: getattr(scenario.actuation.thrusters, "plume", None),
 }
+
+
+def _has_actuators(scenario: Scenario) -> bool:
+    """Ideal ones too, where they can be made: runs side by side may differ in limits alone."""
+    return not scenario.actuation.is_ideal or optional(plugins.SECTIONS, "actuation") is not None
+
+
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
 # Block -> entry point group where installed packages offer further ones.
