@@ -71,6 +71,7 @@ _MOVES = {
     "reaction_null": _INTEGRATED,
     "paper": Moves(1e-9, why="gains so high that the loop diverges"),
     "thrusters_only": Moves(1e-9, why="the errors at the end are what many pulses leave"),
+    "two_arms_capture": Moves(1e-8, why="the hands' force has no inertia that would smooth it"),
     "planar_detumble": Moves(1e-9, why="the planned motion is where an optimizer stopped"),
 }
 
