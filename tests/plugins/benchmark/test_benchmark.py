@@ -275,12 +275,17 @@ def test_the_command(tmp_path, monkeypatch):
         "1",
         "--out",
         str(tmp_path / "o"),
+        "--table",
+        str(tmp_path / "laws.csv"),
     ]
     for _ in range(2):
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, result.output
         assert "tdc  " in result.output
     assert (tmp_path / "o" / "benchmark.html").is_file()
+    header, row = (tmp_path / "laws.csv").read_text().splitlines()
+    assert header.startswith("mission,law,settled,runs,")
+    assert row.startswith("short,tdc,3,3,")
     assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
     missed = Published(figure="isv", value=1.0, source="a test")
     monkeypatch.setattr(missions, "controller_names", lambda: ("tdc",))
