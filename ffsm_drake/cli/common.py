@@ -261,6 +261,24 @@ def out_option(what: str = "DIR", **settings: Any) -> Callable[..., Any]:
     )
 
 
+def _table_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse a table's file of another format, before anything runs."""
+    from ffsm_drake.show.table_files import FORMATS
+
+    if path is not None and path.suffix not in FORMATS:
+        raise click.BadParameter(f"'{path}' ends in neither {' nor '.join(FORMATS)}")
+    return path
+
+
+table_option = click.option(
+    "--table",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    callback=_table_file,
+    help="Also write the table, to FILE.tex (LaTeX, booktabs) or FILE.csv.",
+)
+
+
 def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..., Any]:
     return click.option(
         "--controller",

@@ -24,6 +24,7 @@ from ffsm_drake.cli.common import (
     scenario_argument,
     scenario_options,
     scenario_stem,
+    table_option,
 )
 from ffsm_drake.common.interrupts import exit_code
 from ffsm_drake.common.plugins import LIVE, SERVICES, load, optional
@@ -127,6 +128,7 @@ def run(
 @override_options(multiple=True, help="Repeatable; default: the paper's four.")
 @_out
 @json_option
+@table_option
 @_report
 @_require
 def compare(
@@ -135,6 +137,7 @@ def compare(
     overrides: tuple[str, ...],
     out: Path | None,
     as_json: bool,
+    table: Path | None,
     report: bool,
     require: str | None,
 ) -> None:
@@ -147,6 +150,7 @@ def compare(
       ffsm compare
       ffsm compare flight_sensors -c tdc -c tde_aismc -c computed_torque -c pd_plus
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/both
+      ffsm compare paper --table out/laws.tex
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import record_stamp
@@ -164,6 +168,8 @@ def compare(
     base = load_scenario(scenario, overrides)
     directory = out or Path("out") / f"compare_{scenario_stem()}"
     check_writable(directory)
+    if table is not None:
+        check_writable(table.parent)
     if report:
         check_pictures(base.model)
     # checked before any of them runs
@@ -188,6 +194,7 @@ def compare(
             report=report,
             require=require,
             distances=_distances(records),
+            table=table,
         )
     )
 
@@ -321,13 +328,15 @@ def _finish(
     report: bool,
     require: str | None,
     distances: Sequence[float] | None = None,
+    table: Path | None = None,
 ) -> int:
-    """Write the report, print the table and set the exit code of finished runs."""
+    """Write the report, print the table, best first, and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
-    from ffsm_drake.show.tables import results_data, results_table
+    from ffsm_drake.show.table_files import write_table
+    from ffsm_drake.show.tables import results_columns, results_data, results_table
 
     advice_on = optional(SERVICES, "advice") or (lambda record: ())
     said: dict[str, list[str]] = {}  # remark -> controllers
@@ -340,10 +349,13 @@ def _finish(
         with suppress(ModelError):  # already among the remarks
             for closest in run_clearance(record):
                 click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
+    placed = _places(records)
+    best_first = [records[k] for k in placed]
+    shown = None if distances is None else [distances[k] for k in placed]
     if not as_json:
-        placed = _places(records)
-        shown = None if distances is None else [distances[k] for k in placed]
-        click.echo(results_table([records[k] for k in placed], shown))
+        click.echo(results_table(best_first, shown))
+    if table is not None:
+        write_table(results_columns(best_first, shown), table)
     written = list[Path]()
     if report:
         written = write_outputs(

@@ -16,21 +16,35 @@ if TYPE_CHECKING:
 @click.argument(
     "runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR..."
 )
+@click.option(
+    "--format",
+    "formats",
+    default="png",
+    show_default=True,
+    metavar="KIND,...",
+    help="One or several of png, pdf and svg, separated by commas.",
+)
 @out_option(help="Default: the first RUN_DIR.")
-def plot(runs: tuple[Path, ...], out: Path | None) -> None:
-    """Draw the figures of a recorded run, or of several overlaid, as PNG and SVG.
+def plot(runs: tuple[Path, ...], formats: str, out: Path | None) -> None:
+    """Draw the figures of a recorded run, or of several overlaid.
 
     \b
     Examples:
       ffsm plot out/postcapture
       ffsm plot out/compare_paper/tdc out/compare_paper/tde_aismc --out out/figures
+      ffsm plot out/postcapture --format pdf,svg
     """
     from ffsm_drake.common.errors import RecordError
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import MANIFEST_FILE
-    from ffsm_drake.show.figures.run import save_figures
+    from ffsm_drake.show.figures.run import FORMATS, save_figures
 
+    kinds = tuple(dict.fromkeys(kind.strip().lower() for kind in formats.split(",")))
+    if unknown := [kind for kind in kinds if kind not in FORMATS]:
+        raise click.UsageError(
+            f"--format: '{unknown[0]}' is unknown; give one or several of {', '.join(FORMATS)}"
+        )
     if len(runs) > 1:  # as from FOLDER/*
         others = [run for run in runs if not (run / MANIFEST_FILE).is_file()]
         runs = tuple(run for run in runs if run not in others) or runs[:1]
@@ -46,7 +60,7 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
             != records[0].dataset.coordinate.values.tolist()
         ):
             raise RecordError(f"{run}: has other joints than {runs[0]}; draw them separately")
-    written = save_figures(records, directory)
+    written = save_figures(records, directory, kinds)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
 
 

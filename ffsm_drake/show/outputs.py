@@ -20,7 +20,7 @@ def write_outputs(
     recording: bool = True,
     distances: Sequence[float] | None = None,
 ) -> list[Path]:
-    """Write report.html for one run, or several overlaid, with figures (PNG, SVG) and
+    """Write report.html for one run, or several overlaid, with figures (PNG) and
     recording.html; the report by the service ``report``.
 
     The recording shows the first run. Returns the files.

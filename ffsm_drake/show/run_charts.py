@@ -31,18 +31,16 @@ def run_curve(
     style: Style | None = None,
     **look: Any,
 ) -> Curve:
-    """A curve of run i in its colour, over time unless x is given; ``look`` as of ``Curve``."""
+    """A curve of run i in its style, over time unless x is given; ``look`` as of ``Curve``."""
     run = results[i]
     names = filter(None, (run.label if len(results) > 1 else "", name))
     return Curve(
-        run.time if x is None else x, y, style or Style(run.style.color),
+        run.time if x is None else x, y, style or run.style,
         ", ".join(names) or run.label, run=i, **look,
     )  # fmt: skip
 
 
-def coordinate_charts(
-    results: Sequence[Result], variable: str, unit: str, *, smooth: bool = False
-) -> list[Chart]:
+def coordinate_charts(results: Sequence[Result], variable: str, unit: str) -> list[Chart]:
     """A chart for each coordinate of any run; overlays the runs with the variable.
 
     In ``unit``, {unit} is the coordinate's own and {effort} the unit of its force or torque.
@@ -50,7 +48,7 @@ def coordinate_charts(
     return [
         _chart(
             results, name, unit.format(unit=kind, effort=EFFORT_UNITS.get(kind, kind)), columns,
-            group=group, steps=variable in HELD, smooth=smooth,
+            group=group, steps=variable in HELD,
         )
         for (name, group, kind), columns in _by_coordinate(results, variable).items()
     ]  # fmt: skip
@@ -98,7 +96,7 @@ def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0
     """The moving rms of values that start ``late`` samples after the run."""
     size = moving_rms(values, results[i].record.scenario.sample_time)
     return run_curve(
-        results, i, size, x=results[i].time[late:][: size.size], style=results[i].style, width=1.8,
+        results, i, size, x=results[i].time[late:][: size.size], width=1.8,
         name="rms" if len(results) == 1 else "", points=RMS_POINTS,
     )  # fmt: skip
 
@@ -164,8 +162,8 @@ def _tracked(
         if columns:
             charts.append(
                 _chart(
-                    results, name, "deg" if unit == "rad" else unit, columns, smooth=True,
-                    width=2.0, behind=list(references.values()),
+                    results, name, "deg" if unit == "rad" else unit, columns, width=2.0,
+                    behind=list(references.values()),
                 )
             )  # fmt: skip
     return charts
@@ -178,15 +176,11 @@ def _chart(
     columns: Sequence[Column],
     *,
     group: str = "",
-    smooth: bool = False,
     behind: Sequence[Curve] = (),
     **look: Any,
 ) -> Chart:
-    """A chart of the runs' values, smooth ones with the dashes of their run."""
-    curves = [
-        run_curve(results, i, values, style=results[i].style if smooth else None, **look)
-        for i, values in columns
-    ]
+    """A chart of the runs' values."""
+    curves = [run_curve(results, i, values, **look) for i, values in columns]
     return Chart(
         title=title.replace("_", " "), group=GROUP_TITLES.get(group, group), y=unit,
         curves=[*curves, *behind],

@@ -101,13 +101,15 @@ def label_of(controller: str) -> str:
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:
-    """A style for each controller of a figure, all different while spare ones last."""
+    """A style for each controller of a figure, all different while spare ones last; dashes tell
+    runs apart, and a single one is solid.
+    """
     styles: list[Style] = []
     spares = itertools.cycle(_SPARE)
     for name in controllers:
         own = _CONTROLLERS[name][1] if name in _CONTROLLERS else None
         styles.append(next(spares) if own is None or own in styles else own)
-    return styles
+    return styles if len(styles) > 1 else [Style(style.color) for style in styles]
 
 
 def labels_of(records: Sequence[RunRecord]) -> list[str]:

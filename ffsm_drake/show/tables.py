@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.numbers import NONE, number
+from ffsm_drake.common.numbers import NONE
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import controller_key
+from ffsm_drake.show.table_files import Column
 from ffsm_drake.systems.part import Figure
 
 
@@ -29,42 +30,65 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return [line(*row) for row in rows]
 
 
-def results_table(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> str:
-    """The figures of merit as plain text, a line per run; ``distances`` to the LQG limit, if
-    known.
-    """
-    rows = [
-        ["controller", "ITAE", "ISV", *["peak error"] * 2, *["final error"] * 2, "peak force"]
-        + ["peak torque"] * 2,
-        ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
-        *map(_result_cells, records),
+def results_columns(
+    records: Sequence[RunRecord], distances: Sequence[float] | None = None
+) -> list[Column]:
+    """The figures of merit, a row for each run; ``distances`` to the LQG limit, if known."""
+    rows = [_magnitudes(record) for record in records]
+    names = [
+        ("peak error", "rad"), ("peak error", "m"), ("final error", "rad"), ("final error", "m"),
+        ("peak force", "base, N"), ("peak torque", "base, N m"), ("peak torque", "joints"),
+    ]  # fmt: skip
+    columns = [
+        Column(name="controller", cells=[record.scenario.controller for record in records]),
+        Column(name="ITAE", cells=[record.metrics["itae"] for record in records], digits=4),
+        Column(name="ISV", cells=[record.metrics["isv"] for record in records], digits=5),
+        *(
+            Column(name=name, unit=unit, cells=cells)
+            for (name, unit), cells in zip(names, zip(*rows, strict=True), strict=True)
+        ),
     ]
-    columns = []
     for first in ranked_figures(records):
         sizes = [size_of(record, first) for record in records]
-        cells = [NONE if math.isnan(size) else f"{size:.4g}" for size in sizes]
-        columns.append((first.label.lower(), first.shown_unit, *cells))
+        columns.append(
+            Column(name=first.label.lower(), unit=first.shown_unit, cells=sizes, digits=4)
+        )
     if distances is not None:
-        columns.append(("over LQG", "", *(number(distance, 3) for distance in distances)))
-    lines = aligned([[*row, *more] for row, *more in zip(rows, *columns, strict=True)])
+        columns.append(Column(name="over LQG", cells=distances))
+    return columns
+
+
+def results_table(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> str:
+    """The table of ``results_columns`` as plain text, a line per run, and notes below it."""
+    columns = results_columns(records, distances)
+    cells = [
+        [column.name, column.unit, *(_cell(cell, column.digits) for cell in column.cells)]
+        for column in columns
+    ]
+    lines = aligned(list(zip(*cells, strict=True)))
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
     return "\n".join(lines + list(_result_notes(records)))
 
 
-def _result_cells(record: RunRecord) -> list[str]:
-    """The line of a run in the table of results."""
-    m, tracked = record.metrics, tracked_of(record.dataset)
+def _cell(cell: str | float | None, digits: int) -> str:
+    if isinstance(cell, str):
+        return cell
+    return NONE if cell is None or math.isnan(cell) else f"{cell:.{digits}g}"
+
+
+def _magnitudes(record: RunRecord) -> list[float]:
+    """Peak and final errors (rad, m), and peak efforts by group; NaN where there is none."""
+    tracked = tracked_of(record.dataset)
     size, units = np.abs(tracked.error), np.array(tracked.units)
     figures = [
         float(errors[units == unit].max(initial=-math.inf)) if unit in tracked.units else math.nan
         for errors in (size.max(axis=0), size[-1])
         for unit in ("rad", "m")
     ]
-    figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
-    cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
-    return [record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells]
+    efforts = record.metrics["peak_effort"]
+    return figures + [efforts[group] for group in ("base_position", "base_rotation", "joints")]
 
 
 def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:

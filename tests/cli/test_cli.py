@@ -1,5 +1,6 @@
 """The command line: what it prints, writes and answers with."""
 
+import csv
 import json
 import re
 import sys
@@ -109,13 +110,32 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
 @pytest.mark.slow
 def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
     without_stability(monkeypatch)
-    result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path)
+    table = tmp_path / "laws.csv"
+    result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path, "--table", table)
     assert result.exit_code == 0, result.output
     for name in ("tdc", "asmc", "aismc", "tde_aismc"):
         record = RunRecord.load(tmp_path / name)
         assert record.scenario.controller == name
         assert record.scenario.random_seed == 2
     assert (tmp_path / "report.html").is_file()
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    itae = [float(row["ITAE"]) for row in rows]
+    assert len(rows) == 4
+    assert itae == sorted(itae)
+
+
+@pytest.mark.smoke
+def test_a_table_of_no_known_format_is_refused_before_the_runs():
+    result = ffsm("compare", "--table", "laws.xlsx")
+    assert result.exit_code == 2
+    assert "'laws.xlsx' ends in neither .tex nor .csv" in result.output
+
+
+@pytest.mark.smoke
+def test_plot_refuses_an_unknown_format():
+    result = ffsm("plot", "out", "--format", "pdf,eps")
+    assert result.exit_code == 2
+    assert "'eps' is unknown; give one or several of png, pdf, svg" in result.output
 
 
 @pytest.mark.smoke
@@ -138,6 +158,14 @@ def test_plot_overlays_runs(run, tmp_path):
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
         "trajectories.png", "errors.png", "efforts.png", "gains.png",
     }  # fmt: skip
+    for folder in ("vectors", "again"):
+        words = ("plot", tmp_path / "one", "--format", "pdf,svg", "--out", tmp_path / folder)
+        assert ffsm(*words).exit_code == 0
+    drawn = {path.name: path.read_bytes() for path in (tmp_path / "vectors").iterdir()}
+    assert len(drawn) == 8
+    assert drawn["errors.pdf"].startswith(b"%PDF")
+    assert b"<svg" in drawn["errors.svg"]
+    assert drawn == {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
 
 
 def test_diagram(tmp_path):

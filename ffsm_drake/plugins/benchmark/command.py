@@ -13,6 +13,7 @@ from ffsm_drake.cli.common import (
     json_option,
     out_option,
     print_result,
+    table_option,
 )
 from ffsm_drake.plugins.campaign.command import ProgressLine, processors, workers_option
 
@@ -24,6 +25,7 @@ from ffsm_drake.plugins.campaign.command import ProgressLine, processors, worker
               "is not reproduced.")  # fmt: skip
 @workers_option
 @out_option(help="Folder (default: out/benchmark).")
+@table_option
 @json_option
 def benchmark(
     missions: tuple[str, ...],
@@ -31,6 +33,7 @@ def benchmark(
     check: bool,
     workers: int | None,
     out: Path | None,
+    table: Path | None,
     as_json: bool,
 ) -> None:
     """Rank every law on published missions, three seeds each, beside lower bounds.
@@ -44,6 +47,7 @@ def benchmark(
       ffsm benchmark
       ffsm benchmark paper -c tde_aismc -c my_module:MyLaw
       ffsm benchmark --check
+      ffsm benchmark paper --table out/paper.tex
     """
     from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.common.workers import local_workers, stop_on_signals
@@ -56,14 +60,18 @@ def benchmark(
     from ffsm_drake.plugins.benchmark.page import (
         benchmark_data,
         benchmark_page,
+        board_columns,
         board_text,
         checks_table,
     )
     from ffsm_drake.runs.record import to_json
+    from ffsm_drake.show.table_files import write_table
     from ffsm_drake.show.tables import aligned
 
     folder = out or Path("out/benchmark")
     check_writable(folder)
+    if table is not None:
+        check_writable(table.parent)
     loaded = [load_mission(name) for name in missions or mission_names()]
     if check:
         loaded = [mission for mission in loaded if mission.checks]
@@ -81,9 +89,11 @@ def benchmark(
             if not as_json:
                 click.echo(f"{texts[-1]}\n")
     checks = [each for board in boards for each in check_mission(board)] if not controller else []
-    data, table = benchmark_data(boards, checks), checks_table(checks)
+    data, published = benchmark_data(boards, checks), checks_table(checks)
     write_text(folder / "benchmark.json", to_json(data))
     write_text(folder / "benchmark.html", benchmark_page(boards, checks))
-    print_result(as_json, data, "\n".join(aligned(table)) if checks else "")
+    if table is not None:
+        write_table(board_columns(boards), table)
+    print_result(as_json, data, "\n".join(aligned(published)) if checks else "")
     click.echo(f"Written to {folder}: benchmark.html, benchmark.json", err=as_json)
     sys.exit(EXIT_GOOD if all(each.holds for each in checks) else EXIT_UNSTABLE)

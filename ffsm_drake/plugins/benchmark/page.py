@@ -7,6 +7,7 @@ from typing import Any
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.benchmark.missions import Board, Reproduced, Standing
 from ffsm_drake.show.page import render
+from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
 _COLUMNS = {
@@ -42,6 +43,30 @@ def _leaderboard(board: Board) -> list[list[str]]:
         settled = ", ".join([f"{standing.settled} of {len(standing.outcomes)}", *early])
         rows.append([standing.controller, settled, *cells])
     return rows
+
+
+def board_columns(boards: Sequence[Board]) -> list[Column]:
+    """The leaderboards of missions as one table; no column without a number."""
+    found = [
+        (board.mission.name, each, _figures(board, each))
+        for board in boards
+        for each in board.standings
+        if each.outcomes
+    ]
+    columns = [
+        Column(name="mission", cells=[mission for mission, _, _ in found]),
+        Column(name="law", cells=[each.controller for _, each, _ in found]),
+        Column(name="settled", cells=[each.settled for _, each, _ in found]),
+        Column(name="runs", cells=[len(each.outcomes) for _, each, _ in found]),
+    ]
+    for key, heading in _COLUMNS.items():
+        cells = [figures[key] for _, _, figures in found]
+        if key == "law_time":
+            cells = [cell and 1e6 * cell for cell in cells]
+        name, _, unit = heading.rstrip("]").partition(" [")
+        if any(cell is not None for cell in cells):
+            columns.append(Column(name=name, unit=unit, cells=cells))
+    return columns
 
 
 def _cell(name: str, value: float | None) -> str:

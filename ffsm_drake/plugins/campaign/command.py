@@ -19,6 +19,7 @@ from ffsm_drake.cli.common import (
     controller_option,
     count_progress,
     out_option,
+    table_option,
 )
 from ffsm_drake.common.errors import CampaignError
 
@@ -264,8 +265,13 @@ def rerun(
     metavar="X Y",
     help="Axes of the map (default: the two most influential).",
 )
+@table_option
 def report(
-    source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None
+    source: str,
+    database: Path | None,
+    out: Path | None,
+    axes: tuple[str, str] | None,
+    table: Path | None,
 ) -> None:
     """Evaluate a campaign: report.html (one file, opens offline), PNG figures, CSV and Parquet.
 
@@ -273,17 +279,23 @@ def report(
     Examples:
       ffsm campaign report payload_uncertainty
       ffsm campaign report mine.db --map payload.truth.mass nominal_error
+      ffsm campaign report mine.db --table out/mine.tex
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.plugins.campaign.page import write_report
     from ffsm_drake.plugins.campaign.store import open_store
+    from ffsm_drake.show.table_files import write_table
 
     with open_store(_locate(source, database)) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
         check_writable(folder)  # before the slow evaluation
+        if table is not None:
+            check_writable(table.parent)
         written = write_report(
             store, folder, axes=axes, progress=count_progress("controllers predicted")
         )
+        if table is not None:
+            write_table(written.table, table)
         click.echo(written.summary)
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
 

@@ -31,6 +31,7 @@ from ffsm_drake.plugins.campaign.statistics import (
 from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.style import label_of
+from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
 _METRICS = {
@@ -59,10 +60,11 @@ _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_f
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """The files and the summary of a report."""
+    """The files, the summary and the table of a report."""
 
     files: list[Path]
     summary: str
+    table: list[Column]
 
 
 def write_report(
@@ -98,7 +100,25 @@ def write_report(
     except RecordError as error:
         raise CampaignError(one_line(error)) from error
     files = [directory / name for name in ("report.html", *tables)]
-    return Written(files=files, summary=summary_text(findings))
+    return Written(files=files, summary=summary_text(findings), table=_columns(findings))
+
+
+def _columns(findings: Findings) -> list[Column]:
+    """A row for each controller: success in percent, and the medians of the settled runs."""
+    runs_of, rates = findings.table.runs, findings.success.values()
+    columns = [
+        Column(name="controller", cells=[label_of(name) for name in runs_of]),
+        Column(name="runs", cells=[runs.settled.size for runs in runs_of.values()]),
+    ]
+    for name, key in (("settled", "value"), ("at least", "low"), ("at most", "high")):
+        cells = [100.0 * getattr(rate, key) for rate in rates]
+        columns.append(Column(name=name, unit="%", cells=cells))
+    for table in _metric_tables(findings.spec):
+        for metric, heading in table.items():
+            name, _, unit = heading.rstrip("]").partition(" [")
+            cells = [quantiles(runs, metric)[1] for runs in runs_of.values()]
+            columns.append(Column(name=name, unit=unit, cells=cells))
+    return columns
 
 
 def summary_text(findings: Findings) -> str:

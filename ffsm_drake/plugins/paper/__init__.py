@@ -18,6 +18,7 @@ def reproduce(
     overrides: Sequence[str] = (),
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Path:
     """Reproduce the paper, or a part of it, into a directory; returns the main file written.
 
@@ -30,6 +31,7 @@ def reproduce(
       seeds: number of noise seeds, from 0 on; more give a better mean and spread in Table 2.
       overrides: ``key=value`` for every run (see ``load_scenario``); the page lists them.
       workers, progress: see ``ffsm_drake.common.workers.map_tasks``.
+      tell: called with what is reproduced of Table 2, what is not, and what was chosen, as text.
 
     Raises:
       FfsmError: an unknown part, no seeds or workers, or an unusable override.
@@ -39,7 +41,7 @@ def reproduce(
     _check(what, seeds=seeds, workers=workers)
     directory = Path(directory)
     # Drawing and templates are slow to import, and PARTS needs neither.
-    from ffsm_drake.plugins.paper import claims, figures, page, runs, table
+    from ffsm_drake.plugins.paper import claims, figures, outcome, page, runs, table
 
     drawing = {
         "fig3": figures.write_figure_3,
@@ -61,6 +63,8 @@ def reproduce(
         return directory / figures.FOLDER / f"{figure.key}.png"
     rows = table.make_table(results)
     table_file = page.write_table(rows, results, directory)
+    if tell is not None:
+        tell(outcome.outcome_text(rows))
     if what == "table2":
         return table_file
     drawn = [

@@ -28,7 +28,9 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
     """
     from ffsm_drake.plugins.paper import reproduce as reproduce_paper
 
-    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=_show_progress)
+    main_file = reproduce_paper(
+        what, out, seeds=seeds, workers=2, progress=_show_progress, tell=click.echo
+    )
     click.echo(f"Written to {out}; open {main_file}")
 
 

@@ -13,6 +13,7 @@ from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.claims import by_topic, counts
 from ffsm_drake.plugins.paper.figures import FigureFile
 from ffsm_drake.plugins.paper.minor_steps import minor_step_table
+from ffsm_drake.plugins.paper.outcome import CHOICES, CHOICES_HEADER, outcome
 from ffsm_drake.plugins.paper.robustness import nominal_payload_table
 from ffsm_drake.plugins.paper.runs import PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.plugins.paper.table import HEADER, Row, markdown_rows, table_csv, table_notes
@@ -147,6 +148,8 @@ def _content(
         "settings": SETTINGS,
         "notes": table_notes(),
         "summary": summary(results, rows),
+        "outcome": outcome(rows),
+        "choices": (CHOICES_HEADER, CHOICES),
         "overrides": results.overrides,
         "runs_made": runs_made(results),
         "provenance": provenance(results, "all" if verdicts else "table2"),

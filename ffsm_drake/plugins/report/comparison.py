@@ -11,7 +11,7 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.common.plugins import SERVICES, optional
-from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
+from ffsm_drake.runs.limits import run_clearance, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.results import Result, actuators_act, ranking
@@ -245,8 +245,8 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
 
 
 def _limits_left(results: Sequence[Result]) -> list[str]:
-    """The limits of the models exceeded by the plans and the runs, or the reason for a missing
-    comparison; a sentence each.
+    """The limits of the models exceeded by the plans, and the nearest parts, or the reason for a
+    missing comparison; a sentence each.
     """
     sentences, plan_remarks = list[str](), optional(SERVICES, "plan_remarks")
     for result in results:
@@ -255,9 +255,6 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
             if plan_remarks is not None:
                 remarks = plan_remarks(result.record.scenario)
                 sentences += [f"Plan: {remark}." for remark in remarks]
-            sentences += [
-                f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)
-            ]
             sentences += [
                 f"{name}Nearest to each other: {closest}."
                 for closest in run_clearance(result.record)

@@ -25,7 +25,7 @@ from ffsm_drake.runs.ending import (
     SETTLED,
     SETTLED_OVER,
 )
-from ffsm_drake.runs.limits import broken_limits
+from ffsm_drake.runs.limits import broken_limits, run_remarks
 from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
@@ -209,17 +209,22 @@ def _summary(results: Sequence[Result]) -> str:
 
 
 def _remarks(result: Result) -> Json:
-    """Limits exceeded in a run, and remedies for a failed run or saturated actuators."""
+    """Limits exceeded in a run; what its parts say (modes of the supervisor, noticed faults); its
+    warnings; and remedies for a failed run or saturated actuators.
+    """
     record = result.record
     if not record.dataset.sizes.get("time", 0):
-        return {"broken": [], "helps": []}
+        return {"broken": [], "said": []}
     broken, _ = attempt(
         "limits", result, functools.partial(broken_limits, record.scenario, record.dataset)
     )
     advice_on = optional(SERVICES, "advice") or (lambda record: ())
     helps, _ = attempt("advice", result, functools.partial(advice_on, record))
-    said = [f"{remark[:1].upper()}{remark[1:]}." for remark in helps or ()]
-    return {"broken": broken or [], "helps": said}
+    warned, _ = attempt("warnings", result, functools.partial(run_remarks, record))
+    told, _ = attempt("parts", result, lambda: [part.sentence for part in record.parts])
+    lines = [*(told or ()), *(warned or ()), *(helps or ())]
+    said = dict.fromkeys(line for line in lines if line and line not in (broken or ()))
+    return {"broken": broken or [], "said": [f"{line[:1].upper()}{line[1:]}." for line in said]}
 
 
 def _tally(counted: Mapping[str, int]) -> str:

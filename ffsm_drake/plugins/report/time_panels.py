@@ -50,8 +50,8 @@ def points_per_curve(results: Sequence[Result]) -> int:
 def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]]:
     """Section -> views of the runs over time and in space; only what the records hold."""
 
-    def each(variable: str, unit: str, **rest: Any) -> list[Panel]:
-        return panels(coordinate_charts(results, variable, unit, **rest), thin)
+    def each(variable: str, unit: str) -> list[Panel]:
+        return panels(coordinate_charts(results, variable, unit), thin)
 
     errors = {
         "Error": each("error", "{unit}"),
@@ -74,8 +74,8 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
         },
         "sliding": {
             "Sliding variable s": each("sliding_variable", "{unit}/s"),
-            "Gain Kₛ": each("reaching_gain", "1/s", smooth=True),
-            "Gain G": each("switching_gain", "{unit}/s²", smooth=True),
+            "Gain Kₛ": each("reaching_gain", "1/s"),
+            "Gain G": each("switching_gain", "{unit}/s²"),
         },
     }
     views = {

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,12 +27,22 @@ from ffsm_drake.show.run_charts import (
 from ffsm_drake.show.style import GROUP_TITLES, VERMILION
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 
+FORMATS = ("png", "pdf", "svg")
 _EFFORTS = {"N m": "torque", "N": "force"}
+_DOTS = {"png": 130, "pdf": 300, "svg": 300}  # per inch, in vector files of noisy curves only
+# without the date: the same run gives the same file
+_METADATA: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 
-def save_figures(records: Sequence[RunRecord], directory: Path) -> list[Path]:
-    """Draw every figure of one or several runs as PNG into a directory, all or none; returns the
-    paths.
+def save_figures(
+    records: Sequence[RunRecord], directory: Path, formats: Sequence[str] = FORMATS[:1]
+) -> list[Path]:
+    """Draw every figure of one or several runs into a directory, all or none; returns the paths.
+
+    Args:
+      records: the runs.
+      directory: folder for the files.
+      formats: of ``FORMATS``; a file of each figure in each format.
 
     Raises:
       RecordError: a file cannot be written.
@@ -42,11 +53,13 @@ def save_figures(records: Sequence[RunRecord], directory: Path) -> list[Path]:
         "efforts": plot_efforts(records),
         "gains": plot_gains(records),
     }
-    drawn = {f"{name}.png": figure for name, figure in figures.items() if figure is not None}
-    with published(directory) as folder:
-        for name, figure in drawn.items():
-            figure.savefig(folder / name, dpi=130)
-    return [directory / name for name in drawn]
+    drawn = {name: figure for name, figure in figures.items() if figure is not None}
+    names = [f"{name}.{kind}" for kind in formats for name in drawn]
+    with published(directory) as folder, mpl.rc_context({"svg.hashsalt": "ffsm_drake"}):
+        for file in names:
+            name, _, kind = file.partition(".")
+            drawn[name].savefig(folder / file, dpi=_DOTS[kind], metadata=_METADATA.get(kind))
+    return [directory / name for name in names]
 
 
 def plot_trajectories(record: RunRecord) -> Figure:
@@ -182,7 +195,7 @@ def _plot_coordinates(
 def _draw_coordinate(both: tuple[Axes, Axes], charts: tuple[Chart, Chart], letter: str) -> None:
     """The upper and the lower chart of a coordinate, with small labels."""
     upper, lower = both
-    # Dashes would not show in the noise; steps are held, and drawn small.
+    # Steps are held, and drawn small.
     draw(upper, _stepped(charts[0]))
     upper.set_title(f"{letter} {plain(charts[0].title)}", fontsize=10, loc="left")
     upper.set_title("")
@@ -197,7 +210,7 @@ def _draw_coordinate(both: tuple[Axes, Axes], charts: tuple[Chart, Chart], lette
 
 def _stepped(chart: Chart) -> Chart:
     """Every control sample of a chart as a thin step."""
-    curves = [dataclasses.replace(curve, steps=True, width=0.7) for curve in chart.curves]
+    curves = [dataclasses.replace(curve, steps=True, width=0.9) for curve in chart.curves]
     return dataclasses.replace(chart, curves=curves)
 
 

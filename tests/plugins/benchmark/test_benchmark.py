@@ -253,6 +253,7 @@ def test_the_page_opens_offline_and_holds_every_number(mission, folder):
     board = run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
     checks = list(check_mission(board))
     page = benchmark_page([board], checks)
+    assert page.index("<table") < page.index("Effort: ISV.")
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     assert "1000000000" in page or "10⁹" in page
     data = benchmark_data([board], checks)
@@ -275,12 +276,17 @@ def test_the_command(tmp_path, monkeypatch):
         "1",
         "--out",
         str(tmp_path / "o"),
+        "--table",
+        str(tmp_path / "laws.csv"),
     ]
     for _ in range(2):
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, result.output
         assert "tdc  " in result.output
     assert (tmp_path / "o" / "benchmark.html").is_file()
+    header, row = (tmp_path / "laws.csv").read_text().splitlines()
+    assert header.startswith("mission,law,settled,runs,")
+    assert row.startswith("short,tdc,3,3,")
     assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
     missed = Published(figure="isv", value=1.0, source="a test")
     monkeypatch.setattr(missions, "controller_names", lambda: ("tdc",))

@@ -226,9 +226,13 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
             "--map",
             "nominal_error",
             "payload.truth.mass",
+            "--table",
+            str(tmp_path / "table.tex"),
         ],
     )
     assert result.exit_code == 0, result.output
+    table = (tmp_path / "table.tex").read_text()
+    assert "TDC & $12$ & $83.3$ & $51.6$ & $97.9$" in table
     assert re.search(r"predicted unstable +\d+ +[1-9]", result.output)
     page = (tmp_path / "report.html").read_text()
     reader = Reader()

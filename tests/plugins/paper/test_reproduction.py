@@ -9,6 +9,7 @@ import io
 import re
 import shutil
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from ffsm_drake.plugins.paper import (
     accuracy,
     effort,
     figures,
+    outcome,
     page,
     reproduce,
     robustness,
@@ -34,6 +36,7 @@ from ffsm_drake.show import block_diagram
 
 pytestmark = pytest.mark.slow  # every run of the paper, if shortened
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+DOCS = Path(__file__).parents[3] / "docs"
 SHORT = ("duration=0.2",)
 # Far beyond what the exactly integrated loop tolerates, and within what explicit Euler does.
 UNSTABLE = ("duration=0.8", "controllers.tde_aismc.k_s_initial=150")
@@ -132,6 +135,49 @@ def test_the_table_shows_what_simulate_gives(
     assert row.isv.mean == record.metrics["isv"]
     assert row.itae.ratio == pytest.approx(record.metrics["itae"] / paper_itae)
     assert row.isv.ratio == pytest.approx(record.metrics["isv"] / paper_isv)
+
+
+def test_the_outcome_follows_the_table(results):
+    """Values, ranks and differences set to the paper's are reproduced; a swap is named."""
+    rows = table.make_table(results)
+    same = [
+        dataclasses.replace(row, itae=as_printed(row.itae), isv=as_printed(row.isv)) for row in rows
+    ]
+    found = outcome.outcome(same)
+    assert found["reproduced"] == [
+        "ITAE: all 12 values within 0.0 %.",
+        "ITAE: the ranking of the 4 controllers, under all 3 disturbances.",
+        "ISV: all 12 values within 0.0 %.",
+        "ISV: the ranking of the 4 controllers, under all 3 disturbances.",
+        "ISV: the differences to TDC are proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4; "
+        "in the paper proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4.",
+    ]
+    assert found["not reproduced"] == []
+    swapped = {2: 3, 3: 2}
+    other = [
+        dataclasses.replace(
+            row,
+            isv=dataclasses.replace(row.isv, rank=swapped.get(row.isv.rank, row.isv.rank)),
+            itae=dataclasses.replace(row.itae, ratio=0.1 if row.controller == "asmc" else 4.5),
+        )
+        for row in same
+    ]
+    assert outcome.outcome(other)["not reproduced"] == [
+        "ITAE: the values are 0.10 to 4.5 times the paper's.",
+        "ISV: the ranking; AISMC and ASMC change places under all 3 disturbances.",
+    ]
+
+
+def test_the_docs_begin_with_the_outcome(monkeypatch):
+    monkeypatch.setattr(table, "SETTINGS", {"euler": SETTINGS["euler"]})
+    cases = [case for case in runs.table_cases(1) if case.setting == "euler"]
+    found = runs.run_cases(cases, num_seeds=1, workers=2)
+    text = outcome.outcome_text(table.make_table(found))
+    assert text in (DOCS / "paper.md").read_text(encoding="utf-8")
+
+
+def as_printed(cell):
+    return dataclasses.replace(cell, mean=cell.paper, ratio=1.0, rank=cell.paper_rank)
 
 
 def test_mean_and_spread_over_the_seeds():
@@ -377,10 +423,11 @@ def test_page_and_markdown_gather_everything(written, verdicts):
         assert f"**{verdict.verdict}**" in markdown
         assert html.count(f"<b>{verdict.kind}</b>") >= 1
     for text in (html, markdown):
+        assert text.index("eproduced") < text.index("chosen here") < text.index("Exact integration")
         assert "duration=0.2" in text  # not the reproduction proper, and says so
         for part in ("10.3390/aerospace9020105", "drake", "numpy", "What was run", "matplotlib"):
             assert part in text
-    assert html.count('class="numbers') == len(SETTINGS) + 2
+    assert html.count('class="numbers') == len(SETTINGS) + 3
     for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown):
         assert (written / path).is_file()
 

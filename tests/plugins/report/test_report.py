@@ -26,6 +26,7 @@ from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
+from ffsm_drake.systems.part import PartRecord
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 HOSTILE = (
@@ -286,6 +287,22 @@ def test_failing_sections_leave_the_rest(short, monkeypatch):
     page = page_of(short)
     assert page.text.count("controller: has no margins; choose another.") == 2
     assert "ITAE" in page.text
+
+
+@pytest.mark.usefixtures("plain")
+def test_what_concerns_the_verdict_stands_beside_it(short, monkeypatch):
+    """Warnings, and what the parts say, once each and before the results."""
+    sentence = "supervisor: nominal 0.6 s, damping 0.4 s"
+    part = PartRecord(
+        title="Supervisor", section="Supervisor", about="Its modes.", sentence=sentence, table=(),
+        figures=(), drawings=(),
+    )  # fmt: skip
+    monkeypatch.setattr("ffsm_drake.plugins.report.page.run_remarks", lambda _: ["wheel_x: stuck"])
+    text = render_report([dataclasses.replace(short, parts=(part,))])
+    first, _, rest = text.partition('id="results"')
+    for line in ("Supervisor: nominal 0.6 s, damping 0.4 s.", "Wheel_x: stuck."):
+        assert f"<li>{line}</li>" in first
+        assert line not in rest
 
 
 def test_no_record_is_an_error_of_one_line(tmp_path):

@@ -1,0 +1,114 @@
+"""What is reproduced of Table 2, what is not, and what was chosen: the first screen of the pages.
+
+The figures are those of the setting ``euler``, the paper's simulation as far as it is known.
+"""
+
+from collections.abc import Callable
+
+from ffsm_drake.plugins.paper import paper
+from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, STUDY
+from ffsm_drake.plugins.paper.table import METRICS, Cell, Row
+from ffsm_drake.plugins.paper.wording import (
+    DISTURBANCE_NAMES,
+    NAMES,
+    between,
+    listed,
+    named,
+    span,
+)
+
+# choices that the paper leaves open: what, the choice, and whether ISV was used to make it
+CHOICES: list[list[str]] = [
+    [each["what"], each["chosen"], each["isv"]] for each in STUDY["choices"]
+]
+CHOICES_HEADER = ["left open by the paper", "chosen here", "was ISV used to choose it?"]
+
+
+def outcome(rows: list[Row]) -> dict[str, list[str]]:
+    """Sentences on what is ``reproduced`` and what is ``not reproduced``, from a table's rows."""
+    shown = [row for row in rows if row.setting == "euler"]
+    found: dict[str, list[str]] = {"reproduced": [], "not reproduced": []}
+    for metric in METRICS:
+        _add(found, *_values(metric, shown))
+        _add(found, *_ranking(metric, shown))
+    _add(found, *_differences(shown))
+    return found
+
+
+def outcome_text(rows: list[Row]) -> str:
+    """The outcome and the choices, as plain text."""
+    lines = list[str]()
+    for kind, sentences in outcome(rows).items():
+        lines += [f"{kind.capitalize()}:", *(f"  {each}" for each in sentences)]
+    lines += ["Chosen here:"]
+    lines += [f"  {what}: {chosen} (ISV used: {isv})" for what, chosen, isv in CHOICES]
+    return "\n".join(lines)
+
+
+def _add(found: dict[str, list[str]], holds: bool, sentence: str) -> None:
+    found["reproduced" if holds else "not reproduced"].append(sentence)
+
+
+def _cells(metric: str, rows: list[Row]) -> list[Cell]:
+    return [getattr(row, metric) for row in rows]
+
+
+def _values(metric: str, rows: list[Row]) -> tuple[bool, str]:
+    """Whether the values are the paper's, and how far they are from them."""
+    ratios = [cell.ratio for cell in _cells(metric, rows)]
+    off = max(abs(ratio - 1.0) for ratio in ratios)
+    if off <= paper.REPRODUCED:  # false for NaN, where a run diverged
+        return True, f"{METRICS[metric]}: all {len(ratios)} values within {100.0 * off:.1f} %."
+    return False, f"{METRICS[metric]}: the values are {span(ratios, 2)} times the paper's."
+
+
+def _ranking(metric: str, rows: list[Row]) -> tuple[bool, str]:
+    """Whether the order of the controllers is the paper's, and who changes places where."""
+    moved = {
+        disturbance: [
+            NAMES[row.controller]
+            for row in rows
+            if row.disturbance == disturbance
+            and getattr(row, metric).rank != getattr(row, metric).paper_rank
+        ]
+        for disturbance in DISTURBANCES
+    }
+    label = METRICS[metric]
+    if not any(moved.values()):
+        return True, (
+            f"{label}: the ranking of the {len(CONTROLLERS)} controllers, under all "
+            f"{len(moved)} disturbances."
+        )
+    alike: dict[str, list[str]] = {}
+    for disturbance, names in moved.items():
+        if names:
+            alike.setdefault(listed(names), []).append(DISTURBANCE_NAMES[disturbance])
+    parts = [
+        f"{names} change places under "
+        + (f"all {len(moved)} disturbances" if len(places) == len(moved) else listed(places))
+        for names, places in alike.items()
+    ]
+    return False, f"{label}: the ranking; {'; '.join(parts)}."
+
+
+def _differences(rows: list[Row]) -> tuple[bool, str]:
+    """Whether the efforts beyond TDC's are the paper's, by controller."""
+
+    def beyond_tdc(value: Callable[[Cell], float]) -> dict[str, list[float]]:
+        isv = {(row.disturbance, row.controller): value(row.isv) for row in rows}
+        return {
+            name: [isv[place, name] - isv[place, "tdc"] for place in DISTURBANCES]
+            for name in CONTROLLERS
+            if name != "tdc"
+        }
+
+    ours, printed = beyond_tdc(lambda cell: cell.mean), beyond_tdc(lambda cell: cell.paper)
+    holds = all(
+        abs(value - wanted) <= paper.REPRODUCED * abs(wanted)
+        for name, values in ours.items()
+        for value, wanted in zip(values, printed[name], strict=True)
+    )
+    texts = (
+        named(each, lambda values: between(values, "{:+.1f}".format)) for each in (ours, printed)
+    )
+    return holds, "ISV: the differences to TDC are {}; in the paper {}.".format(*texts)
