@@ -22,7 +22,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
-from ffsm_drake.spacecraft.plant import configuration, find_body
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.setup import BlockSetup
@@ -287,7 +287,7 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
       make: makes the law for a setup.
 
     Raises:
-      BlockError: the controller is not a control law.
+      BlockError: the controller is not a control law, or needs the velocities of all joints.
       ScenarioError: see ClosedChain.
     """
     scenario, nominal = setup.scenario, setup.nominal
@@ -302,7 +302,12 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
         scenario=_without(scenario, following),
         settings=_pruned(dict(setup.settings), following),
     )
-    law = make(own)
+    try:
+        law = make(own)
+    except BlockError as error:
+        if isinstance(error.__cause__, ValueError):  # shapes
+            raise _unfit(setup, "needs the velocities of all joints") from error
+        raise
     if not (hasattr(law, "initial_state") and hasattr(law, "step")):
         raise _unfit(setup, "is a Drake system")
     _try(law, model, setup)
@@ -327,7 +332,7 @@ def _try(law: ControlLaw, model: ChainModel, setup: BlockSetup) -> None:
     try:
         force, _ = law.step(sample, law.initial_state())
         fits = np.shape(force) == zero.shape
-    except (ValueError, IndexError, TypeError, AttributeError):
+    except (*DRAKE_ERRORS, AttributeError):
         fits = False
     if not fits:
         raise _unfit(setup, "needs the velocities of all joints")
