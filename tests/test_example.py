@@ -94,6 +94,7 @@ def main(monkeypatch, tmp_path):
     return runpy.run_path(str(EXAMPLES / "postcapture.py"))["main"]
 
 
+@needs("report")
 @uses("verdict")
 @pytest.mark.filterwarnings("default")
 @pytest.mark.usefixtures("cheap")

@@ -58,6 +58,7 @@ def ffsm(command, code=0):
     return result.output
 
 
+@needs("report")
 @pytest.mark.usefixtures("rough_pictures")
 def test_a_run_holds_its_signals_and_figures(folder):
     shown = ffsm(f"run flight_sensors -c tdc --set duration=0.5 --set '{BLOCK}' --out out")
