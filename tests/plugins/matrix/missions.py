@@ -284,5 +284,6 @@ def spacecraft_of(value, folder):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.urdf").write_text(text)
     (folder / "target.urdf").write_text(outside_urdfs.stage())
-    options = {"target": folder / "target.urdf"} if target else {}
+    # at the postures above a target of this side touches nothing
+    options = {"target": folder / "target.urdf"} if target else {"payload_size": 0.8}
     return new_scenario(folder / "arm.urdf", folder / "made", **options).scenario_file
