@@ -1040,7 +1040,7 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
     assert applied == 1.5
 
 
-@uses("plan_remarks")
+@uses("mission")
 def test_a_duration_between_samples_is_told():
     result = CliRunner().invoke(main, ["validate", "postcapture", "--set", "duration=0.0149"])
     assert (
