@@ -80,7 +80,7 @@ def optional(group: str, name: str) -> Any:
     try:
         return load(group, name, name)
     except BlockError as error:
-        missing = str(getattr(error.__cause__, "name", ""))  # of a ModuleNotFoundError
+        missing = str(getattr(error.__cause__, "name", ""))  # a module, if not found
         if re.fullmatch(r"ffsm_drake\.plugins\.\w+", missing):
             return None
         raise

@@ -1,7 +1,7 @@
 """Phases of a mission as data, and the runner that goes through them with one log.
 
-A phase says which loop runs (its reference, what the gripper holds, the law), from which state on,
-until which sample, and what follows. Runs side by side go through the same phases.
+A phase gives the loop (reference, held bodies, law), the state at its start, the sample at its end
+and the next phase. Runs side by side go through the same phases.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ class Mission:
     """Runs that go through phases, side by side or one alone.
 
     ``before`` is the loop of the last phase and ``context`` its context at the end, ``sample`` the
-    first one of the next phase, ``ended`` holds the runs that came to their end.
+    first one of the next phase, ``ended`` holds the finished runs.
     """
 
     before: ClosedLoop

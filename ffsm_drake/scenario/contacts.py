@@ -1,5 +1,5 @@
-"""The sections ``contacts`` and ``chain``: hands that hold the target together, and the control of
-the closed chain that they form.
+"""The sections ``contacts`` and ``chain``: hands on one target, and the control of their closed
+chain.
 """
 
 from dataclasses import dataclass

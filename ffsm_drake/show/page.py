@@ -20,8 +20,9 @@ _SYMBOL = re.compile(r"(?<![\w.])(K|G|s|q|τ|β|beta|N\*)_(si|s|d\d|[iDPd])\b")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Section:
-    """A section of the report that a plug-in gives by a service ``report_NAME``, a function of the
-    results and the page's ``Thinning``: its text, and the views that it names by NAME.
+    """A plug-in's section of the report: its text, and its views by name.
+
+    It comes from a service ``report_NAME``, a function of the results and the page's ``Thinning``.
     """
 
     html: Markup

@@ -101,8 +101,8 @@ def label_of(controller: str) -> str:
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:
-    """A style for each controller of a figure, all different while spare ones last; dashes tell
-    runs apart, and a single one is solid.
+    """A style for each controller of a figure, all different while spare ones last; dashes separate
+    runs, and a single one is solid.
     """
     styles: list[Style] = []
     spares = itertools.cycle(_SPARE)

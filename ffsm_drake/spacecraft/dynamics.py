@@ -1,4 +1,4 @@
-"""What computes the motion of copies of the spacecraft: Drake's plant, or a plug-in by name."""
+"""Computation of the motion of copies of the spacecraft: Drake's plant, or a plug-in by name."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -42,7 +42,7 @@ class Dynamics:
 
 
 class Chosen(NamedTuple):
-    """Dynamics by name, with what happens to a run that they do not cover."""
+    """Dynamics by name, and their rule for runs beyond their coverage."""
 
     dynamics: Dynamics
     else_drake: bool  # Drake computes it; else it is refused

@@ -62,8 +62,8 @@ OF_FRAME = {
 # Further columns of an undriven base: its final drift, rad and m.
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
-# Further columns with other dynamics than Drake's: what computed the run; of those that ran with
-# Drake too, its outcome and the largest difference of the errors, rad and m.
+# Further columns with other dynamics than Drake's: name of the dynamics; if the run was repeated
+# with Drake, its outcome and the largest difference of the errors, rad and m.
 DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE = "dynamics", "drake_outcome", "drake_difference"
 _COMPARED = 100  # one case in so many runs with Drake, too
 DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
@@ -76,7 +76,7 @@ def texts_of(spec: Spec) -> tuple[str, ...]:
 
 
 def dynamics_columns(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign that say what computed a run; none with Drake's dynamics."""
+    """The columns of a campaign on the dynamics of its runs; none with Drake's."""
     return () if spec.dynamics == DRAKE else (DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE)
 
 

@@ -120,7 +120,7 @@ class Spec:
     settled: Settled
     time_limit: float  # s of wall time; a run that takes longer becomes an error row
     predictions: bool = True  # whether stability is predicted beside each run
-    dynamics: str = DRAKE  # what computes the spacecraft, see ``find_dynamics``
+    dynamics: str = DRAKE  # computation of the motion, see ``find_dynamics``
 
     @property
     def base(self) -> dict[str, Any]:

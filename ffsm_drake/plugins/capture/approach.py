@@ -166,7 +166,7 @@ def margins_of(
     instants: int,
     most: float = np.inf,
 ) -> Margins:
-    """What an approach leaves, given backwards from the grasp, with the target at poses (n, 7) at
+    """Margins of an approach, given backwards from the grasp, with the target at poses (n, 7) at
     the n control samples before it. Beyond ``most`` of the limits no distance is measured.
     """
     samples = np.unique(np.linspace(0, len(target) - 1, instants).round().astype(int))

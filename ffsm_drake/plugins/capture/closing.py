@@ -85,7 +85,7 @@ class ClosingRun(Captures):
             scenario.approach,
             scenario.closing,
         )
-        self._samples = round(self._closing.duration / scenario.sample_time)  # of the closing
+        self._samples = round(self._closing.duration / scenario.sample_time)  # the closing takes
         self._tries = 1
         # motion of the target (n, 13) at the samples of the run, as far as is known
         last = handover.sample - 1

@@ -1,4 +1,4 @@
-"""Phases of a capture: what they share, and those of a gripper that closes at once."""
+"""Phases of a capture: their common part, and an approach with a gripper that closes at once."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -101,8 +101,8 @@ def _used(operation: Operation) -> list[int]:
 def _slots(
     operations: Sequence[Operation], parts: Sequence[Sequence[int]]
 ) -> tuple[dict[int, int], int]:
-    """The place in memory of each value that a later part takes, and how many there are. A place is
-    free again after the last part that reads it.
+    """The place in memory of each value for a later part, and the number of places. A place is free
+    again after its last reader.
     """
     made = {index: number for number, part in enumerate(parts) for index in part}
     last: dict[int, int] = {}

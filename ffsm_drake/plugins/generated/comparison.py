@@ -32,7 +32,7 @@ class Differences:
             H, C = plant.CalcMassMatrix(context), plant.CalcBiasTerm(context)
             expected = plant.EvalTimeDerivatives(context).CopyToVector()
             q_rates, v_rates = np.split(rates[i], [q.shape[1]])
-            terms = np.abs(H) @ np.abs(v_rates) + np.abs(C) + np.abs(force[i])  # of each row
+            terms = np.abs(H) @ np.abs(v_rates) + np.abs(C) + np.abs(force[i])  # by row
             residual = H @ (v_rates - expected[q.shape[1] :])
             self._note("residual", residual, terms)
             self._note("mass_matrix", matrices[i] - H, np.abs(H).max())

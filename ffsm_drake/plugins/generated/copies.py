@@ -19,7 +19,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 class GeneratedCopies(Copies):
     """As Copies; ``plant`` is a GeneratedPlant."""
 
-    reader: Reader  # of ``single``
+    reader: Reader  # reads contexts of ``single``
 
     def set_parameters(
         self, context: Context, copy: int, single: MultibodyPlant, source: Context
@@ -37,14 +37,19 @@ class _Functions:
         copies, tree = len(parameters), kernels.tree
         self._size = size = tree.num_velocities
         self._q, self._v = Lanes(copies, tree.num_positions), Lanes(copies, size)
-        self._own = Lanes(copies, tree.num_parameters)
+        self._own, self._parameters = Lanes(copies, tree.num_parameters), parameters
         self._own.fill(parameters)
         self._matrix, self._bias = Lanes(copies, size * size), Lanes(copies, size)
         self._calc_matrix = kernels.function("mass_matrix")
         self._calc_bias = kernels.function("bias")
 
+    def set_parameters(self, copy: int, parameters: np.ndarray) -> None:
+        """Other parameters (``Tree.num_parameters``) of a copy."""
+        self._parameters[copy] = parameters
+        self._own.fill(self._parameters)
+
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """(B, nv, nv) in configurations q (B, nq)."""
+        """Mass matrices (B, nv, nv) in configurations q (B, nq)."""
         self._q.fill(q)
         self._calc_matrix(self._q.pointer, self._own.pointer, self._matrix.pointer, self._q.blocks)
         # With a row to spare after each matrix they lie as blocks on a diagonal, which
@@ -55,7 +60,7 @@ class _Functions:
         return result
 
     def bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(B, nv) in configurations q (B, nq) at velocities v (B, nv)."""
+        """Bias (B, nv) in configurations q (B, nq) at velocities v (B, nv)."""
         self._q.fill(q)
         self._v.fill(v)
         pointers = [each.pointer for each in (self._q, self._v, self._own, self._bias)]
@@ -71,8 +76,9 @@ class GeneratedModel(CopiesModel):
     copies: Any = None
 
     def take(self, copy: int) -> None:
-        """The models are taken as they are when this is made."""
-        raise NotImplementedError
+        """Give a copy the masses, rotors and dampers of its own model."""
+        own = self.models[copy]
+        self.functions.set_parameters(copy, Reader(own.plant).parameters(own.context))
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrices (B, nv, nv) in configurations q (B, nq)."""

@@ -196,7 +196,7 @@ class _Inertia:
 
 
 def _articulated(row: Sequence[Any]) -> _Inertia:
-    """Of a rigid body, from its ten parameters."""
+    """Inertia of a rigid body, from its ten parameters."""
     mass, x, y, z, xx, yy, zz, xy, xz, yz = row
     turning = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     return _Inertia(turning, skew([x, y, z]), diagonal(mass))

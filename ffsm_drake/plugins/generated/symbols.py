@@ -48,7 +48,7 @@ class Symbol:
         self.tape, self.index = tape, index
 
     def _negated(self) -> "Symbol | None":
-        """What this is the negative of."""
+        """The operand of a negation; None for other operations."""
         kind, operands = self.tape.operations[self.index]
         return Symbol(self.tape, int(operands[0])) if kind == "negate" else None
 

@@ -1,5 +1,5 @@
-"""The joint tree of a spacecraft, read from a finished plant of Drake: numbers that its code holds
-as constants, and parameters in which copies may differ.
+"""The joint tree of a spacecraft, read from a finished plant of Drake: constants of its
+code, and parameters of each copy.
 """
 
 import dataclasses

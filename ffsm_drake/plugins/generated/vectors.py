@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-Vector = list[Any]  # of three numbers or symbols
+Vector = list[Any]  # three numbers or symbols
 Matrix = list[Vector]  # rows
 
 ZERO: Vector = [0.0, 0.0, 0.0]

@@ -129,7 +129,7 @@ class Asked:
         return grasp if self.capture is not None and grasp.sensing == found.sensing else found
 
     def _thrusters(self, mass: float, half_side: float) -> dict[str, Any]:
-        """A shipped layout of that thrust; else one of that number, scaled to the base."""
+        """A shipped layout with the given number and thrust; else one with the number, scaled."""
         count, force = self.thrusters or (0, None)
         layouts = {name: name for name in thruster_layouts() if name.startswith(f"{count}x")}
         if force is not None and (layout := layouts.get(f"{count}x{force:g}N")):

@@ -54,7 +54,7 @@ _LONGEST, _SETTLE, _INSTANTS = 120.0, 1.0, 60  # s; s after a grasp that do not 
 _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
 _OUT_OF_PLANE = (*BASE_ROTATION[:2], BASE_POSITION[2])
-_PULSES, _WHEEL = 0.4, (0.05, 5.0)  # of the thrusters' torque, that wheels give; N m, of a wheel
+_PULSES, _WHEEL = 0.4, (0.05, 5.0)  # wheels' share of the thrusters' torque; a wheel, N m
 _SLOW_WHEEL, _ROTOR = 0.4, 0.005  # torque (1/s^2) and rotor per least moment of base
 # Natural frequencies to start from, rad/s, and what shrinks them.
 _OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}

@@ -1,6 +1,6 @@
-"""What is reproduced of Table 2, what is not, and what was chosen: the first screen of the pages.
+"""The first screen of the pages: reproduced and missed claims of Table 2, and choices made here.
 
-The figures are those of the setting ``euler``, the paper's simulation as far as it is known.
+The figures belong to the setting ``euler``, the known part of the paper's simulation.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from ffsm_drake.plugins.paper.wording import (
     span,
 )
 
-# choices that the paper leaves open: what, the choice, and whether ISV was used to make it
+# open points of the paper: point, choice, use of ISV for it
 CHOICES: list[list[str]] = [
     [each["what"], each["chosen"], each["isv"]] for each in STUDY["choices"]
 ]
@@ -25,7 +25,7 @@ CHOICES_HEADER = ["left open by the paper", "chosen here", "was ISV used to choo
 
 
 def outcome(rows: list[Row]) -> dict[str, list[str]]:
-    """Sentences on what is ``reproduced`` and what is ``not reproduced``, from a table's rows."""
+    """Sentences on the ``reproduced`` and ``not reproduced`` figures of a table's rows."""
     shown = [row for row in rows if row.setting == "euler"]
     found: dict[str, list[str]] = {"reproduced": [], "not reproduced": []}
     for metric in METRICS:

@@ -1,4 +1,4 @@
-"""The closed chain: a plant's tree, and the loops that the contacts beside its weld close.
+"""The closed chain: a plant's tree, and the loops of the contacts beside its weld.
 
 A contact that closes a loop holds a hand's frame E at a fixed pose in the target's frame G. Its
 constraint is A v = 0, where A v is the twist of E in G, without the directions in which no posture

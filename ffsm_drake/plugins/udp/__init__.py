@@ -1,1 +1,1 @@
-"""An external controller over UDP: the simulation asks, the controller answers."""
+"""An external controller over UDP: inputs go out at every sample, the force comes back."""

@@ -1,11 +1,10 @@
 """The controller of a scenario in another process: ``controller:
 ffsm_drake.plugins.udp.external:External``.
 
-At every control sample the simulation sends the controller's inputs and waits for the force, so
-that without a fault the run has the bits of one with the law itself. Where no reply comes in time
-the force of the sample before is held. A reply that comes after all is late, one that comes again
-doubled; both are dropped. Every fault is a row of ``udp_faults.csv`` in the current folder. Another
-address or file is that of a subclass:
+At every control sample the simulation sends the controller's inputs and waits for the force.
+Without a fault the run has the bits of one with the law itself. If no reply comes in time, the
+last force is held. Late and repeated replies are dropped. Every fault is a row of
+``udp_faults.csv`` in the current folder. Another address or file is that of a subclass:
 
     class Mine(External):
         host, log = "10.0.0.2", "out/faults.csv"
@@ -48,13 +47,13 @@ class Settings:
 
 
 class External(LeafSystem):
-    """A controller that asks another process for the force at every control sample.
+    """A controller whose force another process computes, at every control sample.
 
     Inputs: as ``SampledController``. Output: generalized_force (nv), held over the period. It
     cannot be linearised, as the other process has a memory of its own.
     """
 
-    host: ClassVar[str] = "127.0.0.1"  # of the external controller: this machine
+    host: ClassVar[str] = "127.0.0.1"  # address of the external controller; default: this machine
     # whether it gets the path of ``reference.frame``, and is evaluated by the frame's pose
     tracks_frame: ClassVar[bool] = False
     log: ClassVar[str] = "udp_faults.csv"  # sample, time (s) and kind of every fault
@@ -132,7 +131,7 @@ class _Link:
         self._answered: set[int] = set()
         self._begin: float | None = None
         self._noted = 0
-        log.unlink(missing_ok=True)  # of an earlier run
+        log.unlink(missing_ok=True)  # an earlier run's
 
     def __del__(self) -> None:
         if hasattr(self, "_socket"):

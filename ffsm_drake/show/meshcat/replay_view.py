@@ -54,7 +54,7 @@ class ReplayView:
             meshcat, record.scenario, frames_per_second=frames_per_second
         )
         self.magnified = ""  # legend of deflections drawn larger
-        self.deflections: Any = None  # of flexible parts, if any
+        self.deflections: Any = None  # view of flexible parts, if any
         if hidden := self.spacecraft.split.names:
             self.deflections = service("flexible_view", ", ".join(hidden))(
                 dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split

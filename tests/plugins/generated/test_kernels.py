@@ -26,13 +26,16 @@ from ffsm_drake import load_scenario
 from ffsm_drake.plugins.generated.code import function
 from ffsm_drake.plugins.generated.comparison import Differences, calculated
 from ffsm_drake.plugins.generated.compiling import Code, registers
+from ffsm_drake.plugins.generated.copies import model_of
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
 from ffsm_drake.plugins.generated.kernels import Kernels, Lanes, module_text
 from ffsm_drake.plugins.generated.registers import Registers
 from ffsm_drake.plugins.generated.symbols import Tape, cosine, sine
 from ffsm_drake.plugins.generated.tree import Reader
-from ffsm_drake.scenario import shipped_scenarios
+from ffsm_drake.scenario import MassProperties, shipped_scenarios
 from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import make_plant
 
 QUICK = ("postcapture", "flexible_panels")
@@ -268,3 +271,18 @@ def test_what_is_not_covered_is_refused_in_a_line(change, said):
         Reader(plant)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_copy_takes_another_payload():
+    scenario = load_scenario("postcapture")
+    models = [make_nominal_plant(scenario), make_nominal_plant(scenario)]
+    both = model_of(models, kernels_of(Reader(models[0].plant).tree))
+    q = np.tile([1.0, *np.zeros(11)], (2, 1))
+    before = both.calc_mass_matrix(q).copy()
+    heavier = MassProperties(mass=150.0, inertia=[20.0, 20.0, 20.0])
+    set_payload(models[1].plant, models[1].context, body=scenario.payload.body, properties=heavier)
+    both.take(1)
+    after = both.calc_mass_matrix(q)
+    assert (after[0] == before[0]).all()
+    np.testing.assert_allclose(after[1], models[1].calc_mass_matrix(q[1]), rtol=1e-12, atol=1e-12)
+    assert after[1, 3, 3] == pytest.approx(before[1, 3, 3] + 150.0 - 80.0)

@@ -20,7 +20,7 @@ from ffsm_drake.plugins.new.urdf.elements import (
 )
 from ffsm_drake.spacecraft.checked_urdf import number, require
 
-_BASES = {  # kinds of the joints between the world and a base -> what that base is
+_BASES = {  # kinds of the joints between the world and a base -> kind of base
     ("floating",): "free",
     ("planar",): "planar",
     ("prismatic", "prismatic", "turn"): "planar",
@@ -30,8 +30,8 @@ _DEGREES = (20.0, 720.0)  # a range (upper less lower) between these is not in r
 
 
 def free_base(root: Element) -> str | None:
-    """Remove the joints that let a base float or slide in the world, or below a massless root,
-    with the massless links between. Returns "free" or "planar" (it moved in the plane of x and y
+    """Remove the joints between a floating or sliding base and the world, or a massless root, with
+    the massless links between. Returns "free" or "planar" (it moved in the plane of x and y
     only); None if there were none.
 
     Raises ModelError: such a joint has a rotor, an inertia that no body has.

@@ -20,15 +20,15 @@ __all__ = ["read_model"]
 def read_model(
     path: Path, what: str, packages: Mapping[str, Path], arguments: Mapping[str, str]
 ) -> tuple[Element, str, list[str]]:
-    """The root element of a file's URDF, the comments before it, and remarks on what was left out.
+    """The root element of a file's URDF, the comments before it, and remarks on omissions.
 
     Args:
       path: the file.
       what: what it should be, for errors.
-      packages: folders of the packages that it names.
+      packages: folders of its packages.
       arguments: values of the arguments of a xacro file.
 
-    Raises ModelError, also for names and numbers that cannot be used.
+    Raises ModelError, also for unusable names and numbers.
     """
     root, text = read_xml(path, what)
     remarks = list[str]()

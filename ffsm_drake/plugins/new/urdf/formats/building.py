@@ -69,9 +69,7 @@ def add_joint(
 
 
 def add_rotor(root: Element, joint: str, inertia: float) -> None:
-    """The inertia (kg m^2 or kg) that a drive's rotor adds to a joint, in the form that Drake
-    reads.
-    """
+    """Add the inertia of a drive's rotor (kg m^2 or kg) to a joint, in Drake's form."""
     transmission = SubElement(root, "transmission", name=f"{joint}_transmission")
     SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
     SubElement(transmission, "joint", name=joint)

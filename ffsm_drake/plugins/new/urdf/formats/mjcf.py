@@ -69,7 +69,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
 
 
 def _drop_missing_files(spec: Any) -> list[str]:
-    """Remove textures, and meshes that are only pictures, whose files are missing; their names."""
+    """Remove textures and visual meshes with missing files; returns their names."""
     folder, names = Path(spec.modelfiledir), list[str]()
     delete = getattr(spec, "delete", lambda element: element.delete())  # older MuJoCo
     for asset in spec.textures:
@@ -187,8 +187,8 @@ class _Reader:
         return int(self.m.jnt_type[joint]) in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE))
 
     def _follower(self, k: int) -> tuple[int, int, float, float] | None:
-        """The joint that an equality ties to another, that one, multiplier and offset; None unless
-        it is of that kind.
+        """Follower and leader of an equality of two joints, multiplier and offset; None for other
+        kinds.
         """
         m = self.m
         first, second, data = int(m.eq_obj1id[k]), int(m.eq_obj2id[k]), m.eq_data[k]
