@@ -118,10 +118,14 @@ class Mission:
         self.failed[copy] = Outcome(status=status, time=0.0, message=message)
 
     def _joined(self, copy: int) -> RunLog:
-        """The log of all phases of a run."""
+        """The log of all phases of a run; NaN in the phases without a series."""
         logs = self.logs[copy]
         last, time_of = logs[-1], np.concatenate([log.time for log in logs])
-        names = set.intersection(*(set(log.series) for log in logs))
+        empty = {
+            name: np.full_like(values[:1], np.nan)
+            for log in logs[::-1]
+            for name, values in log.series.items()
+        }
         spent = {key: sum(log.wall_time[key] for log in logs) for key in last.wall_time}
         return dataclasses.replace(
             last,
@@ -131,10 +135,12 @@ class Mission:
             ),
             time=time_of,
             series={
-                name: np.concatenate([log.series[name] for log in logs])
-                for name in last.series
-                if name in names
+                name: np.concatenate(
+                    [log.series.get(name, gap.repeat(log.time.size, axis=0)) for log in logs]
+                )
+                for name, gap in empty.items()
             },
+            parts={name: part for log in logs for name, part in log.parts.items()},
             wall_time={**spent, "total": time.perf_counter() - self._start},
         )
 

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import DIVERGED
 from ffsm_drake.runs.phases import Mission, Phase
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import load_scenario
+from ffsm_drake.scenario import load_scenario, override_scenario
 
 SCENARIO = load_scenario("postcapture", ["duration=0.6", "reference.duration=10"])
 
@@ -21,12 +22,15 @@ def _loops():
         loop.release()
 
 
-def _two_phases(loops, scenario=SCENARIO):
+def _two_phases(loops, scenario=SCENARIO, afresh=()):
     """A mission that changes loops after 25 samples, and its first phase."""
     mission = Mission([scenario])
 
     def second():
-        return Phase(loop=loops[1], names=(("rest", None),), begin=mission.go_on)
+        def begin(loop, context):
+            mission.go_on(loop, context, *afresh)
+
+        return Phase(loop=loops[1], names=(("rest", None),), begin=begin)
 
     first = Phase(
         loop=loops[0],
@@ -57,3 +61,18 @@ def test_a_run_that_diverges_goes_through_no_further_phase(loops):
     assert log.outcome.status == DIVERGED
     assert len(mission.logs[0]) == 1
     assert log.time[-1] < 0.25
+
+
+@pytest.mark.parametrize("laws", [("tde_aismc", "pd_plus"), ("pd_plus", "tde_aismc")])
+def test_series_of_one_phase_are_nan_in_the_other(laws):
+    scenarios = [override_scenario(SCENARIO, [f"controller={law}"]) for law in laws]
+    loops = [Rollout(scenario) for scenario in scenarios]
+    mission, first = _two_phases(loops, scenarios[0], afresh=("controller",))
+    (log,) = mission.run(first)
+    there = slice(0, 25) if laws[0] == "tde_aismc" else slice(25, None)
+    for name in ("sliding_variable", "reaching_gain", "switching_gain"):
+        values = make_table(log)[name].values
+        assert np.isfinite(values[there]).all()
+        assert np.isnan(np.delete(values, there, axis=0)).all() and len(values) == 61
+    for loop in loops:
+        loop.release()
