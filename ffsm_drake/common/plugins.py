@@ -80,10 +80,15 @@ def optional(group: str, name: str) -> Any:
     try:
         return load(group, name, name)
     except BlockError as error:
-        missing = str(getattr(error.__cause__, "name", ""))  # a module, if not found
-        if re.fullmatch(r"ffsm_drake\.plugins\.\w+", missing):
+        if deleted_plugin(error.__cause__):
             return None
         raise
+
+
+def deleted_plugin(error: BaseException | None) -> str:
+    """The plug-in of this package whose folder an import did not find; empty: another failure."""
+    found = re.fullmatch(r"ffsm_drake\.plugins\.(\w+)", str(getattr(error, "name", "")))
+    return found[1] if found and isinstance(error, ModuleNotFoundError) else ""
 
 
 def service(name: str, place: str) -> Any:

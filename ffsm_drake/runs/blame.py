@@ -2,12 +2,13 @@
 
 import contextlib
 import dataclasses
+import re
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, System
 
-from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import failure, user_frame
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.scenario import kind_of
@@ -58,6 +59,20 @@ def failure_of(
         found = systems.get(id(owner), found)
         place = place.tb_next
     return failure(error, suspects[found] if found else " or ".join(suspects.values()), time)
+
+
+def unconnected(error: BaseException, loop: ClosedLoop) -> str:
+    """The problem of a block that reads an input port to which nothing is connected; empty:
+    another failure.
+    """
+    text = one_line(error)
+    found = re.search(r"required InputPort\[\d+\] \((\S+)\) of System (\S+) .* is not conn", text)
+    if found is None:
+        return ""
+    port, path = found[1], found[2].split("::")
+    block = next((name for name, each in loop.blocks.items() if each.get_name() in path), path[-1])
+    problem = f"nothing is connected to its input port '{port}'"
+    return f"blocks.{block}: {problem}: no block of this scenario has such an output"
 
 
 def _bad_now(loop: ClosedLoop, suspects: Mapping[str, str], root_context: Context) -> str:

@@ -26,7 +26,7 @@ from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.plugins import service
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
-from ffsm_drake.runs.blame import bad_output, failure_of
+from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
@@ -349,13 +349,16 @@ class Rollout:
         return interrupted, failure, time.perf_counter() - start
 
     def _failure(self, error: BaseException, context: Context) -> BlockError:
-        """The error of a user-supplied block. Without one, Drake's reason for stopping is raised,
+        """The error of a block. Without a user-supplied one, Drake's reason for stopping is raised,
         or the error itself.
         """
         if isinstance(error, BlockError):
             return error
-        if self._user_supplied:
-            failed = failure_of(error, self.loop, self._user_supplied, context)
+        problem = unconnected(error, self.loop)
+        if problem or self._user_supplied:
+            failed = BlockError(problem)
+            if not problem:
+                failed = failure_of(error, self.loop, self._user_supplied, context)
             failed.__cause__ = error
             return failed
         if type(error) is not RuntimeError:  # C++'s

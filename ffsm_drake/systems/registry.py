@@ -185,10 +185,12 @@ def find_factory(
     except FfsmError:
         raise
     except ModuleNotFoundError as error:
+        if plugin := plugins.deleted_plugin(error):
+            missing = f"the plug-in '{plugin}' is not installed: {one_line(error)}"
+            raise BlockError(f"{place}: {missing}") from error
         raise BlockError(
             f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or "
-            "name that folder in "
-            "python_path or PYTHONPATH"
+            "name that folder in python_path or PYTHONPATH"
         ) from error
     except BaseException as error:  # a user's module may raise anything on import
         if passes(error):

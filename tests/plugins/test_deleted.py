@@ -145,6 +145,7 @@ def test_the_rest_works_without(deleted, tmp_path):
         lines = [line for line in said.splitlines() if not line.startswith("warning: ")]
         assert len(lines) == 1, said
         assert f"No module named 'ffsm_drake.plugins.{name}'" in lines[0], said
+        assert "run from the folder" not in lines[0], said
 
 
 @pytest.mark.parametrize("name", offered(COMMANDS))

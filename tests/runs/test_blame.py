@@ -11,6 +11,7 @@ from children import PIPE, child
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, ControlLaw, RunRecord, load_scenario, simulate
+from ffsm_drake.loop.blocks import FROM_ACTUATORS, OF_ACTUATORS
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.pd_plus import PdPlus
@@ -124,6 +125,41 @@ def test_the_block_is_named_and_the_run_up_to_then_kept(block, factory, expected
     again = RunRecord.load(tmp_path / "kept")
     assert again.ending.is_failure
     assert str(error) in again.outcome.message
+
+
+def reading(port, outputs):
+    """A block that reads an input port, which a loop may leave unconnected."""
+
+    class Reads(Given):
+        sizes = outputs
+
+        def __init__(self, setup):
+            super().__init__(setup)
+            if not self.HasInputPort("state"):
+                self.DeclareVectorInputPort("state", self.q.size + len(setup.coordinates.names))
+            self.read = self.DeclareVectorInputPort(port, 3)
+            self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.0, self.update)
+
+        def update(self, context, values):
+            self.read.Eval(context)
+
+        def value(self, time, size):
+            return np.zeros(size)
+
+    return Reads
+
+
+UNFED = [("forces", port, (("generalized_force", "force"),)) for port in FROM_ACTUATORS]
+UNFED += [("sensing", port, (("estimated_state", "state"),)) for port in OF_ACTUATORS[2:]]
+
+
+@pytest.mark.parametrize(("kind", "port", "outputs"), UNFED)
+def test_an_input_that_nothing_feeds_is_named(kind, port, outputs):
+    error = failed({f"{kind}.own": reading(port, outputs)})
+    assert re.fullmatch(
+        rf"blocks.{kind}.own: nothing is connected to its input port '{port}': .*", str(error)
+    )
+    assert isinstance(error.__cause__, RuntimeError)
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit, GeneratorExit, ValueError])

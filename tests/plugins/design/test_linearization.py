@@ -8,6 +8,7 @@ import re
 import sys
 import types
 import weakref
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, RandomSource
 
-from ffsm_drake import ControlLaw, gain, load_scenario, simulate
+from ffsm_drake import ControlLaw, gain, load_scenario, override_scenario, simulate
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.boundaries import (
@@ -34,6 +35,8 @@ from ffsm_drake.plugins.design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 @pytest.mark.parametrize(
@@ -206,6 +209,19 @@ def test_another_payload_is_that_of_another_scenario():
         assert found == pytest.approx(other.at(0.0).spectral_radius, abs=2e-5)
         assert own < 1.0 < found
         assert linearizer.at(0.0).spectral_radius == own
+
+
+def test_a_force_of_the_wheels_momentum_stands_in_the_loop(monkeypatch):
+    """The linear loop's actuators are ideal, and hold no momentum that coils could take."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    scenario = load_scenario("thrusters_and_wheels", ["controller=tdc"])
+    coils = override_scenario(scenario, ["blocks.forces.coils=own_torquers:Coils"])
+    radii = []
+    for each in (scenario, coils):
+        with Linearizer(each) as linearizer:
+            radii.append(linearizer.at(0.0).spectral_radius)
+    assert "forces.coils" in linearizer.loop.blocks
+    assert radii[1] == pytest.approx(radii[0], rel=1e-7)
 
 
 def test_it_is_freed():

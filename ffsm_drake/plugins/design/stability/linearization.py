@@ -30,7 +30,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.loop.blocks import is_rehearsed, parts_of
+from ffsm_drake.loop.blocks import FROM_ACTUATORS, is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.plugins.actuators.drives import FRICTION
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
@@ -126,6 +126,11 @@ class Linearizer:
         for leaf in leaves:
             if leaf is not self.loop.plant:
                 leaf.SetDefaultContext(leaf.GetMyMutableContextFromRoot(self._context))
+        for block in self.loop.blocks.values():
+            context = block.GetMyMutableContextFromRoot(self._context)
+            for port in map(block.GetInputPort, filter(block.HasInputPort, FROM_ACTUATORS)):
+                if not port.HasValue(context):  # of actuators that stand for ideal ones here
+                    port.FixValue(context, np.zeros(port.size()))
         self.loop.set_blocks(self._context, self._plant.known())
 
     def _find_law(self) -> None:
