@@ -98,13 +98,14 @@ def predict_map(
     axes: tuple[str, str],
     values: Mapping[str, np.ndarray],
     *,
+    known: Mapping[str, np.ndarray] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StabilityMap:
     """Predict over the range that the cases cover.
 
-    ``axes`` names two of ``values``, the cases' numbers by name; ``progress`` is called with (done,
-    total) controllers. Raises CampaignError when an axis is not a sampled number, or both are the
-    same.
+    ``axes`` names two of ``values``, the cases' numbers by name; ``known`` is the radius of an
+    earlier map, by controller; ``progress`` is called with (done, total) controllers. Raises
+    CampaignError when an axis is not a sampled number, or both are the same.
     """
     for name in axes:
         if name not in values:
@@ -134,9 +135,12 @@ def predict_map(
         except (FfsmError, ArithmeticError, ValueError):
             return math.nan  # no boundary here
 
+    known = {name: grid for name, grid in (known or {}).items() if grid.shape == (size, size)}
     radius = {}
     for k, controller in enumerate(spec.controllers):
-        if math.isnan(predicted(controller, 0, 0)) and math.isnan(
+        if controller in known:
+            radius[controller] = known[controller]
+        elif math.isnan(predicted(controller, 0, 0)) and math.isnan(
             predicted(controller, size - 1, size - 1)
         ):
             radius[controller] = np.full((size, size), np.nan)

@@ -1,8 +1,10 @@
 """Statistics of a campaign: success, paired differences, sensitivities, quality of predictions."""
 
+import contextlib
 import dataclasses
 import functools
 import itertools
+import json
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -26,6 +28,7 @@ from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.runs.ending import NOT_CAPTURED
+from ffsm_drake.runs.record import software_versions
 
 CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
@@ -390,9 +393,27 @@ def find(
         influential=influential,
         agreement=[agreement(runs) for runs in table.runs.values()],
         unpredicted=_unpredicted(store),
-        map=None if axes is None else predict_map(spec, axes, table.values, progress=progress),
+        map=None if axes is None else _map(store, axes, table, progress),
         grid=grid_points(spec, table),
     )
+
+
+def _map(
+    store: Store,
+    axes: tuple[str, str],
+    table: Table,
+    progress: Callable[[int, int], None] | None,
+) -> StabilityMap:
+    """The map, kept in the database for the next report by the same software."""
+    name = f"map {json.dumps(axes)} {json.dumps(software_versions())}"
+    known = dict[str, np.ndarray]()
+    with contextlib.suppress(ValueError, TypeError, AttributeError, RecursionError):
+        kept = json.loads(store.note(name) or "{}")
+        known = {controller: np.array(grid, dtype=float) for controller, grid in kept.items()}
+    found = predict_map(store.spec, axes, table.values, known=known, progress=progress)
+    radius = {controller: grid.tolist() for controller, grid in found.radius.items()}
+    store.keep(name, json.dumps(radius))
+    return found
 
 
 def _unpredicted(store: Store) -> list[str]:

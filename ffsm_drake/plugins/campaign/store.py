@@ -227,6 +227,17 @@ class Store:
             table[controller][outcome] = count
         return table
 
+    def note(self, key: str) -> str | None:
+        """A text that ``keep`` has kept."""
+        for (text,) in self.query("SELECT value FROM campaign WHERE key = ?", (key,)):
+            return str(text)
+        return None
+
+    def keep(self, key: str, text: str) -> None:
+        """Keep a text beside the results, unless the database cannot be written now."""
+        with contextlib.suppress(sqlite3.Error), self._connection:
+            self._connection.execute("INSERT OR REPLACE INTO campaign VALUES (?, ?)", (key, text))
+
     def num_results(self) -> int:
         return int(next(self.query("SELECT count(*) FROM results"))[0])
 

@@ -13,6 +13,7 @@ from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 from scipy import stats
 
+from ffsm_drake.plugins.campaign import prediction
 from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.plugins.campaign.page import write_report
@@ -196,6 +197,28 @@ def test_the_map_wants_two_sampled_numbers(database):
         pytest.raises(CampaignError, match="'sample_time' is not a sampled number"),
     ):
         predict_map(store.spec, ("sample_time", "nominal_error"), {"nominal_error": np.arange(3.0)})
+
+
+def test_the_map_is_kept_with_the_results(database, monkeypatch):
+    with open_store(database) as store:
+        first = find(store).map
+
+    def again(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(prediction, "predict", again)
+    with open_store(database) as store:
+        second = find(store).map
+        ((key, _),) = store.query("SELECT * FROM campaign WHERE key LIKE 'map %'")
+        for name, radius in first.radius.items():
+            np.testing.assert_array_equal(second.radius[name], radius)
+        for damaged in ("", "{", "[1]", '{"tdc": "x"}', '{"tdc": [[1.0]]}', '{"tdc": [[1], 2]}'):
+            store.keep(key, damaged)
+            with pytest.raises(AssertionError):  # computed again
+                find(store)
+        monkeypatch.undo()
+        store.keep(key, "{}")
+        assert find(store).map.radius.keys() == first.radius.keys()
 
 
 class Reader(html.parser.HTMLParser):
