@@ -26,6 +26,7 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.guard import guarded, user_code_is_loaded
 from ffsm_drake.common.interrupts import exit_code
 from ffsm_drake.common.plugins import COMMANDS, load, offered
+from ffsm_drake.common.steps import current_step
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -149,7 +150,8 @@ def show_life(over: threading.Event, *, first: float | None = None, then: float 
     while not _LIVE.intersection(sys.argv) and not over.wait(0.2 * silence):
         now = time.monotonic()
         if now - getattr(stream, "written", now) >= silence:
-            click.echo(f"{now - begun:4.0f} s: still at work", file=stream)
+            at = current_step() or " ".join(["ffsm", *sys.argv[1:2]])
+            click.echo(f"{now - begun:4.0f} s: still at work: {at}", file=stream)
             silence = then
 
 

@@ -345,7 +345,13 @@ def _finish(
             said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
+    remedy_of = optional(SERVICES, "remedy") or (lambda record, directory: None)
     for record in records:
+        if file := remedy_of(record, directory):
+            click.echo(
+                f"{record.scenario.controller}: what helps, as a scenario: ffsm run {file}",
+                err=True,
+            )
         with suppress(ModelError):  # already among the remarks
             for closest in run_clearance(record):
                 click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)

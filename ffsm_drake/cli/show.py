@@ -66,8 +66,9 @@ def plot(runs: tuple[Path, ...], formats: str, out: Path | None) -> None:
 
 @click.command()
 @scenario_options
+@click.option("--logged", is_flag=True, help="Also draw logged outputs and the visualizer.")
 @out_option("FILE", help="Write FILE.dot and FILE.svg.")
-def diagram(scenario: "Scenario", out: Path | None) -> None:
+def diagram(scenario: "Scenario", logged: bool, out: Path | None) -> None:
     """Print the closed loop's block diagram as Graphviz text, or write it to files.
 
     \b
@@ -84,7 +85,7 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
                 f"--out: '{out}' is not a file's name; give one, such as loop.svg"
             )
         check_writable(out.parent)
-    dot = closed_loop_dot(scenario)
+    dot = closed_loop_dot(scenario, logged=logged)
     if out is None:
         click.echo(dot)
         return

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 # Files made from a record, which are outdated with the next one.
 OUTPUTS = (
-    REPORT_FILE, "recording.html", "analysis.json", "analysis.png",
+    REPORT_FILE, "recording.html", "analysis.json", "analysis.png", "remedy.yaml",
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
 )  # fmt: skip
 

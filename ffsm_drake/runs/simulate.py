@@ -14,6 +14,7 @@ from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.settings import settings_of
+from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
@@ -86,6 +87,7 @@ def simulate(
         rollout.release()
 
 
+@step("building the loop")
 def prepare(
     scenario: Scenario,
     *,
@@ -118,6 +120,7 @@ def prepare(
         return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
 
 
+@step("making the record")
 def make_record(
     log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None
 ) -> RunRecord:

@@ -26,22 +26,30 @@ NO_GRAPHVIZ = (
 )
 
 
-def closed_loop_dot(scenario: Scenario) -> str:
-    """The closed loop with visualizer as Graphviz text; equal wiring gives equal text.
+def closed_loop_dot(scenario: Scenario, *, logged: bool = False) -> str:
+    """The closed loop as Graphviz text; equal wiring gives equal text.
 
     Only the connected ports of the plant and the visualizer are drawn: the others depend on Drake's
     release.
+
+    Args:
+      scenario: the loop.
+      logged: draw the logged outputs and the visualizer too.
     """
+    builder = DiagramBuilder()
+    if not logged:
+        add_closed_loop(builder, scenario)
+        diagram = builder.Build()
+        diagram.set_name("closed_loop")
+        return _without_idle_ports(_without_idle_holds(system_dot(diagram, max_depth=1)), "plant")
     with quiet_drake():  # the server is needed for the wiring only
-        builder = DiagramBuilder()
         plant = add_combined_plant(builder, scenario.model, flexible=True)
         loop = add_closed_loop(builder, scenario, plant=plant)
         visualizer = MeshcatVisualizer.AddToBuilder(
             builder, builder.GetSubsystemByName("scene_graph"), start_meshcat()
         )
         visualizer.set_name("meshcat_visualizer")
-        diagram = build_closed_loop(builder, loop).diagram
-    dot = system_dot(diagram, max_depth=1)
+        dot = system_dot(build_closed_loop(builder, loop).diagram, max_depth=1)
     for name in ("plant", "meshcat_visualizer"):
         dot = _without_idle_ports(dot, name)
     return dot
@@ -71,6 +79,14 @@ def system_dot(system: System, *, max_depth: int | None = None) -> str:
     # Drake lists the connections by memory address.
     edges = re.compile(r"(?:^s\d+\w*:\w+:\w+ -> .*\n)+", re.MULTILINE)
     return edges.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), text)
+
+
+def _without_idle_holds(dot: str) -> str:
+    """Leave out the holds that only a log reads."""
+    for block in re.findall(r"(?m)^(s\d+) \[[^\]]*?<B>ZeroOrderHold</B>", dot):
+        if not re.search(rf"(?m)^{block}:y", dot):
+            dot = re.sub(rf"(?ms)^{block} \[.*?^>\];\n|^[^\n]*-> {block}:[^\n]*\n", "", dot)
+    return dot
 
 
 def _without_idle_ports(dot: str, name: str) -> str:

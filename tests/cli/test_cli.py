@@ -6,10 +6,11 @@ import re
 import sys
 import threading
 import time
+from contextlib import nullcontext
 from importlib.metadata import version
 
 import pytest
-from children import finished
+from children import PIPE, finished
 from click.testing import CliRunner
 from entry_points import is_there, needs
 
@@ -17,6 +18,7 @@ from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.cli.common import forgiving_stderr, show_life
 from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.steps import current_step, step
 from ffsm_drake.scenario import shipped_scenarios
 
 SHORT = ["--set", "duration=0.3"]
@@ -280,17 +282,41 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
     ]
 
 
-@pytest.mark.parametrize(("first", "least"), [(0.1, 1), (60.0, 0)])
-def test_a_silent_command_says_that_it_goes_on(first, least, capsys, monkeypatch):
+@pytest.mark.slow
+def test_a_silent_command_names_its_steps(tmp_path):
+    """Everything a run does that takes long: nothing of it is without a name."""
+    scenario = tmp_path / "heavy.yaml"
+    scenario.write_text("extends: postcapture\npayload: {nominal: {mass: 130}}\n")
+    code = (
+        "import sys, threading, ffsm_drake.cli.common as c\nfrom ffsm_drake.cli import main\n"
+        "go = threading.Thread(target=c.show_life, args=(threading.Event(),), daemon=True,\n"
+        "    kwargs={'first': 0.01, 'then': 0.05})\n"
+        "c.forgiving_stderr(); go.start(); main(prog_name='ffsm')"
+    )
+    command = [sys.executable, "-c", code, "run", scenario, "--out", tmp_path / "run"]
+    done = finished(command, stdout=PIPE, stderr=PIPE, text=True)
+    steps = set(re.findall(r"still at work: (.*)", done.stderr))
+    assert done.returncode == 3, done.stderr
+    assert steps > {"the linear verdict", "a search for changes that help", "writing the report"}
+
+
+@pytest.mark.parametrize(
+    ("first", "least", "named"), [(0.1, 1, True), (0.1, 1, False), (60, 0, True)]
+)
+def test_a_silent_command_says_that_it_goes_on(first, least, named, capsys, monkeypatch):
     over = threading.Event()
     monkeypatch.setattr(sys, "stderr", sys.stderr)
+    monkeypatch.setattr(sys, "argv", ["ffsm", "new", "mine"])
     forgiving_stderr()
     settings = {"first": first, "then": 60.0}
     watcher = threading.Thread(target=show_life, args=(over,), kwargs=settings)
     watcher.start()
-    time.sleep(0.5)
+    with step("the whole") if named else nullcontext(), step("a part") if named else nullcontext():
+        time.sleep(0.5)
     over.set()
     watcher.join()
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == least
-    assert all(line.endswith("s: still at work") for line in lines)
+    at = "a part" if named else "ffsm new"
+    assert all(line.endswith(f"s: still at work: {at}") for line in lines)
+    assert current_step() == ""

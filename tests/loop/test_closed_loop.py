@@ -142,6 +142,29 @@ def test_only_idle_ports_are_left_out():
         assert f'PORT="{port}"' in table, (block, port)
 
 
+@pytest.mark.parametrize("name", ["postcapture", "thrusters_and_wheels", "tumbling_capture"])
+def test_what_only_a_log_or_a_picture_reads_is_left_out(name):
+    """Every other block and connection is drawn."""
+    plain, logged = (
+        block_diagram.closed_loop_dot(load_scenario(name), logged=logged)
+        for logged in (False, True)
+    )
+    for word in ("output ports", "Meshcat", "SceneGraph", "ZeroOrderHold"):
+        assert word in logged
+        assert word not in plain
+
+    def wires(dot):
+        names = dict(
+            re.findall(r"(?m)^(s\d+) \[.*?\nname=(\w+)", dot.replace("<B>", ""), re.DOTALL)
+        )
+        ends = re.findall(r"(?m)^(s\d+):\w+:\w+ -> (s\d+):", dot)
+        return sorted((names[a], names[b]) for a, b in ends if a in names and b in names)
+
+    left = {"scene_graph", "meshcat_visualizer", "measurement"}
+    assert wires(plain) == [wire for wire in wires(logged) if not left & {*wire}]
+    assert ("plant", "sensing") in wires(plain)
+
+
 @pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz's dot is not installed")
 def test_pictures_are_drawn(tmp_path):
     assert block_diagram.main(tmp_path) == 0

@@ -6,6 +6,7 @@ sample.
 
 from typing import TYPE_CHECKING
 
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.analysis.findings import TITLES, Analysis, Finding
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["Analysis", "Finding", "analyze"]
 
 
+@step("the findings")
 def analyze(record: "RunRecord") -> Analysis:
     """Evaluate every finding on a run, completed or not; inapplicable ones give their reason.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
@@ -70,6 +71,7 @@ def given_approach(scenario: Scenario) -> Approach:
 
 
 @memoized(maxsize=16)
+@step("a search for a clear start")
 def _clear_start(scenario: Scenario) -> Posture:
     approach = scenario.approach
     assert approach is not None

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     help="Also find disk margins (simultaneous gain and phase), for each force alone and for all "
     "together.",
 )
-@out_option(help="Write stability.png here.")
+@out_option(help="Write stability.png here, and remedy.yaml where a change helps.")
 @json_option
 def stability(
     scenario: "Scenario",
@@ -66,6 +66,7 @@ def stability(
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.plugins.design.remedy_file import write_remedied
     from ffsm_drake.plugins.design.tables import margins_data, margins_table
     from ffsm_drake.plugins.design.verdict import verdict
 
@@ -86,6 +87,9 @@ def stability(
         path = out / "stability.png"
         save_figure(plot_margins(margins), path)
         click.echo(f"Written to {path}", err=as_json)
+    if out is not None and (found.advice or found.remedies):
+        file = write_remedied(scenario, found.advice, found.remedies, out)
+        click.echo(f"what helps, as a scenario: ffsm run {file}", err=as_json)
     sys.exit(EXIT_UNSTABLE if found.is_alarm or found.is_linearly_unstable else 0)
 
 

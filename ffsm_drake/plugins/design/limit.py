@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linear_loop import STATIONARY, covariance_after
 from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
@@ -64,6 +65,7 @@ class Limit:
         return float(1.0 / possible)
 
 
+@step("the LQG limit")
 def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     """The limit for a scenario and its controller's distance to it; takes less than a second.
 

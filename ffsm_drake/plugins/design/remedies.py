@@ -15,6 +15,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.stability.adaptation import axis_law, expected_gains, is_euler
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
@@ -37,6 +38,7 @@ _LIGHTER = "a lighter nominal payload"
 Changes = dict[str, Any]
 
 
+@step("a search for changes that help")
 def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
     """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
     seconds, but no time for a mission expected to go as planned.

@@ -18,10 +18,12 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, ModelError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
+from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.capture.momentum import momentum_budget, momentum_lines
 from ffsm_drake.plugins.design.remarks import plan_clearance, plan_limits, plan_remarks
 from ffsm_drake.plugins.design.remedies import remedies
+from ffsm_drake.plugins.design.remedy_file import run_advice
 from ffsm_drake.plugins.design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
@@ -326,14 +328,13 @@ def helps_alone(found: Iterable[Advice]) -> str:
 
 def helpful_remarks(record: RunRecord) -> list[str]:
     """Lines with what helps where actuators of the base saturated in a run, and where it failed."""
-    scenario, told = record.scenario, list[str]()
-    values = {str(name): each.values for name, each in record.dataset.data_vars.items()}
-    saturated = saturated_shares(scenario, values)
-    if found := advice(scenario, saturated, settles=record.ending.is_settled):
+    told = list[str]()
+    saturated, for_saturation, others = run_advice(record)
+    if for_saturation:
         shares = (f"{name} in {percent(share)}" for name, share in saturated.items() if share)
-        told.append(f"saturated: {', '.join(shares)} of the samples; {helps(found)}")
-    if record.ending.is_failure and (found := remedies(scenario, fails=True)):
-        told.append(helps_alone(found))
+        told.append(f"saturated: {', '.join(shares)} of the samples; {helps(for_saturation)}")
+    if others:
+        told.append(helps_alone(others))
     return told
 
 
@@ -351,6 +352,7 @@ def _without_a_run(
         found["noises"] = rehearse(scenario)
 
 
+@step("a rehearsal of the mission")
 def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Scenario) -> RunLog:
     """Run the mission, and note how, and the shares of samples in which actuators saturated."""
     rollout = make_rollout(scenario)
@@ -367,6 +369,7 @@ def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Sce
     return log
 
 
+@step("rehearsals with other noise")
 def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
     """Rehearse more noise sequences if a successful run came so near to ``actuation.limit`` that
     other noise may exceed it.

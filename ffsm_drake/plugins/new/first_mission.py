@@ -15,6 +15,7 @@ from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
 from ffsm_drake.plugins.design.stability import Margins, stability
@@ -94,12 +95,14 @@ class Draft:
         sections = {key: each for key, each in {**self.data, **changes}.items() if each != {}}
         return scenario_from_dict(sections, source=self.source)
 
+    @step("a search for postures free of contact")
     def place(self) -> None:
         """Panels, postures, and the way to the grasp."""
         self._panels()
         self._starts = self._postures()
         self._approach(self._starts)
 
+    @step("gains, wheels and durations")
     def fill(self) -> None:
         """Disturbance, durations, wheels, then gains, once all is placed."""
         self._disturb()

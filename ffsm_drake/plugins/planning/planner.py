@@ -11,6 +11,7 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.so3 import rotation_error
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics
 from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.plugins.planning.limits import Margin, MotionLimits, margins, motion_limits
@@ -73,6 +74,7 @@ class PlannedMotionReport:
         return [margin for margin in self.margins if not margin.kept]
 
 
+@step("the planned motion")
 def plan_motion(
     scenario: Scenario,
     *,

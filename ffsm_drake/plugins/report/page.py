@@ -11,6 +11,7 @@ from typing import Any
 from ffsm_drake.common.errors import RecordError
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
 from ffsm_drake.plugins.report.provenance import provenance, software
@@ -78,6 +79,7 @@ _FROM_PLUGINS = ("grasp", "findings", "stability")  # see ``Section``
 Json = dict[str, Any]
 
 
+@step("writing the report")
 def write_report(
     records: Sequence[RunRecord],
     path: Path,
@@ -147,7 +149,7 @@ def render_report(
         **_heading(records, title),
         "results": results,
         "summary": _summary(results),
-        "remarks": [_remarks(result) for result in results],
+        "remarks": [_remarks(result, folder) for result in results],
         "settled_rule": _settled_rule(records[0].scenario),
         "table": table(results, distances),
         "table_notes": table_notes(results, distances),
@@ -208,9 +210,9 @@ def _summary(results: Sequence[Result]) -> str:
     return f"{len(results)} runs compared: {_tally(counted)}."
 
 
-def _remarks(result: Result) -> Json:
+def _remarks(result: Result, folder: Path) -> Json:
     """Limits exceeded in a run; what its parts say (modes of the supervisor, noticed faults); its
-    warnings; and remedies for a failed run or saturated actuators.
+    warnings; remedies for a failed run or saturated actuators, and the first of them as a file.
     """
     record = result.record
     if not record.dataset.sizes.get("time", 0):
@@ -223,6 +225,9 @@ def _remarks(result: Result) -> Json:
     warned, _ = attempt("warnings", result, functools.partial(run_remarks, record))
     told, _ = attempt("parts", result, lambda: [part.sentence for part in record.parts])
     lines = [*(told or ()), *(warned or ()), *(helps or ())]
+    if helps and (remedy_of := optional(SERVICES, "remedy")) is not None:
+        file, _ = attempt("remedy", result, functools.partial(remedy_of, record, folder))
+        lines.append(file and f"what helps, as a scenario: ffsm run {file}")
     said = dict.fromkeys(line for line in lines if line and line not in (broken or ()))
     return {"broken": broken or [], "said": [f"{line[:1].upper()}{line[1:]}." for line in said]}
 

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ffsm_drake.common.files import published
+from ffsm_drake.common.steps import step
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.chart import Chart, merged
 from ffsm_drake.show.figures.axes import draw, plain
@@ -34,6 +35,7 @@ _DOTS = {"png": 130, "pdf": 300, "svg": 300}  # per inch, in vector files of noi
 _METADATA: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 
+@step("drawing figures")
 def save_figures(
     records: Sequence[RunRecord], directory: Path, formats: Sequence[str] = FORMATS[:1]
 ) -> list[Path]:

@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.steps import step
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
@@ -18,36 +19,51 @@ _LOADING = """<style>
 <div id="loading">Loading the motion \u2026</div>
 """
 # ``viewer`` is a global name of Drake's page. The page plays at once, but embedded in another it
-# shows its first frame.
+# shows its first frame. Meshcat's own panel is collapsed, hence the bar.
 _CAPTION = """<style>
-#caption {{ position: fixed; left: 12px; bottom: 12px; padding: 8px 12px;
-  border-radius: 6px; pointer-events: none;
+#caption, #bar {{ position: fixed; left: 12px; padding: 8px 12px; border-radius: 6px;
   background: rgba(5, 8, 20, .72); color: #e8ecf6; font: 13px/1.5 sans-serif; }}
-#play {{ position: fixed; right: 12px; bottom: 12px; padding: 9px 22px; border-radius: 99px;
-  border: 1px solid #5a6a8c; background: rgba(20, 28, 48, .85); color: #fff;
-  font: 15px sans-serif; cursor: pointer; }}
-@media (max-width: 700px) {{ #caption {{ font-size: 11px; }}
-  #play {{ inset: 12px auto auto 12px; }} }}
+#caption {{ bottom: 62px; max-width: 60ch; pointer-events: none; }}
+#bar {{ bottom: 12px; right: 12px; display: flex; gap: 12px; align-items: center; }}
+#bar input {{ flex: 1; min-width: 0; }}
+#bar output {{ font-variant-numeric: tabular-nums; }}
+#play {{ width: 96px; padding: 5px; border-radius: 99px; border: 1px solid #5a6a8c;
+  background: #141c30; color: #fff; font: inherit; cursor: pointer; }}
+@media (max-width: 700px) {{ #caption {{ font-size: 11px; }} }}
 </style>
 <div id="caption">{lines}</div>
-<button id="play" type="button">\u25b6 Play</button>
+<div id="bar"><button id="play" type="button"></button>
+<input id="time" type="range" min="0" max="{end}" step="any" value="0" aria-label="Time, s">
+<output id="clock"></output></div>
 <script>
   (() => {{
-    const button = document.getElementById("play"), cover = document.getElementById("loading");
+    const [button, slider, clock, cover] = ["play", "time", "clock", "loading"].map(
+      (id) => document.getElementById(id));
+    const player = () => viewer.animator;
     let begun = window !== window.parent, frames = 0;
-    button.onclick = () => viewer.animator.play();
+    button.onclick = () => player().playing ? player().pause() : player().play();
+    slider.oninput = () => {{
+      player().play();
+      player().pause();
+      player().seek(slider.value / {speed});
+      player().display_progress(slider.value / {speed});
+    }};
     const fit = () => {{
       viewer.camera.zoom = Math.min(1, 0.75 * innerWidth / innerHeight);
       viewer.camera.updateProjectionMatrix();
     }};
     addEventListener("resize", fit);
     (function watch() {{
-      if (viewer.animator.actions.length || ++frames > 600) {{
+      const ready = player().actions.length;
+      if (ready || ++frames > 600) {{
         if (cover.style.display !== "none") fit();
         cover.style.display = "none";
       }}
-      if (!begun && viewer.animator.actions.length) {{ begun = true; viewer.animator.play(); }}
-      button.style.display = viewer.animator.playing ? "none" : "";
+      if (!begun && ready) {{ begun = true; player().play(); }}
+      const time = Math.min({speed} * player().time, {end});
+      slider.value = time;
+      clock.textContent = `t = ${{time.toFixed(1)}} of {end:.1f} s`;
+      button.textContent = player().playing ? "Pause" : "\u25b6 Play";
       requestAnimationFrame(watch);
     }})();
   }})();
@@ -60,6 +76,7 @@ _SWATCH = (
 )
 
 
+@step("recording the motion")
 def recording_html(
     record: RunRecord,
     *,
@@ -150,4 +167,9 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
     page = page.replace("<body>", f"<body>{_LOADING}", 1)
     head, end, tail = page.rpartition("</body>")
-    return head + _CAPTION.format(lines="<br>".join(lines)) + end + tail
+    return (
+        head
+        + _CAPTION.format(lines="<br>".join(lines), speed=speed, end=view.duration)
+        + end
+        + tail
+    )

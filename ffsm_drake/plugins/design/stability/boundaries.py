@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
@@ -37,6 +38,7 @@ class Boundaries:
     delay: float
 
 
+@step("stability limits")
 def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     """The boundaries at one posture of the planned motion; takes some seconds.
 

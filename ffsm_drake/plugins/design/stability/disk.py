@@ -16,6 +16,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import RandomSource, ZeroOrderHold
 
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer, NotLinear
 from ffsm_drake.scenario import Scenario
@@ -52,6 +53,7 @@ class DiskMargins:
         }
 
 
+@step("disk margins")
 def disk_margins(scenario: Scenario) -> DiskMargins:
     """Disk margins from the grasp on, at five postures of the planned motion.
 

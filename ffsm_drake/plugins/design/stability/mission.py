@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ffsm_drake.common.plugins import service
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
@@ -88,6 +89,7 @@ class LinearVerdict:
         return self.status == "unstable"
 
 
+@step("the linear verdict")
 def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> LinearVerdict:
     """The linear verdict on all legs of a mission; a fraction of a second to a second.
 

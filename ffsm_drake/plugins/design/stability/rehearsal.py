@@ -18,6 +18,7 @@ from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 from ffsm_drake.common import products
 from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.base import attitude_ahead
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_actuation, make_base_actuators
@@ -133,6 +134,7 @@ class Rehearsal:
         return float(np.isfinite(self.diverged).mean())
 
 
+@step("the linear loop under limits and noise")
 def rehearse(
     scenario: Scenario,
     *,
