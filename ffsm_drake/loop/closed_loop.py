@@ -138,7 +138,7 @@ class ClosedLoop:
         set_true_masses(self.plant, context, scenario)
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
-        self._tell("set_payload", root_context, scenario.payload.truth)
+        self._tell("set_payload", root_context, scenario.carried.truth)
         self.set_whole_states(root_context, state_at_start(scenario, self.model(context))[None])
 
     def _initialize_copies(self, root: System, root_context: Context, copies: Copies) -> None:
@@ -157,7 +157,7 @@ class ClosedLoop:
                 placed.part.check_plant(scenario, model)
             rows.append(state_at_start(scenario, model))
         self._tell(
-            "set_payload", root_context, [scenario.payload.truth for scenario in self.scenarios]
+            "set_payload", root_context, [scenario.carried.truth for scenario in self.scenarios]
         )
         self.set_whole_states(root_context, np.array(rows))
 

@@ -13,10 +13,10 @@ from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.table import EFFORT, VARIABLES, Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_poses, frame_rows
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import NOTHING, Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
-from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload, spatial_inertia
+from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import base_rpy, find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST

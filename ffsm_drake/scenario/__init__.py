@@ -41,6 +41,7 @@ from ffsm_drake.scenario.loading import (
     scenario_to_yaml,
 )
 from ffsm_drake.scenario.model import (
+    NOTHING,
     Flexible,
     MassProperties,
     Model,
@@ -103,6 +104,7 @@ __all__ = [
     "Flexible",
     "FrameGoal",
     "Harmonic",
+    "NOTHING",
     "MassProperties",
     "Model",
     "Payload",

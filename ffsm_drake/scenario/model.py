@@ -207,6 +207,9 @@ class MassProperties:
             )
 
 
+NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
+
+
 @dataclass
 class Payload:
     """The captured body: its true mass properties, and the nominal ones, used by the controller."""

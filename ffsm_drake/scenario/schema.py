@@ -29,7 +29,7 @@ from ffsm_drake.scenario.fields import (
 )
 from ffsm_drake.scenario.forces import Disturbance, Environment
 from ffsm_drake.scenario.layers import Layer, assembled, override_layers
-from ffsm_drake.scenario.model import MassProperties, Model, Payload, Posture
+from ffsm_drake.scenario.model import NOTHING, MassProperties, Model, Payload, Posture
 from ffsm_drake.scenario.reference import Planning, Reference
 from ffsm_drake.scenario.resolving import as_dict
 from ffsm_drake.scenario.sensing import CommandFilter, Estimator, Sensing
@@ -139,6 +139,8 @@ class Scenario:
         None, "rate damping and replanning if the plan cannot be followed; null: none"
     )
     faults: Faults | None = unitless(None, "faults of units and their times; null: none")
+    # No setting: a mission's own, False in its phases with an empty gripper.
+    holds: bool = True
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """Check for at least one sample, and not too many samples and steps."""
@@ -219,6 +221,11 @@ class Scenario:
         if self.approach is not None:
             found["capture.approach.posture"] = self.approach.posture
         return found
+
+    @property
+    def carried(self) -> Payload:
+        """The payload in the gripper: ``payload``, or nothing."""
+        return self.payload if self.holds else replace(self.payload, truth=NOTHING, nominal=NOTHING)
 
     @property
     def wheels(self) -> Wheels | None:

@@ -17,7 +17,6 @@ from ffsm_drake.spacecraft.plant import (
     split_of,
 )
 
-NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
 _SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues: above rounding, below any spacecraft's
 
 

@@ -186,7 +186,7 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
       >>> make_nominal_plant(load_scenario("postcapture")).coordinates.joints
       ('joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5')
     """
-    return _make(scenario, scenario.payload.nominal, nominal=True)
+    return _make(scenario, scenario.carried.nominal, nominal=True)
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
@@ -200,7 +200,7 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
       >>> round(float(model.calc_mass_matrix(q)[3, 3]), 6)  # kg, base, arm and target
       526.0
     """
-    return _make(scenario, scenario.payload.truth)
+    return _make(scenario, scenario.carried.truth)
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
@@ -208,7 +208,7 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
 
     Its q and v hold those of flexible parts too (``PlantModel.split``).
     """
-    model = _make(scenario, scenario.payload.truth, flexible=True)
+    model = _make(scenario, scenario.carried.truth, flexible=True)
     _set_flexible(model.plant, model.context, scenario.model)
     return model
 
@@ -231,7 +231,7 @@ def _parsed(model: Model, files: tuple[Path, ...], *, flexible: bool) -> Multibo
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
     """Set true masses and springs of a plant with flexible parts in a new context."""
-    set_masses(plant, context, scenario, scenario.payload.truth)
+    set_masses(plant, context, scenario, scenario.carried.truth)
     _set_flexible(plant, context, scenario.model)
 
 

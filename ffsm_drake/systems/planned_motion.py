@@ -90,18 +90,3 @@ class InTurn(PlannedMotion):
         for begin, motion in later:
             rows = np.where((times > begin - 1e-9)[:, None], motion.rows(times - begin), rows)
         return rows
-
-
-class Backwards(PlannedMotion):
-    """A motion from its end to its beginning."""
-
-    def __init__(self, motion: PlannedMotion, *, sample_time: float) -> None:
-        self._motion = motion
-        super().__init__(coordinates=motion.coordinates, sample_time=sample_time, end=motion.end)
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        rows = self._motion.rows(self.end - times)
-        first = len(self.coordinates.position_names)
-        rows[:, first : first + len(self.coordinates.names)] *= -1.0
-        return rows

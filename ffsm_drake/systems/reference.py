@@ -34,7 +34,7 @@ from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.plan import Plan, load_plan
-from ffsm_drake.systems.planned_motion import Backwards, InTurn, PlannedMotion
+from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -114,13 +114,18 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
 
     With a capture it starts at the velocity after the grasp of the nominal payload; without one,
     with the goal ``stop``, at ``initial_velocity``. Undriven
-    coordinates follow by conservation of momentum.
+    coordinates follow by conservation of momentum. With an empty gripper it ends at the grasp.
 
     Raises:
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be
         computed, or the plan cannot be read.
     """
-    reference = scenario.reference
+    reference, period = scenario.reference, scenario.sample_time
+    approach: PlannedMotion | None = None
+    if scenario.grasp_time > 0.0:
+        approach = service("planned_approach", "capture.approach")(scenario)
+        if not scenario.holds:
+            return approach
     nominal = functools.cache(lambda: make_nominal_plant(scenario))  # few motions need it
     target = None if reference.goal == "stop" else scenario.target_posture
 
@@ -133,7 +138,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
             target=posture,
             blend=blend,
             base_rotation=reference.base_rotation,
-            sample_time=scenario.sample_time,
+            sample_time=period,
             velocity=velocity,
         )
 
@@ -142,7 +147,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     stop: PlannedMotion
     if reference.kind == "optimal":
         plan = load_plan(reference.plan or "", coordinates)
-        stop = SplineMotion(plan, coordinates=coordinates, sample_time=scenario.sample_time)
+        stop = SplineMotion(plan, coordinates=coordinates, sample_time=period)
     else:
         if duration is None:
             duration = shortest_duration(
@@ -153,11 +158,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
                 shaped_by=make_impulses(reference.shaper).length,
             )
         stop = polynomial(Blend(reference, duration), target, velocity)
-    if scenario.grasp_time == 0.0:
+    if approach is None:
         return _follow(scenario, nominal, stop)
-    period = scenario.sample_time
-    planned = service("planned_approach", "capture.approach")(scenario, nominal())
-    approach = Backwards(planned, sample_time=period)
     grasp, end = approach.end, approach.end + stop.end
     return InTurn([(0.0, approach), (grasp, stop)], begin=grasp, end=end, sample_time=period)
 

@@ -15,9 +15,8 @@ from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
-from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.systems.blend import Blend, make_impulses
+from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
@@ -133,31 +132,28 @@ def approach_motion(
     )
 
 
-def planned_approach(scenario: Scenario, model: PlantModel) -> PolynomialMotion:
-    """The approach of a scenario, backwards; errors as ``approach_posture``."""
-    contact = planned_contact(scenario, model)
-    return approach_motion(scenario, model, contact, approach_posture(scenario))
+class Backwards(PlannedMotion):
+    """A motion from its end to its beginning."""
+
+    def __init__(self, motion: PlannedMotion, *, sample_time: float) -> None:
+        self._motion = motion
+        super().__init__(coordinates=motion.coordinates, sample_time=sample_time, end=motion.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        rows = self._motion.rows(self.end - times)
+        first = len(self.coordinates.position_names)
+        rows[:, first : first + len(self.coordinates.names)] *= -1.0
+        return rows
 
 
-def without_target(scenario: Scenario) -> Scenario:
-    """The scenario with an empty gripper, valid up to the grasp."""
-    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
-    # the target turns about its true centre of mass, which the gripper meets
-    truth = dataclasses.replace(NOTHING, center_of_mass=scenario.payload.truth.center_of_mass)
-    capture = scenario.capture
-    if capture is not None:
-        capture = dataclasses.replace(capture, compliance=None, approach=given_approach(scenario))
-    if capture is not None and capture.servicer == "detumble":  # with the target's momentum
-        model = make_nominal_plant(scenario)
-        velocity = planned_contact(scenario, model).velocity.tolist()
-        named = dict(zip(model.coordinates.names, velocity, strict=True))
-        capture = dataclasses.replace(capture, servicer="given", servicer_velocity=named)
-    return dataclasses.replace(
-        scenario,
-        capture=capture,
-        payload=dataclasses.replace(scenario.payload, truth=truth, nominal=NOTHING),
-        reference=dataclasses.replace(scenario.reference, duration=some),
+def planned_approach(scenario: Scenario) -> PlannedMotion:
+    """The approach of a scenario; errors as ``approach_posture``."""
+    model = make_nominal_plant(dataclasses.replace(scenario, holds=True))
+    motion = approach_motion(
+        scenario, model, planned_contact(scenario, model), approach_posture(scenario)
     )
+    return Backwards(motion, sample_time=scenario.sample_time)
 
 
 def margins_of(
@@ -186,8 +182,7 @@ def force_share(scenario: Scenario, rows: np.ndarray) -> float:
     """The largest share of the limits of force that a motion [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
     takes with an empty gripper; the same in either direction but for damping.
     """
-    empty = dataclasses.replace(scenario.payload, nominal=NOTHING)
-    model = make_nominal_plant(dataclasses.replace(scenario, payload=empty))
+    model = make_nominal_plant(dataclasses.replace(scenario, holds=False))
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     force = model.calc_tracking_force(*np.split(rows, [nq, nq + nv], axis=1))
     limit = actuation_limit(scenario, model.coordinates).upper

@@ -24,7 +24,6 @@ from ffsm_drake.plugins.capture.approach import (
     given_approach,
     is_gentle,
     outwards,
-    without_target,
 )
 from ffsm_drake.plugins.capture.contact import coast, target_body
 from ffsm_drake.plugins.capture.gripper import Gripper
@@ -119,7 +118,9 @@ class ClosingRun(Captures):
 
     def _apart(self, blocks: dict[str, Factory], joint_force: np.ndarray | None = None) -> Rollout:
         """A loop with the target apart."""
-        return self._loop(without_target(self.scenario), blocks=blocks, joint_force=joint_force)
+        return self._loop(
+            dataclasses.replace(self.scenario, holds=False), blocks=blocks, joint_force=joint_force
+        )
 
     def _stop(self) -> Phase:
         """The stop with the target in the gripper, at rest there, planned from the state that the
@@ -440,7 +441,7 @@ class ClosingRun(Captures):
             scenario = self._try(X_WB, X_WB @ X_BS, self._known.motion[sample])
             begin = sample - lasts
             if self._leads_to(start, scenario, first, begin) and self._is_clear(
-                make_motion(without_target(scenario), self.before.coordinates),
+                make_motion(dataclasses.replace(scenario, holds=False), self.before.coordinates),
                 np.linspace(begin, sample - self._samples, _INSTANTS),
                 begin,
                 margin=self._approach.margin,

@@ -7,12 +7,12 @@ velocity jumps. The target is held where the gripper meets it: the position erro
 part of the payload's mass properties.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 from pydrake.geometry import Meshcat
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.plugins.capture.approach import without_target
 from ffsm_drake.plugins.capture.closing import ClosingRun
 from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
 from ffsm_drake.plugins.capture.phases import ApproachAndStop
@@ -44,7 +44,7 @@ class MissionRollout:
         if first.grasp_time > 0.0:
             target = None if meshcat is None else Handover(first).path[:, :7]
             self._approach = Rollout(
-                [without_target(each) for each in self._scenarios],
+                [dataclasses.replace(each, holds=False) for each in self._scenarios],
                 blocks=blocks,
                 meshcat=meshcat,
                 target=target,
@@ -97,7 +97,9 @@ class MissionRollout:
     ) -> list[RunLog | None]:
         """Run scenarios, None: the built ones, with the loop of their approach."""
         handovers = [Handover(each) for each in given or self._scenarios]
-        alone = None if given is None else [without_target(each) for each in given]
+        alone = (
+            None if given is None else [dataclasses.replace(each, holds=False) for each in given]
+        )
         if handovers[0].scenario.closing is not None:
             closing = ClosingRun(handovers[0], blocks=self._blocks, progress=progress)
             return closing.run(closing.first(loop, alone))

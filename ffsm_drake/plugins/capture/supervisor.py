@@ -33,7 +33,6 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
-from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
@@ -232,8 +231,7 @@ class _Supervisor(LeafSystem):
     def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
         super().__init__()
         self._scenario, self._model, self._waits = setup.scenario, setup.nominal, waits
-        # True in a loop that ends before the grasp
-        self._is_empty = setup.scenario.payload.nominal == NOTHING
+        self._is_empty = not setup.scenario.holds
         self._begin, self._grasp_time = begin, begin + setup.scenario.grasp_time
         self._coordinates = coordinates = setup.coordinates
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)

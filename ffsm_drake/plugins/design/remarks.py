@@ -24,10 +24,10 @@ from ffsm_drake.runs.limits import (
     remarks_on,
     too_near,
 )
-from ffsm_drake.scenario import Scenario, planned_part
+from ffsm_drake.scenario import NOTHING, Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
-from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload
+from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     make_flexible_plant,

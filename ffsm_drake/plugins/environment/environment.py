@@ -146,7 +146,7 @@ class EnvironmentForce(LeafSystem):
         super().__init__()
         self._model, self._scenarios, copies = model, tuple(scenarios), len(scenarios)
         self._force = OrbitalForce(scenarios[0].environment or Environment(), model)
-        self._held_payloads = np.array([_packed(each.payload.truth) for each in scenarios])
+        self._held_payloads = np.array([_packed(each.carried.truth) for each in scenarios])
         whole, hidden = model.plant.num_velocities(), copies * len(model.split.names)
         self._state = self.DeclareVectorInputPort(
             "state", model.plant.num_multibody_states() - 2 * hidden

@@ -460,8 +460,9 @@ def _gains_along(
     """
     model = driven_model(make_nominal_plant(scenario))
     motion = make_motion(scenario, model.coordinates)
-    ends = (motion.begin, motion.end) if scenario.payload.nominal.mass else (0.0, motion.begin)
-    q = motion.rows(np.linspace(*ends, _INSTANTS))[:, : len(model.coordinates.position_names)]
+    q = motion.rows(np.linspace(motion.begin, motion.end, _INSTANTS))[
+        :, : len(model.coordinates.position_names)
+    ]
     inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
     # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
     ratios = np.linalg.eigvals(np.linalg.solve(inverse[1:], inverse[:-1])).real

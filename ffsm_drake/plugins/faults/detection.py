@@ -157,9 +157,9 @@ class _Detector(LeafSystem):
         self._model, self._names = setup.nominal, _units(scenario, coordinates)
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         # the nominal payload changes at a grasp
-        self._leg = float(scenario.payload.nominal.mass)
+        self._leg = float(scenario.carried.nominal.mass)
         self._models = [self._model, *_extremes(scenario, self._settings.payload_factor)]
-        held = scenario.payload.nominal
+        held = scenario.carried.nominal
         self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
@@ -747,7 +747,7 @@ class _Detector(LeafSystem):
 def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
     """The models with the lightest and the heaviest payload; of an empty gripper none."""
     payload = scenario.payload
-    if payload.nominal.mass == 0.0 or factor == 1.0:
+    if not scenario.holds or factor == 1.0:
         return []
     models = []
     for share in (1.0 / factor, factor):

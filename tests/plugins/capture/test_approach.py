@@ -1,10 +1,12 @@
 """Approaches that keep clear of a tumbling target."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from ffsm_drake import ScenarioError, load_scenario
-from ffsm_drake.plugins.capture.approach import approach_posture, given_approach, without_target
+from ffsm_drake.plugins.capture.approach import approach_posture, given_approach
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.runs.limits import CLEARANCE, closest_of, distances_in, limits_left
@@ -25,7 +27,7 @@ def tumbling(rate, *more):
 
 def planned(scenario, instants=60):
     """Times, motion [q; v; a] and the target's poses of a planned approach."""
-    alone = without_target(scenario)
+    alone = dataclasses.replace(scenario, holds=False)
     model = make_nominal_plant(alone)
     path = Handover(scenario).path[:, :7]
     samples = np.linspace(0, len(path) - 1, instants).round().astype(int)
@@ -65,9 +67,9 @@ def test_the_start_does_not_depend_on_the_target_that_is_left_out_or_the_law():
     scenario = tumbling([0.05, 0.0, 0.0])
     posture = approach_posture(scenario)
     assert posture != scenario.capture.approach.posture
-    assert approach_posture(without_target(scenario)) == posture
+    assert approach_posture(dataclasses.replace(scenario, holds=False)) == posture
     assert approach_posture(scenario.replace(controller="tdc")) == posture
-    assert given_approach(without_target(scenario)).start == "given"
+    assert given_approach(dataclasses.replace(scenario, holds=False)).start == "given"
 
 
 @draws

@@ -22,9 +22,9 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
-from ffsm_drake.scenario import MassProperties, Payload, Scenario, from_grasp
+from ffsm_drake.scenario import NOTHING, MassProperties, Payload, Scenario, from_grasp
 from ffsm_drake.show.results import results_of
-from ffsm_drake.spacecraft.mass_properties import NOTHING, set_payload, spatial_inertia
+from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import make_law
 

@@ -5,11 +5,13 @@ free-flying spacecraft-manipulator system", Frontiers in Robotics and AI 6 (2019
 doi:10.3389/frobt.2019.00014. Their tables could not be read: the bounds here follow from momentum.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
-from ffsm_drake.plugins.capture.approach import without_target
+from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import planned_contact
 
 IDEAL = (
@@ -54,10 +56,9 @@ def test_an_arm_of_seven_joints_leaves_no_linear_momentum():
 def test_the_approach_ends_with_the_velocity_of_the_grasp():
     """Its loop knows nothing of the target, whose momentum it nevertheless cancels."""
     given = scenario("detumble")
-    alone = without_target(given)
-    assert alone.capture.servicer == "given"
+    motion = planned_approach(dataclasses.replace(given, holds=False))
     np.testing.assert_allclose(
-        contact(alone).velocity, contact(given).velocity, rtol=0.0, atol=1e-15
+        motion.evaluate(motion.end)[1], contact(given).velocity, rtol=0.0, atol=1e-15
     )
 
 

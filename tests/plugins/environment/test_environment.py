@@ -16,9 +16,8 @@ from ffsm_drake.plugins.analysis.balances import energy_residual
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.environment.environment import EnvironmentForce, OrbitalForce
 from ffsm_drake.runs.rollout import Rollout, make_rollout
-from ffsm_drake.scenario import Approach, Environment, Scenario, SolarPressure
+from ffsm_drake.scenario import NOTHING, Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mass_properties import NOTHING
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.orbit import EARTH_GRAVITY, mean_motion
 from ffsm_drake.spacecraft.plant import configuration

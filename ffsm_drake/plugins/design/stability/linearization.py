@@ -34,7 +34,6 @@ from ffsm_drake.loop.blocks import FROM_ACTUATORS, is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.plugins.actuators.drives import FRICTION
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
-from ffsm_drake.plugins.capture.approach import without_target
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.loop_state import Memory, PlantState, difference
@@ -88,7 +87,7 @@ class Linearizer:
         state.
         """
         # with limits
-        self.given = timed(_approach(scenario) if approach else from_grasp(scenario))
+        self.given = timed(_up_to_grasp(scenario) if approach else from_grasp(scenario))
         self.scenario = without_limits(self.given)
         factories = dict(blocks or {})
         if is_rehearsed(self.given):
@@ -100,8 +99,7 @@ class Linearizer:
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self.begin, self.end = self.motion.begin, self.motion.end  # s
         if approach:  # its last instant is before the grasp
-            last = self.motion.begin - _WARM_UP * self.scenario.sample_time
-            self.begin, self.end = 0.0, max(0.0, last)
+            self.end = max(0.0, self.end - _WARM_UP * self.scenario.sample_time)
         self._simulator = self._new_simulator()
         self._context = self._simulator.get_mutable_context()
         self._plant = PlantState(self.loop, self._context)
@@ -754,9 +752,9 @@ def _jacobian(
     return jacobian
 
 
-def _approach(scenario: Scenario) -> Scenario:
+def _up_to_grasp(scenario: Scenario) -> Scenario:
     """The scenario up to its grasp."""
-    return dataclasses.replace(without_target(scenario), duration=scenario.grasp_time)
+    return dataclasses.replace(scenario, holds=False, duration=scenario.grasp_time)
 
 
 def _is_shipped(system: object) -> bool:
