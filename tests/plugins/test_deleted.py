@@ -42,6 +42,7 @@ NEEDED = {
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
     "generated": [],
     "gymnasium": [],
+    "impacts": [],
     "interactive": [
         [*SHORT, "--meshcat"],
         [*SHORT, "--controls"],
