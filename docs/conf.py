@@ -2,6 +2,7 @@
 without network.
 """
 
+import importlib.metadata
 import os
 import sys
 from pathlib import Path
@@ -23,9 +24,10 @@ extensions = [
     "plain_docstrings",
     "settings_tables",
 ]
-exclude_patterns = ["_ext"]
+exclude_patterns = ["_ext", "joss"]
 html_theme = "furo"
-html_title = "ffsm_drake"
+version = release = importlib.metadata.version("ffsm-drake")
+html_title = f"ffsm_drake {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False

@@ -17,5 +17,5 @@ def step(name: str) -> Iterator[None]:
 
 
 def current_step() -> str:
-    """The innermost step, empty between steps."""
-    return _steps[-1] if _steps else ""
+    """The steps, the outermost first, empty between steps."""
+    return ": ".join(_steps)

@@ -297,7 +297,9 @@ def test_a_silent_command_names_its_steps(tmp_path):
     done = finished(command, stdout=PIPE, stderr=PIPE, text=True)
     steps = set(re.findall(r"still at work: (.*)", done.stderr))
     assert done.returncode == 3, done.stderr
-    assert steps > {"the linear verdict", "a search for changes that help", "writing the report"}
+    assert "the linear verdict" in steps
+    assert "a search for changes that help: the linear verdict" in steps
+    assert any(each.startswith("writing the report") for each in steps)
 
 
 @pytest.mark.parametrize(
@@ -317,6 +319,6 @@ def test_a_silent_command_says_that_it_goes_on(first, least, named, capsys, monk
     watcher.join()
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == least
-    at = "a part" if named else "ffsm new"
+    at = "the whole: a part" if named else "ffsm new"
     assert all(line.endswith(f"s: still at work: {at}") for line in lines)
     assert current_step() == ""

@@ -173,7 +173,7 @@ def test_the_docs_begin_with_the_outcome(monkeypatch):
     cases = [case for case in runs.table_cases(1) if case.setting == "euler"]
     found = runs.run_cases(cases, num_seeds=1, workers=2)
     text = outcome.outcome_text(table.make_table(found))
-    assert text in (DOCS / "paper.md").read_text(encoding="utf-8")
+    assert text in (DOCS / "reproduction.md").read_text(encoding="utf-8")
 
 
 def as_printed(cell):
