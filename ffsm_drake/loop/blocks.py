@@ -25,8 +25,9 @@ from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
+from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.controllers.joined import join_controllers
+from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.faults import settled
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
@@ -101,7 +102,7 @@ BLOCKS: dict[str, Ports] = {
             "restart": NUMBER,  # 1: this sample is a first one, regardless of earlier samples
         },
         outputs={"generalized_force": VELOCITY},
-        optional_outputs={**dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY), SMALLEST: NUMBER},
+        optional_outputs={each.name: VELOCITY if each.dimension else NUMBER for each in SIGNALS},
         held=True,
     ),
     # Between the reference and the controller, and between that and the actuators.

@@ -11,6 +11,7 @@
 """
 
 import dataclasses
+import functools
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -51,9 +52,8 @@ from ffsm_drake.spacecraft.nominal import (
 )
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
 from ffsm_drake.spacecraft.start import state_at_start
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
-from ffsm_drake.systems.part import Parts
+from ffsm_drake.systems.part import EFFORT, Parts, Signal
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.sensing import wire_stages
@@ -72,6 +72,16 @@ SIGNALS = (
     "applied_force",
     "disturbance_force",
 )
+# What the record holds of its forces.
+_force = functools.partial(Signal, unit=EFFORT, dimension="coordinate")
+FORCES = (
+    _force(name="generalized_force", meaning="control tau, held from this sample to the next"),
+    _force(name="applied_force", meaning="force applied by the actuators, held likewise"),
+    _force(
+        name="disturbance_force", held=False,
+        meaning="external forces tau_d at this instant, summed",
+    ),
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -566,7 +576,7 @@ class _Wiring:
 
     def record_controller(self) -> None:
         """Record the controller's optional outputs."""
-        names = filter(self._controller.HasOutputPort, (*OPTIONAL_OUTPUTS, SMALLEST))
+        names = filter(self._controller.HasOutputPort, BLOCKS["controller"].optional_outputs)
         self.sources |= {name: (self._controller, name) for name in names}
 
     def record_parts(self, parts: Parts) -> None:

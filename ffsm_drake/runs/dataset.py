@@ -11,7 +11,8 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.table import EFFORT, VARIABLES, Table
+from ffsm_drake.runs.signals import SIGNALS
+from ffsm_drake.runs.table import Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_poses, frame_rows
 from ffsm_drake.scenario import NOTHING, Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
@@ -29,12 +30,12 @@ def make_table(log: RunLog) -> Table:
     model = make_flexible_plant(scenario)
     states = log.whole_states
     values = _values(log, model, states)
-    meanings = {name: row for name, row in VARIABLES.items() if name in values}
+    signals = {name: signal for name, signal in SIGNALS.items() if name in values}
     for name in values:
         # several external forces act, and disturbance_force is their sum
         if name.startswith("force_"):
             meaning = f"external force '{name[6:]}' at this instant"
-            meanings[name] = ("coordinate", meaning, EFFORT)
+            signals[name] = dataclasses.replace(signals["disturbance_force"], meaning=meaning)
     table = Table(
         attrs={
             "title": scenario.description,
@@ -44,12 +45,8 @@ def make_table(log: RunLog) -> Table:
         },
     )
     table = table.assign({
-        name: (
-            ("time", along) if along else ("time",),
-            values[name],
-            {"long_name": meaning, "units": units},
-        )
-        for name, (along, meaning, units) in meanings.items()
+        name: (signal.dims, values[name], {"long_name": signal.meaning, "units": signal.unit})
+        for name, signal in signals.items()
     })  # fmt: skip
     table = table.assign_coords({
         "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
@@ -71,7 +68,7 @@ def make_table(log: RunLog) -> Table:
 
 
 def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.ndarray]:
-    """The variables of ``VARIABLES`` that a run has, and each external force where several act.
+    """The variables of ``SIGNALS`` that a run has, and each external force where several act.
 
     Args:
       log: the run.
@@ -79,18 +76,12 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
       states: its [q; v] at the samples (n, its size).
     """
     scenario, series = log.scenario, log.series
-    num_positions = len(log.coordinates.position_names)
-    found: dict[str, np.ndarray] = {}
-    for prefix, name in (
-        ("", "state"),
-        ("measured_", "measurement"),
-        ("desired_", "desired_state"),
-    ):
-        parts = np.split(series[name], [num_positions], axis=1)
-        found[f"{prefix}position"], found[f"{prefix}velocity"] = parts
+    found = {name: np.asarray(each.of(log)) for name, each in SIGNALS.items() if each.of}
     rates = map(error_rate, log.error, found["desired_velocity"], found["velocity"])
     found |= {"error": log.error, "error_rate": np.array(list(rates))}
-    own = {name: series[name] for name in series if name in VARIABLES or name[:6] == "force_"}
+    own = {name: series[name] for name in series if name in SIGNALS or name[:6] == "force_"}
+    if SMALLEST in own:
+        own[SMALLEST] = own[SMALLEST][:, 0]
     if log.grasp is None:
         momentum, energy = _momentum_and_energy(model, states)
     else:
@@ -158,12 +149,6 @@ def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
         "units": "rad, m",
     }
     table = table.assign({"frame_error": (("time", "frame_coordinate"), error, meaning)})
-    if SMALLEST in log.series:
-        meaning = {
-            "long_name": "smallest singular value of the joints' J*, rad counted as m",
-            "units": "1",
-        }
-        table = table.assign({SMALLEST: ("time", log.series[SMALLEST][:, 0], meaning)})
     along = "frame_coordinate"
     return table.assign_coords({
         "frame_coordinate": (along, FRAME_COORDINATES),

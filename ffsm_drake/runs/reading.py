@@ -16,8 +16,9 @@ from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, read_together
 from ffsm_drake.common.numbers import LARGEST, usable
 from ffsm_drake.common.shapes import misfit
+from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
-from ffsm_drake.runs.table import OF_LAWS, VARIABLES
+from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
@@ -50,7 +51,7 @@ _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
 _MAX_PER_SAMPLE = 100_000  # bytes, unpacked
 _COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
-_REQUIRED = [name for name in VARIABLES if name not in OF_LAWS]
+_REQUIRED = [name for name in SIGNALS if name not in BLOCKS["controller"].optional_outputs]
 # Variables that are finite in a run up to its end or the grasp, except outputs of user-supplied
 # sensors.
 _FINITE = [name for name in _REQUIRED if not name.startswith("measured")]
@@ -235,9 +236,8 @@ def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
             yield f"lacks the attribute {name}"
         if problem := misfit(np.asarray(dataset.attrs[name])[()], shape, name):
             yield f"the attribute {problem}"
-    for name, (along, *_) in VARIABLES.items():
-        dims = ("time", along) if along else ("time",)
-        known = name in dataset.data_vars
+    for name, signal in SIGNALS.items():
+        dims, known = signal.dims, name in dataset.data_vars
         if known and (dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu"):
             yield f"{name} must hold numbers along {', '.join(dims)}"
     for variable, column in dataset.variables.items():
@@ -299,8 +299,6 @@ def _of_names(
             dims = ("time",) * along_time + ("frame_coordinate",)
             if name not in dataset or dataset[name].dims != dims:
                 yield f"{name} must stand along {', '.join(dims)}"
-    if "smallest_singular_value" in dataset and dataset["smallest_singular_value"].ndim != 1:
-        yield "smallest_singular_value must hold numbers along time"
     if "quaternion" in dataset.dims:
         expected["quaternion"] = ("quaternion", ("w", "x", "y", "z"))
     for name, (along, values) in expected.items():

@@ -30,16 +30,16 @@ from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
+from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
 from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
-from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 # A logger sees the state before the update of its instant: at t_k these signals are those of
 # sample k - 1.
-_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", SMALLEST)
+_HELD = ("measurement", *(each.name for each in SIGNALS.values() if each.held))
 # Fields that can change without a new build, like the payload's true mass properties.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 

@@ -13,43 +13,6 @@ if TYPE_CHECKING:
 
     Labelled: TypeAlias = "Table | xr.Dataset"
 
-_UNIT, EFFORT = "rad (rotations) or m (translations)", "N m (rotations) or N (translations)"
-# The variables of a record: name -> dimension beside time, meaning, units.
-VARIABLES = {
-    "position": ("position_name", "generalized positions q", f"1 (quaternion), {_UNIT}"),
-    "velocity": ("coordinate", "generalized velocities v", f"{_UNIT} per s"),
-    "measured_position": ("position_name", "measured q, read by the controller", f"1, {_UNIT}"),
-    "measured_velocity": ("coordinate", "measured v, read by the controller", f"{_UNIT} per s"),
-    "desired_position": ("position_name", "reference q_d", f"1 (quaternion), {_UNIT}"),
-    "desired_velocity": ("coordinate", "reference v_d", f"{_UNIT} per s"),
-    "desired_acceleration": ("coordinate", "reference acceleration", f"{_UNIT} per s^2"),
-    "error": ("coordinate", "true tracking error e = q_d - q (rotation vector in world)", _UNIT),
-    "error_rate": ("coordinate", "true error rate", f"{_UNIT} per s"),
-    "generalized_force": (
-        "coordinate",
-        "control tau, held from this sample to the next",
-        EFFORT,
-    ),
-    "applied_force": ("coordinate", "force applied by the actuators, held likewise", EFFORT),
-    "disturbance_force": (
-        "coordinate",
-        "external forces tau_d at this instant, summed",
-        EFFORT,
-    ),
-    "end_effector_position": ("axis", "end effector in the world frame", "m"),
-    "desired_end_effector_position": ("axis", "its reference", "m"),
-    "base_rpy": ("axis", "roll, pitch, yaw of the base", "rad"),
-    "desired_base_rpy": ("axis", "their reference", "rad"),
-    "linear_momentum": ("axis", "total linear momentum", "N s"),
-    "angular_momentum": ("axis", "total angular momentum about the world's origin", "N m s"),
-    "kinetic_energy": ("", "total kinetic energy", "J"),
-    "sliding_variable": ("coordinate", "sliding variable s of this sample", _UNIT),
-    "reaching_gain": ("coordinate", "K_s used by this sample, 1/s", "1/s"),
-    "switching_gain": ("coordinate", "G used by this sample", _UNIT),
-}
-# Recorded for some control laws only.
-OF_LAWS = {"sliding_variable", "reaching_gain", "switching_gain"}
-
 # Dimensions, or the only one; values; attributes, if there are any.
 Given: TypeAlias = tuple[Any, ...]
 

@@ -34,6 +34,8 @@ from ffsm_drake.systems.setup import BlockSetup
 STORED_MOMENTUM, INTERNAL_TORQUE = "stored_momentum", "internal_torque"
 INTERNAL_WORK, STORED_ENERGY, HELD_FORCE = "internal_work", "stored_energy", "held_force"
 ROLES = (STORED_MOMENTUM, INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY, HELD_FORCE)
+# Units of the entries of coordinates, and of their forces.
+UNIT, EFFORT = "rad (rotations) or m (translations)", "N m (rotations) or N (translations)"
 # Drawing of a signal: a curve; steps from one sample to the next; a row for each component, with a
 # box wherever it is on, from the share of each sample in the on state.
 CURVE, STEPS, TIMELINE = "linear", "hv", "timeline"
@@ -88,7 +90,8 @@ class Signal:
     unit: str
     meaning: str
     components: tuple[str, ...] = ()  # names of the components; empty: a single number
-    # dimension of the record for the components; "": one of its own
+    # dimension of the record for the components, or for those that the spacecraft gives; "": one of
+    # its own
     dimension: str = ""
     held: bool = True  # constant from each control sample to the next
     # computes the signal from the run, without a port: (n, components) or (n); None: absent in this
@@ -110,7 +113,7 @@ class Signal:
     def dims(self) -> tuple[str, ...]:
         """Dimensions of the variable."""
         along = self.dimension or f"{self.name}_component"
-        return ("time", along) if self.components else ("time",)
+        return ("time", along) if self.components or self.dimension else ("time",)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -701,6 +704,26 @@ def _drawing(signal: Signal, title: str) -> Drawing:
         title=signal.panel or heading,
         panels=dict(panels),
     )
+
+
+def state_signals(
+    port: str, prefix: str, q: str, v: str, quaternion: str = "1 (quaternion)"
+) -> tuple[Signal, Signal]:
+    """Position and velocity of a port [q; v] of a block: names with a prefix, and meanings."""
+
+    def part(run: View, which: int) -> np.ndarray:
+        return np.split(run[port], [len(run.coordinates.position_names)], axis=1)[which]
+
+    return (
+        Signal(
+            name=f"{prefix}position", unit=f"{quaternion}, {UNIT}", meaning=q,
+            dimension="position_name", of=lambda run: part(run, 0),
+        ),
+        Signal(
+            name=f"{prefix}velocity", unit=f"{UNIT} per s", meaning=v, dimension="coordinate",
+            of=lambda run: part(run, 1),
+        ),
+    )  # fmt: skip
 
 
 def with_role(parts: Parts, role: str) -> list[str]:

@@ -32,11 +32,20 @@ from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.part import UNIT, Part, Signal, state_signals
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.setup import BlockSetup
+
+# What the record holds of its ports.
+SIGNALS = (
+    *state_signals("desired_state", "desired_", "reference q_d", "reference v_d"),
+    Signal(
+        name="desired_acceleration", unit=f"{UNIT} per s^2", meaning="reference acceleration",
+        dimension="coordinate", held=False,
+    ),
+)  # fmt: skip
 
 
 class SplineMotion(PlannedMotion):

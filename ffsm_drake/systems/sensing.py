@@ -46,10 +46,15 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import matrix_of, product_matrix, turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.part import Part, state_signals
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 from ffsm_drake.systems.side_by_side import SideBySide
 
+# What the record holds of its port.
+SIGNALS = state_signals(
+    "measurement", "measured_", "measured q, read by the controller",
+    "measured v, read by the controller", "1",
+)  # fmt: skip
 _DRAWN = 256  # samples of noise at once, for several copies of the spacecraft
 
 

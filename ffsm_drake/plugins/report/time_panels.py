@@ -19,6 +19,7 @@ from ffsm_drake.show.run_charts import (
     run_curve,
 )
 from ffsm_drake.show.style import NEUTRAL
+from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SIGNALS
 
 # Points that all curves of a page may have together, and bounds on those of one curve: enough for
 # zooming in.
@@ -28,9 +29,7 @@ _VARIABLES = (
     "error",
     *HELD,
     "disturbance_force",
-    "sliding_variable",
-    "reaching_gain",
-    "switching_gain",
+    *OPTIONAL_OUTPUTS,
     "position",
     "desired_position",
 )
@@ -72,12 +71,12 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
             "Applied by the actuators": applied,
             "Disturbance": each("disturbance_force", "{effort}"),
         },
-        "sliding": {
-            "Sliding variable s": each("sliding_variable", "{unit}/s"),
-            "Gain Kₛ": each("reaching_gain", "1/s"),
-            "Gain G": each("switching_gain", "{unit}/s²"),
-        },
+        "sliding": {},
     }
+    for signal in SIGNALS:
+        heading, _, unit = (signal.heading or "").rstrip("]").partition(" [")
+        if heading:
+            sections["sliding"][heading] = each(signal.name, unit)
     views = {
         key: [View(label=label, panels=shown) for label, shown in section.items() if shown]
         for key, section in sections.items()

@@ -19,10 +19,29 @@ from ffsm_drake.systems.controllers.checked import (
 )
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
+from ffsm_drake.systems.part import UNIT, Signal
 
-# Memory of a law that becomes an output and is recorded: (nv) each, and one number.
-OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
 SMALLEST = "smallest_singular_value"
+# Memory of a law that becomes an output and is recorded: (nv), or one number without a dimension.
+SIGNALS = (
+    Signal(
+        name="sliding_variable", unit=UNIT, meaning="sliding variable s of this sample",
+        dimension="coordinate", heading="Sliding variable s [{unit}/s]",
+    ),
+    Signal(
+        name="reaching_gain", unit="1/s", meaning="K_s used by this sample, 1/s",
+        dimension="coordinate", held=False, heading="Gain Kₛ [1/s]",
+    ),
+    Signal(
+        name="switching_gain", unit=UNIT, meaning="G used by this sample", dimension="coordinate",
+        held=False, heading="Gain G [{unit}/s²]",
+    ),
+    Signal(
+        name=SMALLEST, unit="1", heading="",
+        meaning="smallest singular value of the joints' J*, rad counted as m",
+    ),
+)  # fmt: skip
+OPTIONAL_OUTPUTS = tuple(each.name for each in SIGNALS if each.dimension)
 _ONE = np.ones(1)
 
 
@@ -94,7 +113,7 @@ class SampledController(LeafSystem):
         self._declare_inputs(len(coordinates.names))
         self._declare_state(len(coordinates.names), self._first_memory(len(coordinates.names)))
         self.DeclareStateOutputPort("generalized_force", self._force)
-        for key in (*OPTIONAL_OUTPUTS, SMALLEST):
+        for key in (each.name for each in SIGNALS):
             if key in self._memory:
                 self.DeclareStateOutputPort(key, self._memory[key])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
