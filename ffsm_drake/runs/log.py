@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
-from ffsm_drake.runs.metrics import tracking_metrics
+from ffsm_drake.runs.metrics import Tracking, tracking_metrics
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
@@ -246,13 +246,18 @@ class RunLog:
         return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked, self)
 
     @functools.cached_property
-    def metrics(self) -> dict[str, Any]:
-        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
-        return tracking_metrics(
+    def tracking(self) -> Tracking:
+        """Errors and efforts, for the ``METRICS`` of ``ffsm_drake.runs.metrics``."""
+        return Tracking(
             time=self.time,
             error=self.error,
             effort=self.generalized_force,
             period=self.scenario.sample_time,
             group=self.coordinates.group_of,
-            counted=self.tracked.error,
+            tracked=self.tracked,
         )
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
+        return tracking_metrics(self.tracking)

@@ -4,6 +4,9 @@ Sums run over the control samples t_k = k L that begin a recorded period, with t
 over [t_k, t_{k+1}).
 """
 
+import dataclasses
+import functools
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -11,9 +14,9 @@ import numpy as np
 
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of, held_force, with_role
-from ffsm_drake.runs.tracking import frame_metrics, largest_and_final, tracked_of
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
-from ffsm_drake.systems.part import INTERNAL_TORQUE
+from ffsm_drake.runs.tracking import Tracked, frame_metrics, largest_and_final, tracked_of
+from ffsm_drake.spacecraft.coordinates import GROUPS, NUM_BASE_POSITIONS, position_errors
+from ffsm_drake.systems.part import INTERNAL_TORQUE, Metric
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled
@@ -47,7 +50,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         those of ``tracking.frame_metrics``, and where the controller tracks it
         ``smallest_singular_value``, the smallest of the run.
     """
-    tracking = _tracking(dataset)
+    tracking = tracking_metrics(tracking_of(dataset))
     phases = phases_of(dataset)
     residuals = [momentum_residual(part) for part in phases.values()] or [
         momentum_residual(dataset)
@@ -57,7 +60,9 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         for name in residuals[0]
     }
     if phases:
-        tracking["phases"] = {name: _tracking(part) for name, part in phases.items()}
+        tracking["phases"] = {
+            name: tracking_metrics(tracking_of(part)) for name, part in phases.items()
+        }
     for name, figures in (
         ("drift", drift_metrics(dataset)),
         ("frame", frame_figures(dataset)),
@@ -65,18 +70,6 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         if figures:
             tracking[name] = figures
     return tracking | {"momentum_residual": sizes}
-
-
-def _tracking(dataset: "Labelled") -> dict[str, Any]:
-    time = dataset["time"].values
-    return tracking_metrics(
-        time=time - time[0],
-        error=dataset["error"].values,
-        effort=dataset["generalized_force"].values,
-        period=float(dataset.attrs["sample_time"]),
-        group=dataset["group"].values.tolist(),
-        counted=tracked_of(dataset).error,
-    )
 
 
 def frame_figures(dataset: "Labelled") -> dict[str, Any]:
@@ -124,47 +117,113 @@ def phases_of(dataset: _Some) -> dict[str, _Some]:
     return {str(name): part(name) for name in dict.fromkeys(phase)}
 
 
-def tracking_metrics(
-    *,
-    time: np.ndarray,
-    error: np.ndarray,
-    effort: np.ndarray,
-    period: float,
-    group: Sequence[str],
-    counted: np.ndarray | None = None,
-) -> dict[str, Any]:
-    """Accuracy and effort of a run, as plain numbers.
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Tracking:
+    """Errors and efforts of a run at its control samples, as ``METRICS`` read them."""
 
-    Args:
-      time: control samples (n,), s.
-      error: tracking error at each (n, nv), rad or m.
-      effort: tau held from each to the next (n, nv), N m or N.
-      period: control period, s.
-      group: group of each coordinate (nv).
-      counted: the tracked errors (n, k), see ``tracking.Tracked``; None: all of them.
+    time: np.ndarray  # (n,), s
+    error: np.ndarray  # tracking error at each (n, nv), rad or m
+    effort: np.ndarray  # tau held from each to the next (n, nv), N m or N
+    period: float  # s
+    group: Sequence[str]  # group of each coordinate (nv)
+    tracked: Tracked  # errors that count
+
+    def sizes(self, figure: str) -> np.ndarray:
+        """``peak_error``, ``final_error`` or ``peak_effort`` of each coordinate (nv); for an
+        undriven group, and for joints controlled through a frame, the error is the distance from
+        their motion with the nominal payload.
+        """
+        if figure == "final_error":
+            return np.abs(self.error[-1])
+        return np.abs(self.error if figure == "peak_error" else self.effort).max(axis=0)
+
+
+def _of_group(figure: str, group: str, run: Tracking) -> float | None:
+    members = [i for i, other in enumerate(run.group) if other == group]
+    return float(run.sizes(figure)[members].max()) if members else None
+
+
+def _of_unit(figure: str, unit: str, run: Tracking) -> float:
+    """The largest tracked error in a unit; NaN if there is none."""
+    error = np.abs(run.tracked.error[:, [each == unit for each in run.tracked.units]])
+    error = error[-1] if figure == "final_error" else error
+    return float(error.max()) if error.size else math.nan
+
+
+# Figure -> headings on a campaign's page, with units, by group.
+_HEADINGS = {
+    "peak_error": ("peak attitude error [rad]", "", "peak joint error [rad]"),
+    "final_error": ("", "", ""),
+    "peak_effort": ("peak base torque [N m]", "peak base force [N]", "peak joint torque [N m]"),
+}
+_in_table = functools.partial(Metric, key="", column="")
+# Figures of merit of every run: those with a key in ``metrics.json``, with a label in tables, with
+# a column in campaigns.
+METRICS = (
+    Metric(
+        key="itae", unit="1", label="ITAE", heading="ITAE",
+        of=lambda run: itae(run.time[:-1], run.tracked.error[:-1], run.period),
+    ),
+    Metric(
+        key="isv", unit="1", label="ISV", heading="ISV",
+        of=lambda run: isv(run.effort[:-1], run.period),
+    ),
+    *(
+        Metric(
+            key=f"{figure}.{group}", unit="", label="", heading=heading,
+            of=functools.partial(_of_group, figure, group),
+        )
+        for figure, headings in _HEADINGS.items()
+        for group, heading in zip(GROUPS, headings, strict=True)
+    ),
+    *(
+        _in_table(
+            label=figure.replace("_", " "), unit=unit, of=functools.partial(_of_unit, figure, unit)
+        )
+        for figure in ("peak_error", "final_error")
+        for unit in ("rad", "m")
+    ),
+    *(
+        _in_table(label=label, unit=unit, of=functools.partial(_of_group, "peak_effort", group))
+        for label, unit, group in (
+            ("peak force", "base, N", "base_position"),
+            ("peak torque", "base, N m", "base_rotation"),
+            ("peak torque", "joints", "joints"),
+        )
+    ),
+)  # fmt: skip
+
+
+def tracking_metrics(run: Tracking) -> dict[str, Any]:
+    """Accuracy and effort of a run, as plain numbers: its METRICS by key.
 
     Keys:
       itae: sum of t |e|_1 L (equation (22)), with the tracked errors e.
       isv: sum of |tau|_2^2 L (equation (23)).
       peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of
-        the last sample (rad or m), the largest |tau| (N m or N), each over the group's coordinates;
-        for an undriven group, and for joints controlled through a frame, e is the distance from
-        their motion with the nominal payload.
+        the last sample (rad or m), the largest |tau| (N m or N), each over the group's coordinates.
     """
-    members = {
-        name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)
-    }
+    found: dict[str, Any] = {}
+    for metric in METRICS:
+        name, _, group = metric.key.partition(".")
+        if group and (value := metric.of(run)) is not None:
+            found.setdefault(name, {})[group] = value
+        elif name and not group:
+            found[name] = metric.of(run)
+    return found
 
-    def by_group(peak: np.ndarray) -> dict[str, float]:
-        return {name: float(peak[indices].max()) for name, indices in members.items()}
 
-    return {
-        "itae": itae(time[:-1], (error if counted is None else counted)[:-1], period),
-        "isv": isv(effort[:-1], period),
-        "peak_error": by_group(np.abs(error).max(axis=0)),
-        "final_error": by_group(np.abs(error[-1])),
-        "peak_effort": by_group(np.abs(effort).max(axis=0)),
-    }
+def tracking_of(dataset: "Labelled") -> Tracking:
+    """Errors and efforts of a run's dataset, or of a part of it."""
+    time = dataset["time"].values
+    return Tracking(
+        time=time - time[0],
+        error=dataset["error"].values,
+        effort=dataset["generalized_force"].values,
+        period=float(dataset.attrs["sample_time"]),
+        group=dataset["group"].values.tolist(),
+        tracked=tracked_of(dataset),
+    )
 
 
 def itae(time: np.ndarray, error: np.ndarray, period: float) -> float:

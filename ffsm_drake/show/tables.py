@@ -5,15 +5,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from ffsm_drake.common.numbers import NONE
 from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.runs.metrics import METRICS, tracking_of
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.systems.part import Figure
+
+_DIGITS = {"itae": 4, "isv": 5}
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -34,18 +34,18 @@ def results_columns(
     records: Sequence[RunRecord], distances: Sequence[float] | None = None
 ) -> list[Column]:
     """The figures of merit, a row for each run; ``distances`` to the LQG limit, if known."""
-    rows = [_magnitudes(record) for record in records]
-    names = [
-        ("peak error", "rad"), ("peak error", "m"), ("final error", "rad"), ("final error", "m"),
-        ("peak force", "base, N"), ("peak torque", "base, N m"), ("peak torque", "joints"),
-    ]  # fmt: skip
+    runs = [tracking_of(record.dataset) for record in records]
     columns = [
         Column(name="controller", cells=[record.scenario.controller for record in records]),
-        Column(name="ITAE", cells=[record.metrics["itae"] for record in records], digits=4),
-        Column(name="ISV", cells=[record.metrics["isv"] for record in records], digits=5),
         *(
-            Column(name=name, unit=unit, cells=cells)
-            for (name, unit), cells in zip(names, zip(*rows, strict=True), strict=True)
+            Column(
+                name=metric.label,
+                unit=metric.shown_unit,
+                cells=[metric.of(run) for run in runs],
+                digits=_DIGITS.get(metric.key, 3),
+            )
+            for metric in METRICS
+            if metric.label
         ),
     ]
     for first in ranked_figures(records):
@@ -76,19 +76,6 @@ def _cell(cell: str | float | None, digits: int) -> str:
     if isinstance(cell, str):
         return cell
     return NONE if cell is None or math.isnan(cell) else f"{cell:.{digits}g}"
-
-
-def _magnitudes(record: RunRecord) -> list[float]:
-    """Peak and final errors (rad, m), and peak efforts by group; NaN where there is none."""
-    tracked = tracked_of(record.dataset)
-    size, units = np.abs(tracked.error), np.array(tracked.units)
-    figures = [
-        float(errors[units == unit].max(initial=-math.inf)) if unit in tracked.units else math.nan
-        for errors in (size.max(axis=0), size[-1])
-        for unit in ("rad", "m")
-    ]
-    efforts = record.metrics["peak_effort"]
-    return figures + [efforts[group] for group in ("base_position", "base_rotation", "joints")]
 
 
 def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:

@@ -180,7 +180,7 @@ class Metric(_Named):
       'coils_force'
     """
 
-    of: Callable[[View], Any]
+    of: Callable[[Any], Any]  # of a View; of the core's own, see ``runs.metrics.METRICS``
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

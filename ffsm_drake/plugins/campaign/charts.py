@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.plugins.campaign.statistics import Findings, GridPoint, Runs
+from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.show.chart import Chart, Curve, Level
 from ffsm_drake.show.curves import cumulative
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, panel
@@ -17,11 +18,10 @@ SETTLED = "#4477AA"
 _LIMITS = (FAILED, "#EE7733", "#AA3377", "#009988", "#BBBBBB")  # failed runs by the first limit
 _THIN = Thinning(1500)
 _SHARE = (0.0, 101.0)  # %
+_HEADINGS = {each.column_name: each.column_heading for each in METRICS}
 GRID_METRICS = {
-    "isv": "ISV",
-    "itae": "ITAE",
-    "peak_effort_base_position": "peak base force [N]",
-    "peak_error_base_rotation": "peak attitude error [rad]",
+    name: _HEADINGS[name]
+    for name in ("isv", "itae", "peak_effort_base_position", "peak_error_base_rotation")
 }
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import itertools
 import math
 import os
@@ -28,14 +29,14 @@ from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.spacecraft.dynamics import DRAKE
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.part import Metric, Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import section_parts
 
@@ -43,24 +44,9 @@ from ffsm_drake.systems.registry import section_parts
 UNSETTLED = ("not_settled", "growing", *NOT_CAPTURED, "diverged")
 COMPLETED = ("settled", "not_settled", "growing")  # runs that reached their end
 OUTCOMES = ("settled", *UNSETTLED, "refused", "error")
-_BY_GROUP = [
-    (kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS
-]
-METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "settled_time")
+METRICS = (*(each.column_name for each in RUN_METRICS if each.column_name), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
-# Further columns of a scenario with a capture; FIRST_LIMIT, which a run exceeds first, is text.
-OF_CAPTURE = (
-    "grasp_impulse",
-    "grasp_angular_impulse",
-    "first_limit_time",
-    "closest_distance",
-)
-# Further columns of a frame with a reference: its errors, rad and m.
-OF_FRAME = {
-    part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")
-}
-# Further columns of an undriven base: its final drift, rad and m.
-OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
+# FIRST_LIMIT, which a run with a capture exceeds first, is text.
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 # Further columns with other dynamics than Drake's: name of the dynamics; if the run was repeated
 # with Drake, its outcome and the largest difference of the errors, rad and m.
@@ -80,16 +66,119 @@ def dynamics_columns(spec: Spec) -> tuple[str, ...]:
     return () if spec.dynamics == DRAKE else (DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Judged:
+    """A run, as a campaign's own metrics read it."""
+
+    spec: Spec
+    log: RunLog
+
+    @functools.cached_property
+    def settled_time(self) -> float | None:
+        """s; None: not settled."""
+        log = self.log
+        if not log.outcome.completed or log.ending.gave_up:
+            return None
+        velocity = log.series["state"][:, len(log.coordinates.position_names) :]
+        driven = velocity[:, log.coordinates.driven]
+        return self.spec.settled.time(log.time, log.tracked, velocity=driven)
+
+    @functools.cached_property
+    def _near(self) -> Any:
+        return distances_in(self.log)
+
+    @functools.cached_property
+    def left(self) -> dict[str, float]:
+        """Limits that it exceeds, and since when, s."""
+        return limits_left(self.log, self._near)
+
+    @property
+    def first(self) -> str:
+        """The limit that it exceeds first; empty: none."""
+        return min(self.left, key=lambda name: self.left[name], default="")
+
+    @property
+    def closest(self) -> float | None:
+        """Least distance of two bodies, m; below 0 they overlap."""
+        closest = float(self._near[1].min(initial=np.inf))
+        return closest if math.isfinite(closest) else None
+
+    def impulse(self, rows: slice) -> float | None:
+        """Size of the grasp's impulse, angular (rows 0 to 2) or linear."""
+        contact = None if self.log.grasp is None else self.log.grasp.contact
+        return None if contact is None else float(np.linalg.norm(contact.impulse[rows]))
+
+    def frame(self, moment: str, part: str) -> float | None:
+        """``largest`` or ``final`` error of the frame."""
+        error = self.log.frame_error
+        sizes = None if error is None else frame_metrics(error, frame_rows(self.log.scenario))
+        return None if sizes is None else sizes[moment][part]
+
+    def drift(self, group: str) -> float:
+        """Final drift of the undriven base."""
+        return base_drift(self.log.series["state"], (group,))["final"][group]
+
+
+_SETTLED = Metric(
+    key="settled_time", unit="s", label="settled after", of=lambda run: run.settled_time
+)
+_OF_CAPTURE = (
+    Metric(
+        key="grasp_impulse", unit="N s", label="impulse of the grasp",
+        of=lambda run: run.impulse(slice(3, 6)),
+    ),
+    Metric(
+        key="grasp_angular_impulse", unit="N m s", label="angular",
+        of=lambda run: run.impulse(slice(0, 3)),
+    ),
+    Metric(
+        key="first_limit_time", unit="s", label="", heading="",
+        of=lambda run: run.left.get(run.first),
+    ),
+    Metric(key="closest_distance", unit="m", label="", heading="", of=lambda run: run.closest),
+)  # fmt: skip
+_OF_FRAME = {
+    part: tuple(
+        Metric(
+            key=f"{moment}_frame_{part}", unit=unit, label="", heading=heading,
+            of=functools.partial(Judged.frame, moment=moment, part=part),
+        )
+        for moment, heading in (("largest", ""), ("final", f"frame's final {word} error [{unit}]"))
+    )
+    for part, word, unit in (("rotation", "attitude", "rad"), ("position", "position", "m"))
+}  # fmt: skip
+_OF_DRIFT = {
+    group: Metric(
+        key=f"final_drift_{part}", unit=unit, label=f"base {moved} by",
+        of=functools.partial(Judged.drift, group=group),
+    )
+    for group, part, unit, moved in (
+        ("base_rotation", "rotation", "rad", "turned"),
+        ("base_position", "position", "m", "moved"),
+    )
+}  # fmt: skip
+
+
+def metric_tables(spec: Spec) -> list[tuple[Metric, ...]]:
+    """The metrics of a campaign's runs, by table of its page."""
+    of_capture, *others = _judged(spec)
+    of_parts = (tuple(part.metrics()) for part in parts_of_campaign(spec))
+    return [(*RUN_METRICS, _SETTLED), of_capture, *of_parts, *others]
+
+
+def _judged(spec: Spec) -> list[tuple[Metric, ...]]:
+    """The metrics beside _SETTLED that read a ``Judged`` run."""
+    return [
+        _OF_CAPTURE if texts_of(spec) else (),
+        *(_OF_FRAME[part] for part in _frame_parts(spec)),
+        tuple(_OF_DRIFT[group] for group in spec.scenario.undriven),
+    ]
+
+
 def metrics_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that a run's metrics fill."""
-    metrics = (metric for part in parts_of_campaign(spec) for metric in part.metrics())
-    return (
-        *METRICS,
-        *(OF_CAPTURE if texts_of(spec) else ()),
-        *(metric.column_name for metric in metrics if metric.column_name),
-        *(name for part in frame_parts(spec) for name in OF_FRAME[part]),
-        *(OF_DRIFT[group] for group in spec.scenario.undriven),
-    )
+    metrics = itertools.chain(*metric_tables(spec))
+    return tuple(metric.column_name for metric in metrics if metric.column_name)
 
 
 def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
@@ -97,10 +186,10 @@ def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
     return (*section_parts(spec.scenario).values(), *parts_of(spec.scenario).values())
 
 
-def frame_parts(spec: Spec) -> tuple[str, ...]:
+def _frame_parts(spec: Spec) -> tuple[str, ...]:
     """Prescribed parts of a frame's pose: ``rotation``, ``position``, both or none."""
     frame = spec.scenario.reference.frame
-    parts = {"pose": tuple(OF_FRAME), "attitude": ("rotation",), "position": ("position",)}
+    parts = {"pose": tuple(_OF_FRAME), "attitude": ("rotation",), "position": ("position",)}
     return () if frame is None else parts.get(frame.task, ())
 
 
@@ -267,45 +356,23 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     """Outcome and metrics of a run."""
     if log.outcome.status == "interrupted":
         raise RuntimeError("the run was interrupted")
-    settled_time, outcome, message = None, log.outcome.status, log.outcome.message
+    run, outcome, message = Judged(spec, log), log.outcome.status, log.outcome.message
     if log.outcome.completed:
-        velocity = log.series["state"][:, len(log.coordinates.position_names) :][
-            :, log.coordinates.driven
-        ]
-        settled_time = spec.settled.time(log.time, log.tracked, velocity=velocity)
-        if log.ending.gave_up:
-            settled_time = None
-        outcome, message = "not_settled" if settled_time is None else "settled", ""
+        outcome, message = "not_settled" if run.settled_time is None else "settled", ""
         if log.ending.status == GROWING:
             outcome, message = "growing", log.ending.sentence
-    metrics = log.metrics
-    values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}
-    values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}
+    values = {each.column_name: each.of(log.tracking) for each in RUN_METRICS if each.column_name}
+    for metric in (_SETTLED, *itertools.chain(*_judged(spec))):
+        values[metric.column_name] = metric.of(run)
     text = {"outcome": outcome, "message": message}
     if texts_of(spec):
-        near = distances_in(log)
-        left, closest = limits_left(log, near), float(near[1].min(initial=np.inf))
-        values["closest_distance"] = closest if math.isfinite(closest) else None
-        first = min(left, key=lambda name: left[name], default="")
-        text[FIRST_LIMIT], values["first_limit_time"] = first, left.get(first)
-        if outcome == "settled" and CLEARANCE in left:
+        text[FIRST_LIMIT] = run.first
+        if outcome == "settled" and CLEARANCE in run.left:
             text |= {
                 "outcome": "not_settled",
-                "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s, and within "
-                f"{closest:.3g} m of each other (below 0 they overlap)",
+                "message": f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and within "
+                f"{run.closest:.3g} m of each other (below 0 they overlap)",
             }
-        if log.grasp is not None and log.grasp.contact is not None:
-            angular, linear = np.split(log.grasp.contact.impulse, 2)
-            values["grasp_angular_impulse"] = float(np.linalg.norm(angular))
-            values["grasp_impulse"] = float(np.linalg.norm(linear))
-    if log.frame_error is not None:
-        sizes = frame_metrics(log.frame_error, frame_rows(log.scenario))
-        for part in frame_parts(spec):
-            for column, moment in zip(OF_FRAME[part], ("largest", "final"), strict=True):
-                values[column] = sizes[moment][part]
-    if undriven := spec.scenario.undriven:
-        drift = base_drift(log.series["state"], undriven)["final"]
-        values |= {OF_DRIFT[group]: size for group, size in drift.items()}
     values |= {each.column_name: each.value for each in log.figures if each.column_name}
     # The database knows no NaN.
     row = {

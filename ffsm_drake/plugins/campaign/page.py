@@ -14,11 +14,7 @@ from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import published, write_text
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.plugins.campaign.charts import GRID_METRICS, chart_views, limits_of
-from ffsm_drake.plugins.campaign.evaluate import (
-    OUTCOMES,
-    frame_parts,
-    parts_of_campaign,
-)
+from ffsm_drake.plugins.campaign.evaluate import OUTCOMES, metric_tables
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.statistics import (
     CONFIDENCE,
@@ -34,27 +30,6 @@ from ffsm_drake.show.style import label_of
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
-_METRICS = {
-    "itae": "ITAE",
-    "isv": "ISV",
-    "peak_error_joints": "peak joint error [rad]",
-    "peak_effort_base_position": "peak base force [N]",
-    "settled_time": "settled after [s]",
-}
-_OF_CAPTURE = {
-    "peak_effort_base_rotation": "peak base torque [N m]",
-    "peak_effort_joints": "peak joint torque [N m]",
-    "grasp_impulse": "impulse of the grasp [N s]",
-    "grasp_angular_impulse": "angular [N m s]",
-}
-_OF_FRAME = {
-    "rotation": {"final_frame_rotation": "frame's final attitude error [rad]"},
-    "position": {"final_frame_position": "frame's final position error [m]"},
-}
-_OF_DRIFT = {
-    "base_rotation": {"final_drift_rotation": "base turned by [rad]"},
-    "base_position": {"final_drift_position": "base moved by [m]"},
-}
 _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
 
@@ -177,14 +152,14 @@ def _page(store: Store, findings: Findings) -> str:
 
 def _metric_tables(spec: Spec) -> list[dict[str, str]]:
     """Columns of the database and their headings, by table."""
-    tables = [_METRICS]
-    if spec.base["capture"] is not None:
-        tables.append(_OF_CAPTURE)
-    for part in parts_of_campaign(spec):
-        shown = {each.column_name: each.column_heading for each in part.metrics()}
-        tables.append({name: heading for name, heading in shown.items() if name and heading})
-    tables += [_OF_FRAME[part] for part in frame_parts(spec)]
-    tables += [_OF_DRIFT[group] for group in spec.scenario.undriven]
+    tables = [
+        {
+            each.column_name: each.column_heading
+            for each in table
+            if each.column_name and each.column_heading
+        }
+        for table in metric_tables(spec)
+    ]
     return [table for table in tables if table]
 
 
