@@ -19,7 +19,7 @@ from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
-from ffsm_drake.spacecraft.plant import base_rpy, find_body, find_frame
+from ffsm_drake.spacecraft.plant import base_rpy, find_body, hand_frame
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_of, with_role
 
@@ -88,7 +88,7 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
         momentum, energy = _through_the_grasp(log, log.grasp, model, states)
     desired = log.split.whole_positions(found["desired_position"])
     q = states[:, : model.plant.num_positions()]
-    frame = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
+    frame = hand_frame(model.plant, scenario.model)
     return {
         **found,
         **own,

@@ -42,7 +42,7 @@ class GraspLog:
     target: np.ndarray
     # (6) the target's pose error from P at the grasp: rotation vector, position
     offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (6) of the target from the end effector, at its origin: angular velocity, velocity
+    # (6) of the target from the hand, at its origin: angular velocity, velocity
     mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (3) momentum stored in the actuators, N m s; the grasp does not change it
     stored: np.ndarray | None = None
@@ -63,7 +63,7 @@ class GraspLog:
         return {
             "time": float(time[self.sample]),
             "impulse": contact.impulse[3:].tolist(),  # on the target, N s
-            "angular_impulse": contact.impulse[:3].tolist(),  # about the end effector, N m s
+            "angular_impulse": contact.impulse[:3].tolist(),  # about the hand, N m s
             # by joint, N m s or N s
             "brake_impulse": {name: impulse for name, impulse in named if impulse != 0.0},
             "before": self._side(

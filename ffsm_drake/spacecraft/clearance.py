@@ -40,8 +40,8 @@ from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
     cause_of,
     find_body,
-    find_frame,
     flexible_parts,
+    hand_frame,
     make_plant,
     model_files,
 )
@@ -312,10 +312,10 @@ class ApproachClearance(Clearance):
         """
         super().__init__(model, apart=target, flexible=flexible)
         held = make_plant(model)
-        frame = find_frame(held, model.end_effector, key="model.end_effector")
+        frame = hand_frame(held, model)
         body = find_body(held, target, key="payload.body")
         self._X_PE = frame.CalcPose(held.CreateDefaultContext(), body.body_frame())  # in the grasp
-        self._effector = find_frame(self.plant, model.end_effector, key="model.end_effector")
+        self._hand = hand_frame(self.plant, model)
         self._target = find_body(self.plant, target, key="payload.body")
         # Near the grasp the pairs of a held target are checked: without the gripper, and without
         # links always near it.
@@ -335,7 +335,7 @@ class ApproachClearance(Clearance):
     def _may_touch(self) -> set[frozenset[BodyIndex]]:
         context = self.plant_context
         grasp = self._target.EvalPoseInWorld(context) @ self._X_PE
-        offset = grasp.inverse() @ self._effector.CalcPoseInWorld(context)
+        offset = grasp.inverse() @ self._hand.CalcPoseInWorld(context)
         gap, turn = np.linalg.norm(offset.translation()), offset.rotation().ToAngleAxis().angle()
         return self._gripping if gap < _REACH and turn < _TURN else set()
 

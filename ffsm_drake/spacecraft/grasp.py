@@ -121,7 +121,7 @@ class Contact:
     velocity: np.ndarray  # (nv) of the servicer before the grasp
     target_velocity: np.ndarray  # (6) of the target's frame P before: angular, linear
     grasp: Grasp
-    # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
+    # (6) on the target, angular about the hand's origin, then linear, N m s and N s
     impulse: np.ndarray
     # (6) of both, angular about the world's origin, then linear, N m s and N s
     momentum_before: np.ndarray

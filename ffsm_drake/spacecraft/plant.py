@@ -179,7 +179,7 @@ def _load(
         first = plant.num_model_instances()
         source = _parse(plant, model)
         if apart is not None:
-            _free(plant, apart, model.end_effector)
+            _free(plant, apart, model)
         try:
             if model.flexible:
                 parts = flexible_parts()
@@ -210,7 +210,7 @@ def _load(
             coordinates_of(plant, jointless=jointless)
         except ModelError as error:
             raise ModelError(f"{source}: {error}") from None
-    find_frame(plant, model.end_effector, key="model.end_effector")
+    hand_frame(plant, model)
 
 
 def _parse(plant: MultibodyPlant, model: Model) -> str:
@@ -256,12 +256,12 @@ def _weld(plant: MultibodyPlant, model: Model) -> None:
         raise ModelError(f"model.grasp: {model.grasp}: {cause_of(error)}") from error
 
 
-def _free(plant: MultibodyPlant, name: str, end_effector: str) -> None:
-    """Remove the joints between a body (scoped name) and the end effector; other bodies fixed to it
-    stay fixed.
+def _free(plant: MultibodyPlant, name: str, model: Model) -> None:
+    """Remove the joints between a body (scoped name) and the hand; other bodies fixed to it stay
+    fixed.
     """
     body = find_body(plant, name, key="payload.body").index()
-    gripper = find_frame(plant, end_effector, key="model.end_effector").body().index()
+    gripper = hand_frame(plant, model).body().index()
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     ends = {joint: {joint.parent_body().index(), joint.child_body().index()} for joint in joints}
     side, grown = set[BodyIndex](), {gripper}
@@ -445,6 +445,11 @@ def find_frame(plant: MultibodyPlant, name: str, *, key: str) -> Frame:
     valid ones.
     """
     return _find("frame", plant.GetFrameIndices, plant.get_frame, plant, name, key)
+
+
+def hand_frame(plant: MultibodyPlant, model: Model) -> Frame:
+    """The frame that holds the target, ``model.end_effector``."""
+    return find_frame(plant, model.end_effector, key="model.end_effector")
 
 
 def _find(

@@ -15,7 +15,7 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import eigenaxis_motion, rotation_error, rotation_vector_motion
 from ffsm_drake.scenario import FrameGoal, Scenario
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.spacecraft.plant import configuration, find_frame, hand_frame
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend
 
@@ -72,7 +72,7 @@ def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
     """The frame of ``reference.frame``. Raises ModelError: there is no such frame."""
     goal = scenario.reference.frame or FrameGoal()
     if goal.frame is None:
-        return find_frame(plant, scenario.model.end_effector, key="model.end_effector")
+        return hand_frame(plant, scenario.model)
     return find_frame(plant, goal.frame, key="reference.frame.frame")
 
 
@@ -82,7 +82,7 @@ def make_frame_path(
     """The path of ``reference.frame`` from its pose in ``initial_posture``.
 
     Args:
-      scenario: the scenario; without ``reference.frame`` the end effector stays where it is.
+      scenario: the scenario; without ``reference.frame`` the hand stays where it is.
       model: the plant with the nominal payload.
       duration: the motion's, s; default: ``reference.duration``.
 

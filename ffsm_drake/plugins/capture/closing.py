@@ -25,7 +25,7 @@ from ffsm_drake.plugins.capture.approach import (
     is_gentle,
     outwards,
 )
-from ffsm_drake.plugins.capture.contact import coast, target_body
+from ffsm_drake.plugins.capture.contact import coast, payload_body
 from ffsm_drake.plugins.capture.gripper import Gripper
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.plugins.capture.phases import Captures, given_up
@@ -128,7 +128,7 @@ class ClosingRun(Captures):
         """
         scenario, model = self.scenario, make_nominal_plant(self.scenario)
         q, v = np.split(self._estimated, [model.plant.num_positions()])
-        body = target_body(scenario, model)
+        body = payload_body(scenario, model)
         w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
         arm = body.EvalPoseInWorld(model.context).rotation() @ np.array(
             scenario.payload.truth.center_of_mass
@@ -455,7 +455,7 @@ class ClosingRun(Captures):
         """X_BP of the target's frame in the base's, where the arm is to meet it."""
         q = configuration(model.plant, self._chosen.initial_posture, key="initial_posture")
         model.plant.SetPositions(model.context, q)
-        body = target_body(self._chosen, model).body_frame()
+        body = payload_body(self._chosen, model).body_frame()
         return RigidTransform(body.CalcPose(model.context, base_body(model.plant).body_frame()))
 
     def _try(self, X_WB: RigidTransform, X_WS: RigidTransform, motion: np.ndarray) -> Scenario:

@@ -25,16 +25,16 @@ from ffsm_drake.spacecraft.grasp import (
 )
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
+from ffsm_drake.spacecraft.plant import configuration, find_body, hand_frame
 
 
-def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
+def payload_body(scenario: Scenario, model: PlantModel) -> RigidBody:
     """The payload body. Raises ModelError unless the target consists of this body alone, and of
     links without mass that are fixed to it.
     """
     key = "payload.body"
     body = find_body(model.plant, scenario.payload.body, key=key)
-    effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector").body()
+    hand = hand_frame(model.plant, scenario.model).body()
     fixed = {each.index() for each in model.plant.GetBodiesWeldedTo(body)}
     others = [
         other.scoped_name()
@@ -43,7 +43,7 @@ def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
         and (other.index() not in fixed or other.default_mass() > 0.0)
     ]
     fault = f"is not alone in its model: {', '.join(map(str, others))} beside it" if others else ""
-    if body.model_instance() == effector.model_instance():
+    if body.model_instance() == hand.model_instance():
         fault = "is a body of the servicer"
     if fault:
         raise ModelError(
@@ -60,7 +60,7 @@ def target_twist(
     world axes.
     """
     model.plant.SetPositions(model.context, model.split.whole_positions(q))
-    body = target_body(scenario, model)
+    body = payload_body(scenario, model)
     R_WP = body.EvalPoseInWorld(model.context).rotation().matrix()
     turn = R_WP if capture.axes == "target" else np.eye(3)
     w = turn @ capture.rate
@@ -75,7 +75,7 @@ def servicer_velocity(
     """v (nv) of the servicer at the grasp in a known configuration q.
 
     Following the grasp frame takes the least rates among those with the least mismatch between
-    end effector and target. To detumble, mismatch and angular momentum of the stack about its
+    hand and target. To detumble, mismatch and angular momentum of the stack about its
     centre of mass are zero if the coordinates allow it, and the linear momentum is the least.
 
     Raises:
@@ -87,10 +87,10 @@ def servicer_velocity(
     if capture.servicer in ("rest", "given"):
         return v
     twist = target_twist(scenario, capture, model, q)
-    effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
-    p_WP = target_body(scenario, model).EvalPoseInWorld(context).translation()
-    twist[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(context).translation() - p_WP)
-    jacobian = model.calc_jacobian(model.split.whole_positions(q), effector)
+    hand = hand_frame(plant, scenario.model)
+    p_WP = payload_body(scenario, model).EvalPoseInWorld(context).translation()
+    twist[3:] += np.cross(twist[:3], hand.CalcPoseInWorld(context).translation() - p_WP)
+    jacobian = model.calc_jacobian(model.split.whole_positions(q), hand)
     jacobian = model.split.known_velocities(jacobian)
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
     weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
@@ -141,7 +141,7 @@ def contact_at(
     capture = scenario.capture or Capture()
     plant, context = model.plant, model.context
     mass_matrix = model.calc_mass_matrix(q)  # sets q
-    body = target_body(scenario, model)
+    body = payload_body(scenario, model)
     X_WP = body.EvalPoseInWorld(context)
     inertia = body.CalcSpatialInertiaInBodyFrame(context).ReExpress(X_WP.rotation())
     known = model.split.known_velocities(np.arange(velocity.size))
@@ -155,8 +155,8 @@ def contact_at(
         constraints=closed_chain(scenario, model, q)[1] if len(scenario.contacts) > 1 else None,
     )
     grasp = plastic_grasp(**vars(situation))
-    effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
-    p_PE_W = effector.CalcPoseInWorld(context).translation() - X_WP.translation()
+    hand = hand_frame(plant, scenario.model)
+    p_PE_W = hand.CalcPoseInWorld(context).translation() - X_WP.translation()
     p_WB = q[4:7]
     p_BC_W = plant.CalcCenterOfMassPositionInWorld(context) - p_WB
     return Contact(
@@ -252,7 +252,7 @@ def target_path(
     target is where the arm meets it half way through.
     """
     model.plant.SetPositions(model.context, planned.q)
-    body = target_body(scenario, model)
+    body = payload_body(scenario, model)
     X_WP = RigidTransform(body.EvalPoseInWorld(model.context))
     if (closing := scenario.closing) is not None:
         arm = model.calc_jacobian(planned.q, body.body_frame()) @ planned.velocity

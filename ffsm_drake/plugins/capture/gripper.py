@@ -15,7 +15,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.common.so3 import skew
-from ffsm_drake.plugins.capture.contact import target_body
+from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.contact_force import Jaws
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
@@ -23,7 +23,7 @@ from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.spacecraft.plant import find_frame
+from ffsm_drake.spacecraft.plant import hand_frame
 from ffsm_drake.systems.part import Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -147,10 +147,9 @@ class GripperForce(LeafSystem):
         self._compliance = closes
         self._orbit = None if scenario.environment is None else Orbit(scenario.environment)
         self._model = model = make_flexible_plant(scenario)
-        name = scenario.model.end_effector
-        self._effector = find_frame(model.plant, name, key="model.end_effector")
-        self._body = target_body(scenario, model).body_frame()
-        self._X_PE = self._body.CalcPose(model.context, self._effector).inverse()
+        self._hand = hand_frame(model.plant, scenario.model)
+        self._body = payload_body(scenario, model).body_frame()
+        self._X_PE = self._body.CalcPose(model.context, self._hand).inverse()
         split, whole = setup.split, model.plant.num_velocities()
         hidden = len(split.names)
         self._state = self.DeclareVectorInputPort(
@@ -254,11 +253,11 @@ class GripperForce(LeafSystem):
         motion = Target.from_row(memory["target"]).motion
         R_WP = RotationMatrix(Quaternion(motion[:4]))
         X_WP, (w, v) = RigidTransform(R_WP, motion[4:7]), np.split(motion[7:], 2)
-        X_WE = self._effector.CalcPose(model.context, world)
+        X_WE = self._hand.CalcPose(model.context, world)
         X_EG = X_WE.inverse() @ X_WP @ self._X_PE
         turn = X_EG.rotation().ToAngleAxis()
         offset = np.concatenate([turn.angle() * turn.axis(), X_EG.translation()])
-        moving = self._effector.CalcSpatialVelocityInWorld(model.context)
+        moving = self._hand.CalcSpatialVelocityInWorld(model.context)
         p_G = X_WE.rotation() @ X_EG.translation()  # from E, world axes
         v_E = moving.translational() + np.cross(moving.rotational(), p_G)
         v_G = v + np.cross(w, X_WE.translation() + p_G - X_WP.translation())
@@ -324,12 +323,12 @@ class GripperForce(LeafSystem):
         """The generalized force on the plant (nv), with the contact's in the memory."""
         model, plant = self._model, self._model.plant
         world = plant.world_frame()
-        X_WE = self._effector.CalcPose(model.context, world)
+        X_WE = self._hand.CalcPose(model.context, world)
         R = X_WE.rotation().matrix()
-        # J of the point of the effector where the target's grasp frame is: action is reaction there
+        # J of the point of the hand where the target's grasp frame is: action is reaction there
         jacobian = plant.CalcJacobianSpatialVelocity(
-            model.context, JacobianWrtVariable.kV, self._effector, met.offset[3:], world,
-            self._effector,
+            model.context, JacobianWrtVariable.kV, self._hand, met.offset[3:], world,
+            self._hand,
         )  # fmt: skip
         mass, inverse = self._masses(context)
         R_WP = met.X_WP.rotation().matrix()

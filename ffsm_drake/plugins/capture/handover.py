@@ -8,12 +8,17 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.approach import approach_posture
-from ffsm_drake.plugins.capture.contact import contact_at, planned_contact, target_body, target_path
+from ffsm_drake.plugins.capture.contact import (
+    contact_at,
+    payload_body,
+    planned_contact,
+    target_path,
+)
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.scenario import Capture, MassProperties, Scenario, inertia_matrix
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.spacecraft.plant import configuration, hand_frame
 from ffsm_drake.systems.part import STORED_MOMENTUM
 
 
@@ -60,7 +65,7 @@ class Handover:
         plant.SetPositions(context, self._q)
         model = dataclasses.replace(loop.model(context), plant=plant)
         # X_WQ: where the model welds the target's frame P
-        self._X_WQ = RigidTransform(target_body(scenario, model).EvalPoseInWorld(context))
+        self._X_WQ = RigidTransform(payload_body(scenario, model).EvalPoseInWorld(context))
         offset = self._X_WQ.translation() - self._X_WP.translation()
         self._twist_Q = self._twist.copy()
         self._twist_Q[3:] += np.cross(self._twist_Q[:3], offset)
@@ -148,13 +153,13 @@ def stored_at_start(log: RunLog) -> np.ndarray | None:
 def mismatch_of(
     scenario: Scenario, model: PlantModel, q: np.ndarray, v: np.ndarray, twist: np.ndarray
 ) -> np.ndarray:
-    """[w; v] (6) of the target from the end effector, at its origin; ``twist`` is that of the
+    """[w; v] (6) of the target from the hand, at its origin; ``twist`` is that of the
     payload body's frame.
     """
     model.plant.SetPositionsAndVelocities(model.context, np.concatenate([q, v]))
-    effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
-    p_WP = target_body(scenario, model).EvalPoseInWorld(model.context).translation()
-    moving = effector.CalcSpatialVelocityInWorld(model.context).get_coeffs()
+    hand = hand_frame(model.plant, scenario.model)
+    p_WP = payload_body(scenario, model).EvalPoseInWorld(model.context).translation()
+    moving = hand.CalcSpatialVelocityInWorld(model.context).get_coeffs()
     there = twist.copy()
-    there[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(model.context).translation() - p_WP)
+    there[3:] += np.cross(twist[:3], hand.CalcPoseInWorld(model.context).translation() - p_WP)
     return there - moving

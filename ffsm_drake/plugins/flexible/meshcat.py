@@ -10,7 +10,7 @@ from ffsm_drake.plugins.flexible.bodies import labels_of
 from ffsm_drake.scenario import Model
 from ffsm_drake.show.meshcat.arrows import magnification
 from ffsm_drake.spacecraft.coordinates import HIDDEN, StateSplit
-from ffsm_drake.spacecraft.plant import find_frame
+from ffsm_drake.spacecraft.plant import hand_frame
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,7 +23,7 @@ class Deflections:
     """The hidden coordinates of a record, magnified by a round factor for each kind of part.
 
     The largest deflection stays below 10 degrees (a chain's plates together) or 0.3 m. Parts
-    that carry the end effector are not magnified, to keep the arm on its path.
+    that carry the hand are not magnified, to keep the arm on its path.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Deflections:
         self._shown = (
             dataset["hidden_position"].sel(hidden_coordinate=list(hidden.names)).values.copy()
         )
-        tip = find_frame(plant, model.end_effector, key="model.end_effector").body()
+        tip = hand_frame(plant, model).body()
         columns: dict[str, list[list[int]]] = {}  # kind -> the coordinates of each part
         for name, part in model.flexible.items():
             joints = [

@@ -91,7 +91,7 @@ def recording_html(
       record: the run.
       speed: multiple of real time; 2 shows a run of 20 s in 10 s.
       ghost: show the target posture as a translucent ghost.
-      path: show the end effector's path.
+      path: show the hand's path.
       forces: show control force and torque on the base, and the disturbance, as arrows; a caption
         names them.
 

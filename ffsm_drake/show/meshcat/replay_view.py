@@ -48,7 +48,7 @@ class ReplayView:
             self._target = np.hstack(
                 [free["target_quaternion"].values, free["target_position"].values]
             )
-            self._target_body = record.scenario.payload.body
+            self._payload_body = record.scenario.payload.body
         set_stage(meshcat, record.scenario, ghost=ghost)
         self.spacecraft = SpacecraftView(
             meshcat, record.scenario, frames_per_second=frames_per_second
@@ -96,7 +96,7 @@ class ReplayView:
         if self._target is not None and sample < len(self._target):
             pose = self._target[sample]
             X_WP = RigidTransform(Quaternion(pose[:4] / np.linalg.norm(pose[:4])), pose[4:])
-            self.spacecraft.place(self._target_body, X_WP, time_in_recording=time_in_recording)
+            self.spacecraft.place(self._payload_body, X_WP, time_in_recording=time_in_recording)
         if self.arrows is not None:
             self.arrows.show(sample, time_in_recording=time_in_recording)
         self.switched.show(sample, self._per_picture, time_in_recording=time_in_recording)
