@@ -152,7 +152,7 @@ def closest_of(
     """The smallest distance in configurations (n, nq), before a grasp with the target at poses
     (n, 7), with deflections (n, nh), by default none; nothing if no parts can meet.
     """
-    clearance = shapes_of(scenario.model, apart=None if target is None else scenario.payload.body)
+    clearance = shapes_of(scenario, apart=target is not None)
     q = np.hstack([q, *(part for part in (target, hidden) if part is not None)])
     if clearance.pairs and usable(q).any():
         approach = clearance.along(q)
@@ -204,7 +204,7 @@ def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) 
 
     ``near``: the run's ``distances_in``, if already known.
     """
-    clearance = shapes_of(log.scenario.model)
+    clearance = shapes_of(log.scenario)
     parts = [placed.part for placed in log.parts.values()]
     limits = limits_of(log.scenario, clearance.plant, parts, helped=True)
     q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
@@ -238,11 +238,11 @@ def distances_in(log: RunLog) -> tuple[np.ndarray, np.ndarray]:
         if first >= last:
             continue
         samples = np.unique(np.linspace(first, last - 1, INSTANTS).round().astype(int))
-        parts, apart = [positions[samples], hidden[samples]], None
+        parts, apart = [positions[samples], hidden[samples]], False
         if last == held and log.grasp is not None:
             parts.insert(1, log.grasp.target[samples, :7])
-            apart = log.scenario.payload.body
-        shapes, q = shapes_of(log.scenario.model, apart=apart), np.hstack(parts)
+            apart = True
+        shapes, q = shapes_of(log.scenario, apart=apart), np.hstack(parts)
         if shapes.pairs:
             good = usable(q)
             times.append(log.time[samples[good]])

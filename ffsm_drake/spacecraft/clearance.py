@@ -13,7 +13,7 @@ not checked against its own body; its visual geometry on that body is checked in
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +33,14 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import usable
-from ffsm_drake.scenario import Model
+from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import HIDDEN, joints_of
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     add_combined_plant,
     cause_of,
     find_body,
+    find_frame,
     flexible_parts,
     hand_frame,
     make_plant,
@@ -90,6 +91,7 @@ class Clearance:
         apart: str | None = None,
         flexible: bool = False,
         invented: bool = False,
+        hands: Sequence[str] = (),
     ) -> None:
         """Load the model.
 
@@ -98,6 +100,7 @@ class Clearance:
           apart: body (scoped name) not grasped yet, whose pose then follows the configuration.
           flexible: with the plates of flexible panels.
           invented: with shapes that stand for links without a picture.
+          hands: frames (scoped names) of further hands, which may touch the target.
 
         Raises:
           ModelError: the model does not load, or Drake cannot measure one of its shapes.
@@ -107,6 +110,13 @@ class Clearance:
             builder, model, apart=apart, flexible=flexible
         )
         self._places = _places_in(self.plant)
+        self._hands = {
+            each.index()
+            for hand in hands
+            for each in self.plant.GetBodiesWeldedTo(
+                find_frame(self.plant, hand, key="contacts").body()
+            )
+        }
         scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
         source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
         try:
@@ -224,7 +234,10 @@ class Clearance:
         shaped = [body for body in self._bodies[1:] if self._shapes_of[body.index()]]
         for first, second in itertools.combinations(shaped, 2):
             start, end = part_of[first.index()], part_of[second.index()]
-            if start == end:
+            if start == end or (
+                self._is_held(first, second)
+                and not self._hands.isdisjoint((first.index(), second.index()))
+            ):
                 continue
             joints = self._between(joints_at, start, end)
             connected = {
@@ -340,16 +353,20 @@ class ApproachClearance(Clearance):
         return self._gripping if gap < _REACH and turn < _TURN else set()
 
 
-def shapes_of(model: Model, *, apart: str | None = None) -> Clearance:
-    """The collision shapes of a model, flexible parts included; ``apart`` names a body that is not
-    grasped yet.
+def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
+    """The collision shapes of a scenario's model, flexible parts included; ``apart``: its target
+    is not grasped yet.
     """
-    return _loaded(model, model_files(model), apart)
+    model, hands = scenario.model, tuple(each.effector for each in scenario.contacts.values())
+    body = scenario.payload.body if apart else None
+    return _loaded(model, model_files(model), body, hands)
 
 
 @memoized(maxsize=4)  # called after every run of a campaign; loading is slow
-def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
+def _loaded(
+    model: Model, files: tuple[Path, ...], apart: str | None, hands: tuple[str, ...]
+) -> Clearance:
     """The shapes of a model; ``files`` are part of the key."""
     if apart is None:
-        return Clearance(model, flexible=True)
+        return Clearance(model, flexible=True, hands=hands)
     return ApproachClearance(model, apart, flexible=True)

@@ -172,7 +172,7 @@ def margins_of(
     share = force_share(scenario, rows)
     if share > most:
         return Margins(distance=-np.inf, share=share)
-    shapes = shapes_of(scenario.model, apart=scenario.payload.body)
+    shapes = shapes_of(scenario, apart=True)
     q = rows[:, : len(backwards.coordinates.position_names)]
     nearest = shapes.along(np.hstack([q, target[samples]])).nearest if shapes.pairs else None
     return Margins(distance=np.inf if nearest is None else nearest.distance, share=share)

@@ -34,6 +34,11 @@ _FORMS: dict[str, tuple[str, str, Callable[..., Any]]] = {
         "1 to 4 panels of a mass, such as 2x5kg",
         lambda count, mass: (int(count), float(mass)),
     ),
+    "tips": (
+        r"([^,]+),([^,]+)",
+        "the frames of two hands, such as left_hand,right_hand",
+        lambda first, second: (first.strip(), second.strip()),
+    ),
     "capture": (
         rf"{_NUMBER}(deg|rad)/s",
         "the rate of the target's tumble, such as 3deg/s",
@@ -87,6 +92,7 @@ class Asked:
     wheels: WheelData | None = None
     panels: tuple[int, float] | None = None  # number, mass of each, kg
     capture: float | None = None  # rad/s, at which the target tumbles
+    tips: tuple[str, str] | None = None  # frames of two hands
     driven: tuple[str, ...] = ("all",)  # groups of coordinates
 
     @classmethod
@@ -103,6 +109,8 @@ class Asked:
                     f"--{name}", f"cannot act with --driven {','.join(asked.driven)}: it leaves "
                     f"out {group}; leave one of them out"
                 )  # fmt: skip
+        if asked.tips is not None and not asked.drives("all"):
+            raise ScenarioError("--tips", "needs all coordinates driven; leave out --driven")
         return asked
 
     @property
@@ -112,8 +120,10 @@ class Asked:
 
     @property
     def has_approach(self) -> bool:
-        """Whether the run begins before the grasp: where all coordinates are driven."""
-        return self.capture is not None and self.drives("all")
+        """Whether the run begins before the grasp: where one hand grasps, and all coordinates are
+        driven.
+        """
+        return self.capture is not None and self.drives("all") and self.tips is None
 
     def drives(self, group: str) -> bool:
         """Whether a group of coordinates is driven."""

@@ -74,6 +74,11 @@ def _target(value: str) -> tuple[float | None, float | None, Path | None]:
     help="Link or frame that holds the target (default: the end of the longest chain).",
 )
 @click.option(
+    "--tips",
+    metavar="FRAME,FRAME",
+    help="Hands of two arms that hold the target together.",
+)
+@click.option(
     "--package",
     "packages",
     multiple=True,
@@ -154,6 +159,7 @@ def new(
       ffsm new mine --urdf my_robot.urdf
       ffsm new mine --urdf my_robot.urdf --tip left_tool --target 30
       ffsm new mine --model servicer.xml --target 20kg,0.3m
+      ffsm new mine --urdf two_arms.urdf --tips left_hand,right_hand
       ffsm new mine --urdf ur5.urdf --bus-mass 400 --bus-size 1.2,1.2,1.5 --target stage.urdf
       ffsm new mine --urdf my_robot.urdf --sensors flight --thrusters 12x5N --wheels 4
           --panels 2x5kg --capture 3deg/s

@@ -22,7 +22,8 @@ from ffsm_drake.plugins.design.stability import Margins, stability
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.asked import Asked
-from ffsm_drake.plugins.new.urdf import Joint, Servicer
+from ffsm_drake.plugins.new.hands import Hands
+from ffsm_drake.plugins.new.urdf import Servicer, Target
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_dict
 from ffsm_drake.scenario.actuation import Wheel
@@ -41,7 +42,6 @@ from ffsm_drake.systems.registry import SHIPPED, find_factory
 BY_AXIS = ("tdc", "asmc", "aismc", "tde_aismc")
 # The postures.
 _SAMPLES, _STARTS, _WAY = 400, 8, 6  # candidates; initial postures kept; instants of a way
-_TURN, _STROKE = 2.2, 0.5  # rad, m, from the resting position at most; m: without limits
 _HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
 _CLEAR = 0.05  # m, that parts keep to each other
 _LENGTHS = (0.3, 0.2, 0.5)  # m, of an approach along the grasp axis
@@ -73,6 +73,7 @@ class Draft:
     def __init__(self, data: dict[str, Any], asked: Asked, servicer: Servicer, source: str):
         self.data, self.asked, self.servicer, self.source = data, asked, servicer, source
         self.remarks, self.margins = list[str](), dict[str, Margins]()
+        self.is_held = True  # by all hands
         self.touching = ""  # the parts that no posture and approach found keeps clear
         if servicer.is_planar:
             initial = self.data["initial_posture"]
@@ -96,9 +97,12 @@ class Draft:
         return scenario_from_dict(sections, source=self.source)
 
     @step("a search for postures free of contact")
-    def place(self) -> None:
-        """Panels, postures, and the way to the grasp."""
+    def place(self, target: Target) -> None:
+        """Panels, postures, and the way to the grasp; the place of a second hand on a target."""
         self._panels()
+        if self.servicer.second is not None:
+            self.is_held = Hands(self, target, clear=_CLEAR).place()
+            return
         self._starts = self._postures()
         self._approach(self._starts)
 
@@ -135,18 +139,19 @@ class Draft:
                 f"no posture free of contact was found: {least.first} and {least.second} overlap "
                 f"by {-least.distance:.3g} m in the best"
             )
-        velocities = {joint.name: joint.velocity for joint in self.servicer.joints}
         self.data["reference"]["duration"] = max(
             self.data["reference"]["duration"],
             *(
-                1.875 * abs(end["joints"][name] - angle)  # the quintic's peak rate
-                / min(_RATE[unit], _SHARE_OF_VELOCITY * velocities[name])
-                for (name, angle), unit in zip(
-                    initial["joints"].items(), self.coordinates.units[6:], strict=True
-                )
+                1.875 * abs(end["joints"][name] - angle) / self.rate_of(name)  # quintic's peak
+                for name, angle in initial["joints"].items()
             ),
-        )  # fmt: skip
+        )
         return [arm.whole(start) for start in starts]
+
+    def rate_of(self, name: str) -> float:
+        """The moderate rate of a joint, rad/s or m/s."""
+        joint = next(each for each in self.servicer.joints if each.name == name)
+        return min(_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity)
 
     def _approach(self, starts: list[np.ndarray]) -> None:
         """The initial posture, and the way to it along the grasp axis, that keep clear of the
@@ -409,7 +414,7 @@ class _Arm:
         self.moving = np.flatnonzero([each.name in tip.joints for each in joints])
         moving = [joints[k] for k in self.moving]
         self.slides = np.array([each.unit == "m" for each in moving])
-        self.limits = np.array([_inner_limits(each) for each in moving])
+        self.limits = np.array([each.range for each in moving])
 
     def whole(self, values: np.ndarray) -> np.ndarray:
         """The configuration (nq) with values (m), the base at the origin."""
@@ -461,18 +466,6 @@ class _Arm:
         singular = np.linalg.svd(jacobian, compute_uv=False)
         away = np.linalg.norm(self.tip.CalcPoseInWorld(self.true.context).translation())
         return float(singular[0] / max(singular[-1] * away, 1e-9))
-
-
-def _inner_limits(joint: Joint) -> tuple[float, float]:
-    """The part of a joint's range that the motion may use, rad or m."""
-    margin = 0.1 * (joint.upper - joint.lower) if joint.is_limited else 0.0
-    reach = _TURN
-    if joint.unit == "m":
-        reach = np.inf if joint.is_limited else _STROKE
-    return (
-        max(joint.lower + margin, joint.rest - reach),
-        min(joint.upper - margin, joint.rest + reach),
-    )
 
 
 def _effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:

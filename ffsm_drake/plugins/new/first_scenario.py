@@ -75,6 +75,7 @@ class NewScenario:
             "payload_size": self.side,
             "joints": [{key: getattr(joint, key) for key in joint_keys} for joint in found.joints],
             "tip": found.tip.frame,
+            "second_tip": None if found.second is None else found.second.frame,
             "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
             "duration": self.scenario.reference.duration,
             "peak_force": dict(self.peak_force),
@@ -95,10 +96,12 @@ class NewScenario:
             f"holds a target of {self.payload_mass:.4g} kg"
             + (f", a cube of {self.side:g} m" if self.side else "")
         ]
-        for k, tip in enumerate((found.tip, *found.other_tips)):
-            length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
-            other = f"            or {tip.frame}, {length}: --tip {tip.frame}"
-            lines.append(other if k else f"tip         {tip.frame}, {length}")
+        for tip in (found.tip, found.second, *found.other_tips):
+            if tip is not None:
+                length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
+                other = f"            or {tip.frame}, {length}: --tip {tip.frame}"
+                held = tip in (found.tip, found.second)
+                lines.append(f"tip         {tip.frame}, {length}" if held else other)
         width = max(28, *(len(joint.name) + 2 for joint in found.joints))
         lines += ["", f"{'joint':<{width}}{'kind':<12}{'limits':>24}{'peak force':>14}"]
         for joint in found.joints:
@@ -174,13 +177,19 @@ def new_scenario(
         raise ScenarioError("--target", "is a mass or a file, not both")
     bus = None if bus_mass is None else make_bus(bus_mass, bus_size)
     held = None if target is None else read_target(Path(target), folders)
-    servicer = read_urdf(urdf, tip=tip, bus=bus, packages=folders, arguments=xacro_args)
+    asked = asked or Asked()
+    if asked.tips is not None and tip is not None:
+        raise ScenarioError("--tip", "is one hand, and --tips are two; leave one of them out")
+    first, second = asked.tips or (tip, None)
+    servicer = read_urdf(
+        urdf, tip=first, second=second, bus=bus, packages=folders, arguments=xacro_args
+    )
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name
             folder.mkdir()
             made = _make(
-                servicer, folder, asked or Asked(), held, packages=folders,
+                servicer, folder, asked, held, packages=folders,
                 mass=payload_mass, side=payload_size,
             )  # fmt: skip
             with published(directory) as new:
@@ -233,7 +242,7 @@ def _make(
         own = copy.deepcopy(data)
         left_out = _write_models(own, servicer, place, target, packages=packages)
         draft = Draft(own, asked, servicer, source=str(place / file.name))
-        draft.place()
+        draft.place(target)
         return left_out, draft
 
     def clear(place: Path) -> Target | None:
@@ -254,6 +263,8 @@ def _make(
                 given, draft.remarks = other, [remark]
             elif other is not None:
                 draft.touching += f"; --target {other.mass:g}kg,{other.side:g}m keeps clear"
+        if not draft.is_held:
+            raise ScenarioError("--tips", draft.touching)
         draft.fill()
         scenario, forces = draft.scenario, draft.motion_forces()
     except FfsmError as error:

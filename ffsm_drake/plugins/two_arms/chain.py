@@ -7,6 +7,7 @@ of the two arms can move it: six rows in space, three in a plane.
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 
@@ -38,7 +39,7 @@ class Loop:
     contact: Contact
     hand: Frame
     grasp: Frame
-    joints: np.ndarray  # indices in v of its arm's joints, from the base outwards
+    joints: np.ndarray  # indices in v of its arm's own joints, from the base outwards
     rows: np.ndarray  # (r, 6) directions of the twist of the hand that postures can move
     # pose of the hand's frame in the target's, when closed: rotation (None: the identity), and
     # position, m
@@ -69,10 +70,11 @@ class ClosedChain:
         (first,) = set(paths) - set(closing)
         self.carrying = paths[first]  # indices in v of the joints of the arm with the weld
         self.loops = tuple(
-            self._loop(name, contact, paths[name], true=true) for name, contact in closing.items()
+            self._loop(name, contact, np.setdiff1d(paths[name], self.carrying), true=true)
+            for name, contact in closing.items()
         )
         for loop in self.loops:
-            self._check_joints(loop, first, self.carrying)
+            self._check_joints(loop, first, np.setdiff1d(self.carrying, paths[loop.name]))
             self._check_joints(loop, loop.name, loop.joints)
 
     def _loop(self, name: str, contact: Contact, joints: np.ndarray, *, true: bool) -> Loop:
@@ -242,13 +244,13 @@ def _positions(plant: MultibodyPlant, joints: np.ndarray) -> np.ndarray:
 
 
 def _check_apart(scenario: Scenario, paths: dict[str, np.ndarray]) -> None:
-    """Raise ScenarioError where two contacts are of one arm."""
-    owner: dict[int, str] = {}
-    for name, joints in paths.items():
-        for joint in joints.tolist():
-            if owner.setdefault(joint, name) != name:
-                raise ScenarioError(
-                    f"contacts.{name}.effector",
-                    f"'{scenario.contacts[name].effector}' is on the arm of contact "
-                    f"'{owner[joint]}' too; name the hand of another arm",
-                )
+    """Raise ScenarioError where two contacts are of one arm; two arms may share joints of a torso,
+    and each has some of its own.
+    """
+    for (name, joints), (other, others) in itertools.permutations(paths.items(), 2):
+        if set(joints.tolist()) <= set(others.tolist()):
+            raise ScenarioError(
+                f"contacts.{name}.effector",
+                f"'{scenario.contacts[name].effector}' is on the arm of contact '{other}' too; "
+                "name the hand of another arm",
+            )

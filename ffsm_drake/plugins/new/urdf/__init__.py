@@ -8,10 +8,11 @@ to be filled by the author, such as a missing mass, is an error with its remedy.
 from ffsm_drake.plugins.new.urdf.elements import Joint
 from ffsm_drake.plugins.new.urdf.mounting import Bus, make_bus
 from ffsm_drake.plugins.new.urdf.servicer import Servicer, Tip, read_urdf
-from ffsm_drake.plugins.new.urdf.target import Target, cube, read_target
+from ffsm_drake.plugins.new.urdf.target import SECOND, Target, cube, read_target
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
 
 __all__ = [
+    "SECOND",
     "Bus",
     "Joint",
     "Servicer",

@@ -12,6 +12,7 @@ from ffsm_drake.spacecraft.checked_urdf import number, read_limits, require
 
 WORLD = "world"
 _MOVING = ("revolute", "continuous", "prismatic")
+_TURN, _STROKE = 2.2, 0.5  # rad, m, from the resting position at most; m: without limits
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,18 @@ class Joint:
         """The value nearest to 0 that keeps a tenth of the range to the limits, rad or m."""
         margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
         return min(max(0.0, self.lower + margin), self.upper - margin)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The part of its range that a motion may use, rad or m."""
+        margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
+        way = _TURN
+        if self.unit == "m":
+            way = math.inf if self.is_limited else _STROKE
+        return (
+            max(self.lower + margin, self.rest - way),
+            min(self.upper - margin, self.rest + way),
+        )
 
     @property
     def unit(self) -> str:

@@ -1,6 +1,7 @@
 """Reading a URDF as a free-flying base with joints, and finding the frame that holds the target."""
 
 import dataclasses
+import itertools
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -50,6 +51,7 @@ class Servicer:
     total_mass: float  # kg
     joints: tuple[Joint, ...]  # the moving ones, in the file's order
     tip: Tip
+    second: Tip | None  # of a second hand on the target
     other_tips: tuple[Tip, ...]
     remarks: tuple[str, ...]  # about the model itself, one line each
     root: Element  # the parsed file
@@ -57,8 +59,8 @@ class Servicer:
 
     @property
     def reach(self) -> float:
-        """Reach of the arm that holds the target, m."""
-        return self.tip.reach
+        """Reach of the arm that holds the target, of two the shorter one's, m."""
+        return min(tip.reach for tip in (self.tip, self.second) if tip is not None)
 
     @property
     def half_side(self) -> float:
@@ -72,6 +74,7 @@ def read_urdf(
     path: Path,
     *,
     tip: str | None = None,
+    second: str | None = None,
     bus: Bus | None = None,
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
@@ -82,6 +85,7 @@ def read_urdf(
       path: the file.
       bus: the bus to mount it on, if it is an arm without a base.
       tip: name of the link or frame that holds the target; None for the end of the longest chain.
+      second: likewise of a second hand.
       packages: folders of the packages that it names.
       arguments: values of the arguments of a xacro file.
 
@@ -104,10 +108,16 @@ def read_urdf(
             vague = [*vague_limits(root)]
         tree = _Tree(root, followers, faults)
         chosen, *others = tree.tips(tip)
-        tree.check_masses(chosen)
-        for follower, leader in followers.items():
+        hands, other = [chosen], None
+        if second is not None:
+            other, *_ = tree.tips(second)
+            others = [each for each in others if each.frame != second]
+            hands.append(other)
+            _check_apart(chosen, other)
+        tree.check_masses(*hands)
+        for (follower, leader), hand in itertools.product(followers.items(), hands):
             require(
-                leader not in chosen.joints,
+                leader not in hand.joints,
                 f"joint '{follower}' follows '{leader}' (<mimic>), which moves the tip; remove "
                 "<mimic>, and it is controlled on its own",
             )
@@ -139,10 +149,24 @@ def read_urdf(
         total_mass=total,
         joints=tuple(joint for joint in tree.joints if joint.moves),
         tip=chosen,
+        second=other,
         other_tips=tuple(others),
         remarks=tuple(remarks),
         root=root,
         header=header,
+    )
+
+
+def _check_apart(first: Tip, second: Tip) -> None:
+    """Raise ModelError where two tips are on one arm."""
+    require(
+        first.frame != second.frame,
+        f"both tips are '{first.frame}'; name the hands of two arms",
+    )
+    one, other = set(first.joints), set(second.joints)
+    require(
+        not (one <= other or other <= one),
+        f"the tips '{first.frame}' and '{second.frame}' are on one arm; name the hands of two",
     )
 
 
@@ -256,15 +280,15 @@ class _Tree:
     def mass_below(self, link: str) -> float:
         return self.masses[link] + sum(self.masses[joint.child] for joint in self.descend(link))
 
-    def check_masses(self, tip: Tip) -> None:
+    def check_masses(self, *tips: Tip) -> None:
         """Raise ModelError unless the base has mass, and every joint moves mass or the target."""
-        faults = Faults()
+        faults, loaded = Faults(), {name for tip in tips for name in tip.joints}
         if not sum(self.masses[name] for name in self.rigid_group(self.base)):
             faults.append(
                 f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia"
             )
         for joint in self.joints:
-            if joint.moves and joint.name not in tip.joints and not self.mass_below(joint.child):
+            if joint.moves and joint.name not in loaded and not self.mass_below(joint.child):
                 faults.append(
                     f"link '{joint.child}' moves but has no mass, and carries none; give it an "
                     f"<inertial>, or make joint '{joint.name}' fixed"

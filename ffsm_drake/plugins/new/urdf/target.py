@@ -22,7 +22,7 @@ from ffsm_drake.plugins.new.urdf.formats.building import add_link, add_visual, t
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.checked_urdf import Faults, require
 
-GRASP = "grasp"
+GRASP, SECOND = "grasp", "grasp_2"
 _DENSITY, _MOST_DENSE = 100.0, 1000.0  # kg/m^3, of a cube whose side is not given
 
 
@@ -33,6 +33,7 @@ class Target:
     source: Path
     body: str
     grasp: str  # frame
+    second: str | None = None  # frame of a second hand
     mass: float  # kg
     center_of_mass: tuple[float, ...]  # m, in the body's frame
     inertia: tuple[float, ...]  # kg m^2 about it: Ixx, Iyy, Izz, Ixy, Ixz, Iyz, in the body's axes
@@ -99,7 +100,7 @@ def read_target(path: Path, packages: Mapping[str, Path] | None = None) -> Targe
             faults.append("one link must have the target's mass, not 0 (none)")
         frames = [name_of(frame) for frame in root.findall("frame")]
         body = max(masses, key=lambda name: masses[name], default="")
-        if GRASP not in frames and len(frames) != 1:
+        if GRASP not in frames and len(frames) != 1 + (SECOND in frames):
             faults.append(
                 f"{'more than one frame' if frames else 'no frame'} where it could be held; add "
                 f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, on its '
@@ -110,7 +111,8 @@ def read_target(path: Path, packages: Mapping[str, Path] | None = None) -> Targe
         return Target(
             source=path,
             body=body,
-            grasp=GRASP if GRASP in frames else frames[0],
+            grasp=GRASP if GRASP in frames else next(each for each in frames if each != SECOND),
+            second=SECOND if SECOND in frames else None,
             mass=sum(masses.values()),
             center_of_mass=tuple(center.tolist()),
             inertia=tuple(

@@ -1,0 +1,305 @@
+"""Two hands on one target: the place of the second one, and postures in which both hold it.
+
+The second hand holds a cube at the middle of another face, or beside the first hand on its face,
+with z into the cube; the turn about z is free. A target from a file has its own frame for it.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import Frame, JacobianWrtVariable
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.files import write_text
+from ffsm_drake.common.so3 import cross, rotation_error
+from ffsm_drake.plugins.design.remarks import plan_clearance
+from ffsm_drake.plugins.new.urdf import SECOND, Target
+from ffsm_drake.plugins.new.urdf.formats.building import text
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.plant import base_body, find_frame
+from ffsm_drake.systems.reference import make_motion
+
+_CONTACTS = ("first", "second")  # their names
+_DRAWN, _HELD = 300, 4  # postures of the first arm; ways to hold, of which the best is taken
+_TRIALS = 12  # of the inverse kinematics for each of these postures, at least
+_STEPS, _LONGEST = 25, 0.3  # of the inverse kinematics; rad or m
+_REACHED, _ALIGNED = 1e-11, 1e-6  # rad and m
+_DEXTROUS = 0.08  # least singular value of an arm, with its reach as the unit of length
+_SHARES = (1.0, 0.7, 0.45, 0.3, 0.2)  # of the step to an initial posture
+_STEP, _WAYS, _INSTANTS = 0.4, 6, 61  # rad or m; initial postures for each share; of a motion
+_SLACK = 1e-6  # rad or m, of a joint's limit
+_BESIDE = 0.4  # of the side, from the middle of the first hand's face
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Hold:
+    joints: np.ndarray  # rad or m
+    place: RigidTransform  # of the second hand in the target's frame
+    dexterity: float
+    distance: float = np.inf  # m, of the parts
+
+
+class Hands:
+    """The search for postures in which two hands hold a target, and for a motion between two."""
+
+    def __init__(self, draft: Any, target: Target, *, clear: float) -> None:
+        """Args:
+          draft: the scenario so far (``Draft``).
+          target: the target, with a frame for the second hand if it is from a file.
+          clear: distance that parts should keep, m.
+
+        Raises ScenarioError: an arm has too few joints of its own, or a file has one frame only.
+        """
+        if target.second is None and target.side is None:
+            raise ScenarioError(
+                "--target", f"has one frame to hold it by, and two hands need another, '{SECOND}'"
+            )
+        servicer, self._draft, self._target, self._clear = draft.servicer, draft, target, clear
+        self._plant, self._context = draft.true.plant, draft.true.context
+        self._tips = servicer.tip, servicer.second
+        self._hands = [self._frame(f"servicer::{tip.frame}") for tip in self._tips]
+        self._body = self._frame(f"debris::{target.body}")
+        hands = [f"servicer::{tip.frame}" for tip in self._tips]
+        model = draft.scenario.model
+        self._shapes = Clearance(model, flexible=True, invented=True, hands=hands)
+        names = draft.coordinates.joints
+        self._arms = [np.array([names.index(name) for name in tip.joints]) for tip in self._tips]
+        own = [np.setdiff1d(one, other) for one, other in itertools.permutations(self._arms, 2)]
+        self._second = own[1]
+        joint = self._plant.GetJointByName(names[self._second[0]]) if own[1].size else None
+        self._shoulder = self._body if joint is None else joint.frame_on_parent()
+        named = {joint.name: joint for joint in servicer.joints}
+        joints = [named[name] for name in names]
+        self._rest = np.round([joint.rest for joint in joints], 3)
+        self._low, self._high = np.array([joint.range for joint in joints]).T
+        self._random = np.random.default_rng(0)
+        # directions of the second hand's twist in the target's frame that postures can move
+        parts = list[np.ndarray]()
+        for _ in range(4):
+            self._set(self._drawn())
+            parts.append(self._jacobian(self._hands[1], self._body))
+        directions, sizes, _ = np.linalg.svd(np.hstack(parts))
+        self._rows = directions[:, : int((sizes > 1e-9 * sizes[0]).sum())].T
+        for tip, alone in zip(self._tips, own, strict=True):
+            rank = max(np.linalg.matrix_rank(part[:, alone], tol=1e-6) for part in parts)
+            if rank < len(self._rows):
+                raise ScenarioError(
+                    "--tips",
+                    f"the arm of '{tip.frame}' has {alone.size} joints of its own, which give its "
+                    f"hand {rank} of the {len(self._rows)} motions that the target can have; an "
+                    "arm of a closed chain needs all of them, such as 6 joints in space or 3 in a "
+                    "plane",
+                )
+
+    def _frame(self, name: str) -> Frame:
+        return find_frame(self._plant, name, key="--tips")
+
+    def _jacobian(self, frame: Frame, other: Frame) -> np.ndarray:
+        """Twist (6) of a frame in another, in its axes, by joint rates; rad/s, m/s."""
+        jacobian = self._plant.CalcJacobianSpatialVelocity(
+            self._context, JacobianWrtVariable.kV, frame, np.zeros(3), other, other
+        )
+        found: np.ndarray = jacobian[:, NUM_BASE_VELOCITIES:]
+        return found
+
+    def place(self) -> bool:
+        """Put contacts, postures and a duration; whether there are any. The draft's ``touching``
+        says what is wrong.
+        """
+        draft, holds = self._draft, self._best()
+        names = "' and '".join(tip.frame for tip in self._tips)
+        if not holds:
+            cube = f" (a cube of {self._target.side:g} m)" if self._target.side else ""
+            draft.touching = (
+                f"'{names}' cannot both hold the target{cube}: none of {_DRAWN} postures drawn of "
+                "the first arm lets the second one reach"
+            )
+            return False
+        file = Path(draft.source).parent / draft.data["model"]["debris"]
+        before = file.read_text()
+        for hold in holds:
+            if self._target.second is None:
+                rpy = text(hold.place.rotation().ToRollPitchYaw().vector())
+                frame = f'<frame name="{SECOND}" link="{self._target.body}" '
+                frame += f'xyz="{text(hold.place.translation())}" rpy="{rpy}"/>'
+                write_text(file, before.replace("</robot>", f"  {frame}\n</robot>"))
+            frames = self._target.grasp, self._target.second or SECOND
+            draft.data["contacts"] = {
+                name: {"effector": f"servicer::{tip.frame}", "frame": f"debris::{frame}"}
+                for name, tip, frame in zip(_CONTACTS, self._tips, frames, strict=True)
+            }
+            draft.data["target_posture"]["joints"] = self._by_name(hold.joints)
+            if hold.distance < 0.0:
+                draft.touching = "no posture of both hands that is free of contact was found"
+            if self._start(hold):
+                return True
+        draft.touching = (
+            f"'{names}' cannot move the target together: none of {_WAYS * len(_SHARES)} motions "
+            "near a posture of both is within the reach and limits of both arms"
+        )
+        return False
+
+    def _best(self) -> list[_Hold]:
+        """Some holds that are clear of contact, the most dexterous first, else that with the
+        largest distance.
+        """
+        found, nearest = list[_Hold](), list[_Hold]()
+        for hold in self._holds():
+            distance = self._distance(hold.joints)
+            one = dataclasses.replace(hold, distance=distance)
+            if distance >= self._clear:
+                found.append(one)
+            elif not nearest or distance > nearest[0].distance:
+                nearest = [one]
+            if len(found) == _HELD:
+                break
+        return sorted(found, key=lambda each: -each.dexterity) or nearest
+
+    def _holds(self) -> Iterator[_Hold]:
+        first = self._arms[0]
+        for _ in range(_DRAWN):
+            joints = self._rest.copy()
+            joints[first] = np.round(self._drawn()[first], 3)
+            dexterity = self._dexterity(0, joints)
+            if dexterity < _DEXTROUS:
+                continue
+            places = self._places()
+            starts = [self._rest, *(self._drawn() for _ in range(_TRIALS // len(places)))]
+            for X_PG, start in itertools.product(places, starts):
+                joints[self._second] = start[self._second]
+                both = self._reached(joints, X_PG, turned=self._target.second is None)
+                if both is None or (least := self._dexterity(1, both)) < _DEXTROUS:
+                    continue
+                yield _Hold(joints=both, place=self._place(), dexterity=min(dexterity, least))
+                break
+
+    def _place(self) -> RigidTransform:
+        """The second hand's pose in the target's frame."""
+        pose: RigidTransform = self._hands[1].CalcPose(self._context, self._body)
+        return pose
+
+    def _places(self) -> list[RigidTransform]:
+        """Where the second hand may hold the target: poses in its body's frame."""
+        if self._target.second is not None:
+            frame = self._frame(f"debris::{self._target.second}")
+            return [frame.CalcPose(self._context, self._body)]
+        side = self._target.side or 0.0
+        inward = ((0, 0, -1), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0))
+        found = [(np.array(z, dtype=float), -0.5 * side * np.array(z)) for z in inward]
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            beside = np.array([_BESIDE * x, _BESIDE * y, -0.5])
+            found.append((np.array([0.0, 0.0, 1.0]), side * beside))
+        return [RigidTransform(RotationMatrix.MakeFromOneVector(z, 2), p) for z, p in found]
+
+    def _reached(
+        self, joints: np.ndarray, X_PG: RigidTransform, *, turned: bool
+    ) -> np.ndarray | None:
+        """The joints with those of the second arm moved until its hand is in place, ``turned``
+        about z as it comes; None: out of reach.
+        """
+        joints, second, tip = joints.copy(), self._second, self._tips[1]
+        R_PG, z = X_PG.rotation(), X_PG.rotation().matrix()[:, 2]
+        goal, kept = R_PG.ToQuaternion().wxyz(), np.eye(6)
+        if turned:
+            kept[:3, :3] -= np.outer(z, z)
+        self._set(joints)
+        shoulder = self._shoulder.CalcPose(self._context, self._body).translation()
+        if np.linalg.norm(X_PG.translation() - shoulder) > tip.reach:
+            return None
+        for _ in range(_STEPS):
+            X_PH = self._place()
+            if turned:
+                now = X_PH.rotation().matrix()[:, 2]
+                across = cross(now, z)
+                sine = float(np.linalg.norm(across))
+                turn = across * (np.arctan2(sine, now @ z) / max(sine, 1e-300))
+            else:
+                turn = np.array(rotation_error(goal, X_PH.rotation().ToQuaternion().wxyz()))
+            off = np.concatenate([turn, X_PG.translation() - X_PH.translation()])
+            wanted = self._rows @ off
+            if np.abs(wanted).max() < _REACHED:
+                left = np.abs(off - self._rows.T @ wanted)  # no posture moves these
+                return joints if left[: 3 if turned else 6].max() < _ALIGNED else None
+            jacobian = self._rows @ kept @ self._jacobian(self._hands[1], self._body)[:, second]
+            step = np.linalg.lstsq(jacobian, wanted, rcond=1e-6)[0]
+            step *= min(1.0, _LONGEST / max(np.abs(step).max(), 1e-300))
+            joints[second] = np.clip(joints[second] + step, self._low[second], self._high[second])
+            self._set(joints)
+        return None
+
+    def _dexterity(self, arm: int, joints: np.ndarray) -> float:
+        """The least singular value of an arm's motions."""
+        self._set(joints)
+        base = base_body(self._plant).body_frame()
+        jacobian = self._jacobian(self._hands[arm], base)[:, self._arms[arm]]
+        jacobian[3:] /= max(self._tips[arm].reach, 1e-3)
+        singular = np.linalg.svd(jacobian, compute_uv=False)
+        return float(singular[len(self._rows) - 1])
+
+    def _start(self, hold: _Hold) -> bool:
+        """Put an initial posture from which both hands take the target to that of a hold, within
+        the joints' limits, and clear of contact if one is found; and a duration.
+        """
+        draft, data, best, n = self._draft, self._draft.data, None, hold.joints.size
+        for share, _ in itertools.product(_SHARES, range(_WAYS)):
+            size = _STEP * share * self._random.uniform(0.5, 1.0, n)
+            change = np.round(size * self._random.choice([-1.0, 1.0], n), 3)
+            begin = hold.joints.copy()
+            begin[self._arms[0]] += change[self._arms[0]]
+            closed = self._reached(begin, hold.place, turned=False)
+            if closed is None or not self._is_within(closed):
+                continue
+            if self._distance(closed) < min(self._clear, hold.distance):
+                continue
+            data["initial_posture"]["joints"] = self._by_name(np.round(closed, 6))
+            scenario = draft.scenario
+            try:
+                motion = make_motion(scenario, draft.coordinates)
+            except ScenarioError:
+                continue
+            rows = motion.rows(np.linspace(0.0, motion.end, _INSTANTS))
+            if not self._is_within(rows[:, NUM_BASE_POSITIONS : NUM_BASE_POSITIONS + n]):
+                continue
+            near = min((each.distance for each in plan_clearance(scenario)), default=np.inf)
+            if best is None or near > best[0]:
+                rates = np.abs(rows[:, -2 * n - NUM_BASE_VELOCITIES :][:, :n]).max(axis=0)
+                best = near, closed, rates
+            if near >= min(self._clear, hold.distance):
+                break
+        if best is None:
+            return False
+        near, start, rates = best
+        data["initial_posture"]["joints"] = self._by_name(np.round(start, 6))
+        slow = max(rate / draft.rate_of(joint) for joint, rate in self._by_name(rates).items())
+        data["reference"]["duration"] *= max(1.0, slow)
+        if near < 0.0 and not draft.touching:
+            draft.touching = f"no motion free of contact was found: parts overlap by {-near:.3g} m"
+        return True
+
+    def _is_within(self, joints: np.ndarray) -> bool:
+        """Whether joints (..., n) are within their limits."""
+        return bool(((joints > self._low - _SLACK) & (joints < self._high + _SLACK)).all())
+
+    def _distance(self, joints: np.ndarray) -> float:
+        """The smallest distance of parts, m, as far as ``clear`` is of interest."""
+        return self._shapes.nearest(self._whole(joints), below=self._clear).distance
+
+    def _drawn(self) -> np.ndarray:
+        return self._random.uniform(self._low, self._high)
+
+    def _set(self, joints: np.ndarray) -> None:
+        self._plant.SetPositions(self._context, self._whole(joints))
+
+    @staticmethod
+    def _whole(joints: np.ndarray) -> np.ndarray:
+        """The configuration (nq) with the base at the origin."""
+        return np.concatenate([[1.0], np.zeros(NUM_BASE_POSITIONS - 1), joints])
+
+    def _by_name(self, joints: np.ndarray) -> dict[str, float]:
+        return dict(zip(self._draft.coordinates.joints, joints.tolist(), strict=True))
