@@ -202,7 +202,7 @@ def absent(_):
 
 
 def leave_out_what_takes_long(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
+    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_, **__: [])
     if is_there("design"):
         monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
         search = importlib.import_module("ffsm_drake.plugins.design.gains.axis_search")

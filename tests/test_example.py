@@ -82,7 +82,7 @@ def cheap(monkeypatch):
     """Without the figures and the report's stability section, which cost seconds and have tests of
     their own.
     """
-    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
+    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_, **__: [])
     if is_there("design"):
         monkeypatch.setattr("ffsm_drake.plugins.design.panels.stability", absent)
 

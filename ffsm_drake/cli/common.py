@@ -434,30 +434,3 @@ class RunProgress:
         start = "\r" if self._terminal else ""
         rate = f"simulated in {wall:.2f} s, {record.realtime_factor:.0f} times real time"
         click.echo(f"{start}{self._name}: {record.outcome.message}; {rate}", err=True)
-
-
-def count_progress(what: str) -> Callable[[int, int], None]:
-    """Progress of a few seconds' work: an updated line on a terminal, else nothing."""
-
-    def show(done: int, total: int) -> None:
-        if sys.stderr.isatty():
-            click.echo(
-                f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True
-            )
-
-    return show
-
-
-def search_progress() -> Callable[[int, str], None]:
-    """Progress of a search: an updated line on a terminal, else a line every ten seconds."""
-    start = shown = time.monotonic()
-
-    def show(done: int, what: str) -> None:
-        nonlocal shown
-        now, is_terminal = time.monotonic(), sys.stderr.isatty()
-        line = f"{now - start:4.0f} s: {done} {what}"
-        if is_terminal or now - shown > 10.0:
-            shown = now
-            click.echo(f"\r{line}" if is_terminal else line, nl=not is_terminal, err=True)
-
-    return show

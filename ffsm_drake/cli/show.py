@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import out_option, run_argument, scenario_options
+from ffsm_drake.cli.common import FiniteFloat, out_option, run_argument, scenario_options
 from ffsm_drake.common.plugins import LIVE, load
 
 if TYPE_CHECKING:
@@ -24,15 +24,22 @@ if TYPE_CHECKING:
     metavar="KIND,...",
     help="One or several of png, pdf and svg, separated by commas.",
 )
+@click.option(
+    "--width",
+    type=FiniteFloat(min=5.0, max=50.0),
+    metavar="INCHES",
+    help="Fit the figures to a page's width, such as 7.16 of two columns: small labels, no "
+    "headings.",
+)
 @out_option(help="Default: the first RUN_DIR.")
-def plot(runs: tuple[Path, ...], formats: str, out: Path | None) -> None:
+def plot(runs: tuple[Path, ...], formats: str, width: float | None, out: Path | None) -> None:
     """Draw the figures of a recorded run, or of several overlaid.
 
     \b
     Examples:
       ffsm plot out/postcapture
       ffsm plot out/compare_paper/tdc out/compare_paper/tde_aismc --out out/figures
-      ffsm plot out/postcapture --format pdf,svg
+      ffsm plot out/postcapture --format pdf --width 7.16
     """
     from ffsm_drake.common.errors import RecordError
     from ffsm_drake.common.files import check_writable
@@ -60,7 +67,7 @@ def plot(runs: tuple[Path, ...], formats: str, out: Path | None) -> None:
             != records[0].dataset.coordinate.values.tolist()
         ):
             raise RecordError(f"{run}: has other joints than {runs[0]}; draw them separately")
-    written = save_figures(records, directory, kinds)
+    written = save_figures(records, directory, kinds, width=width)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
 
 

@@ -170,6 +170,18 @@ def test_plot_overlays_runs(run, tmp_path):
     assert drawn == {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
 
 
+def test_figures_fit_a_page(run, tmp_path):
+    """The given width, larger than no label, and no heading, which the caption of a page has."""
+    run("postcapture", "duration=0.01").save(tmp_path / "one")
+    words = ("plot", tmp_path / "one", "--format", "svg", "--width", "7.16")
+    assert ffsm(*words).exit_code == 0
+    for name in ("trajectories", "errors", "efforts", "gains"):
+        text = (tmp_path / "one" / f"{name}.svg").read_text()
+        width = re.search(r'<svg[^>]* width="([\d.]+)pt"', text)[1]
+        assert float(width) == pytest.approx(7.16 * 72.0, rel=1e-3)
+        assert "Post-capture" not in text
+
+
 def test_diagram(tmp_path):
     printed = ffsm("diagram", "--controller", "pd_plus")
     assert printed.exit_code == 0

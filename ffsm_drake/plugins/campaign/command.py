@@ -17,7 +17,6 @@ from ffsm_drake.cli.common import (
     EXIT_UNSTABLE,
     CommandGroup,
     controller_option,
-    count_progress,
     out_option,
     table_option,
 )
@@ -292,7 +291,7 @@ def report(
         if table is not None:
             check_writable(table.parent)
         written = write_report(
-            store, folder, axes=axes, progress=count_progress("controllers predicted")
+            store, folder, axes=axes, progress=_count_progress("controllers predicted")
         )
         if table is not None:
             write_table(written.table, table)
@@ -407,3 +406,15 @@ class ProgressLine:
         """End the line."""
         if self._terminal and self._last > -math.inf:
             click.echo(err=True)
+
+
+def _count_progress(what: str) -> Callable[[int, int], None]:
+    """Progress of a few seconds' work: an updated line on a terminal, else nothing."""
+
+    def show(done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            click.echo(
+                f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True
+            )
+
+    return show

@@ -11,6 +11,7 @@ from pydrake.multibody.tree import RigidBody
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.so3 import quaternion_of
+from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.capture import Compliance
@@ -19,7 +20,6 @@ from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
     Contact,
-    compliant_grasp,
     plastic_grasp,
     shift_moment,
 )

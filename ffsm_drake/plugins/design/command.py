@@ -2,7 +2,8 @@
 
 import dataclasses
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,6 @@ from ffsm_drake.cli.common import (
     rehearsal_option,
     save_figure,
     scenario_options,
-    search_progress,
 )
 from ffsm_drake.common.interrupts import exit_code
 
@@ -188,7 +188,7 @@ def design(
         trade=trade,
         time_limit=time_limit,
         predict_mission=predict_mission,
-        progress=search_progress(),
+        progress=_search_progress(),
     )
     chosen = found.chosen.scenario
     mission = next((each for looked_at, each in missions if looked_at is chosen), None)
@@ -210,3 +210,18 @@ def _told(mission: "Verdict | None") -> str:
     if mission is None:
         return "no time was left to look at its mission: see 'ffsm stability'"
     return "\n".join([*mission.lines, mission.conclusion])
+
+
+def _search_progress() -> Callable[[int, str], None]:
+    """Progress of a search: an updated line on a terminal, else a line every ten seconds."""
+    start = shown = time.monotonic()
+
+    def show(done: int, what: str) -> None:
+        nonlocal shown
+        now, is_terminal = time.monotonic(), sys.stderr.isatty()
+        line = f"{now - start:4.0f} s: {done} {what}"
+        if is_terminal or now - shown > 10.0:
+            shown = now
+            click.echo(f"\r{line}" if is_terminal else line, nl=not is_terminal, err=True)
+
+    return show

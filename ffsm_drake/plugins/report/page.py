@@ -229,7 +229,13 @@ def _remarks(result: Result, folder: Path) -> Json:
         file, _ = attempt("remedy", result, functools.partial(remedy_of, record, folder))
         lines.append(file and f"what helps, as a scenario: ffsm run {file}")
     said = dict.fromkeys(line for line in lines if line and line not in (broken or ()))
-    return {"broken": broken or [], "said": [f"{line[:1].upper()}{line[1:]}." for line in said]}
+    return {"broken": broken or [], "said": [f"{_begun(line)}." for line in said]}
+
+
+def _begun(line: str) -> str:
+    """A line with a capital, unless it begins with a name."""
+    begins = line.partition(" ")[0].rstrip(":").isalpha()
+    return f"{line[:1].upper()}{line[1:]}" if begins else line
 
 
 def _tally(counted: Mapping[str, int]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from ffsm_drake.common.files import published
@@ -37,7 +38,11 @@ _METADATA: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"
 
 @step("drawing figures")
 def save_figures(
-    records: Sequence[RunRecord], directory: Path, formats: Sequence[str] = FORMATS[:1]
+    records: Sequence[RunRecord],
+    directory: Path,
+    formats: Sequence[str] = FORMATS[:1],
+    *,
+    width: float | None = None,
 ) -> list[Path]:
     """Draw every figure of one or several runs into a directory, all or none; returns the paths.
 
@@ -45,6 +50,7 @@ def save_figures(
       records: the runs.
       directory: folder for the files.
       formats: of ``FORMATS``; a file of each figure in each format.
+      width: of a page, inches, to fit the figures to, with small labels and no headings.
 
     Raises:
       RecordError: a file cannot be written.
@@ -56,12 +62,32 @@ def save_figures(
         "gains": plot_gains(records),
     }
     drawn = {name: figure for name, figure in figures.items() if figure is not None}
+    if width is not None:
+        for figure in drawn.values():
+            _fit(figure, width)
     names = [f"{name}.{kind}" for kind in formats for name in drawn]
     with published(directory) as folder, mpl.rc_context({"svg.hashsalt": "ffsm_drake"}):
         for file in names:
             name, _, kind = file.partition(".")
             drawn[name].savefig(folder / file, dpi=_DOTS[kind], metadata=_METADATA.get(kind))
     return [directory / name for name in names]
+
+
+def _fit(figure: Figure, width: float) -> None:
+    """Fit a figure to a page's width, inches: labels of 7 pt, no heading."""
+    scale = width / figure.get_figwidth()
+    figure.set_size_inches(width, 1.2 * scale * figure.get_figheight())
+    for text in [*figure.texts]:  # the heading among them
+        text.remove()
+    for axes in figure.axes:
+        axes.tick_params(which="both", labelsize=6, width=0.6, pad=1)
+        axes.yaxis.labelpad = 0
+        if hasattr(axes, "zaxis"):
+            axes.set_box_aspect(None, zoom=0.9)
+    for text in figure.findobj(Text):
+        text.set_fontsize(min(text.get_fontsize(), 7))
+    for line in figure.findobj(Line2D):
+        line.set_linewidth(0.7 * line.get_linewidth())
 
 
 def plot_trajectories(record: RunRecord) -> Figure:

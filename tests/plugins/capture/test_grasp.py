@@ -12,9 +12,10 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
+from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact, target_twist
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix, load_scenario
-from ffsm_drake.spacecraft.grasp import compliant_grasp, plastic_grasp
+from ffsm_drake.spacecraft.grasp import plastic_grasp
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
