@@ -19,6 +19,7 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
 BASELINES = (
     "super_twisting", "terminal_sliding_mode", "fixed_time", "slotine_li", "coordinated", "mpc",
+    "nmpc",
 )  # fmt: skip
 LAWS = (*PAPER_LAWS, "pd_plus", "computed_torque", *BASELINES)
 SEED = 51

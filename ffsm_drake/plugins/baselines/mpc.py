@@ -8,7 +8,8 @@ of the scenario's estimator, which makes the law free of offset. Over N steps of
     subject to  force, joint rates, wheel torque and wheel momentum within their limits.
 
 The limits of force and wheel torque at the first step are hard, so that what is commanded keeps to
-them. All others are soft, with one slack for each kind: no start is without a solution.
+them; so is what thrusters give, each an unknown between closed and open. All others are soft, with
+one slack for each kind: no start is without a solution.
 
 Dual mode (Rossiter, Kouvaritakis, Rice, "A numerically robust state-space approach to stable
 predictive control strategies", Automatica 34 (1998) 65):
@@ -25,15 +26,16 @@ cut to the limits of force; ``fallbacks`` counts it.
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
+from scipy.optimize import nnls
 
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, RATE, Limit, tightest, urdf_limits
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -49,7 +51,6 @@ from ffsm_drake.systems.controllers.law import (
 from ffsm_drake.systems.controllers.time_delay import after_grasp
 from ffsm_drake.systems.setup import BlockSetup
 
-_STEPS = 5  # predicted steps, each with an unknown c_k
 _SLACK = 1e6  # cost of exceeding a limit after the first step by the limit itself
 
 
@@ -64,6 +65,9 @@ class Limits:
     torque: np.ndarray
     momentum: np.ndarray
     initial_momentum: np.ndarray
+    # thrusters that work (6, nt): torque and force of each if open, base's axes; wheels beside them
+    # take their torque
+    jets: np.ndarray
 
     @classmethod
     def of(cls, scenario: Scenario, coordinates: Coordinates, urdf: list[Limit]) -> Self:
@@ -86,7 +90,49 @@ class Limits:
             torque=np.array([unit.torque_limit for unit in units]),
             momentum=np.array([unit.inertia * unit.speed_limit for unit in units]),
             initial_momentum=np.array([unit.initial_momentum for unit in units]),
+            jets=_jets(scenario, with_torque=not units),
         )
+
+    @functools.cached_property
+    def exist(self) -> bool:
+        """Whether there is a limit."""
+        given = np.isfinite(np.concatenate([self.force, self.rate])).any()
+        return bool(given) or bool(self.torque.size) or bool(self.jets.size)
+
+    @functools.cached_property
+    def idle(self) -> np.ndarray:
+        """Shares (nt) of the thrusters, all above zero, that give no wrench; empty: there are none,
+        or they are not known.
+        """
+        count = self.jets.shape[1]
+        more, rest = nnls(self.jets, -self.jets.sum(axis=1)) if count else (np.zeros(0), np.inf)
+        found: np.ndarray = 1.0 + more if rest < 1e-9 * np.abs(self.jets).sum() else np.zeros(0)
+        return found
+
+    def jets_give(self, wrench: np.ndarray) -> bool:
+        """Whether thrusters give wrenches (n, 6), by their least squares and ``idle``; True without
+        thrusters.
+        """
+        if not self.jets.size:
+            return True
+        share = wrench @ np.linalg.pinv(self.jets).T
+        if not self.idle.size or not np.allclose(share @ self.jets.T, wrench, atol=1e-9):
+            return False
+        least = (-share / self.idle).max(axis=1)
+        most = ((1.0 - share) / self.idle).min(axis=1)
+        return bool((np.maximum(least, 0.0) <= most).all())
+
+
+def _jets(scenario: Scenario, *, with_torque: bool) -> np.ndarray:
+    settings = scenario.actuation.thrusters
+    units = {} if settings is None else thrusters_of(settings)
+    columns = []
+    for name, unit in units.items():
+        if settings is None or settings.failures.get(name):
+            continue
+        force = unit.force * np.divide(unit.direction, np.linalg.norm(unit.direction))
+        columns.append(np.concatenate([with_torque * np.cross(unit.position, force), force]))
+    return np.array(columns).reshape(-1, 6).T
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,6 +143,28 @@ class _Rows:
     offset: np.ndarray  # (N, m), at c = 0
     bound: np.ndarray  # (m)
     hard: int = 0  # number of first steps at which the limit is hard
+    # (m, nt) per open thruster: the quantities are what these give; the bound is a unit only
+    given: np.ndarray | None = None
+
+    def is_kept(self, limits: Limits) -> bool:
+        """Whether c = 0 keeps to the limits."""
+        if self.given is None:
+            return bool((np.abs(self.offset) <= self.bound).all())
+        used = np.abs(limits.jets).sum(axis=1) > 0.0
+        wrench = np.zeros((len(self.offset), 6))
+        wrench[:, used] = self.offset
+        return limits.jets_give(wrench)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _Now:
+    """What a program begins with."""
+
+    x: np.ndarray  # (nv, 2) estimated error and its rate
+    mass_matrix: np.ndarray  # (nv, nv)
+    known: np.ndarray  # (nv) force of the planned acceleration, the estimate included
+    rotation: np.ndarray  # R_WB
+    momentum: np.ndarray  # (nw) of the wheels
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -108,6 +176,7 @@ class Mpc(ControlLaw):
     those without a solution.
     """
 
+    steps: ClassVar[int] = 5  # predicted steps, each with an unknown c_k
     model: PlantModel
     sample_time: float
     estimator: Estimator
@@ -139,17 +208,17 @@ class Mpc(ControlLaw):
 
     @functools.cached_property
     def prediction(self) -> tuple[np.ndarray, np.ndarray]:
-        """[e'_k; u_k] from x_0 (2, N + 1, nv, 2) and from c (2, N + 1, N, nv), k = 0 ... N."""
+        """[e'_k; u_k; e_k] from x_0 (3, N + 1, nv, 2) and from c (3, N + 1, N, nv), k = 0 ... N."""
         T, k = self.prediction_step, self.regulator
         size = len(k)
-        e, rate = np.zeros((2, size, 2 + _STEPS))  # rows of [e, e', c_0, ...]
+        e, rate = np.zeros((2, size, 2 + self.steps))  # rows of [e, e', c_0, ...]
         e[:, 0] = rate[:, 1] = 1.0
-        found = np.empty((2, _STEPS + 1, size, 2 + _STEPS))
-        for step in range(_STEPS + 1):
+        found = np.empty((3, self.steps + 1, size, 2 + self.steps))
+        for step in range(self.steps + 1):
             u = -k[:, :1] * e - k[:, 1:2] * rate
-            if step < _STEPS:
+            if step < self.steps:
                 u[:, 2 + step] += 1.0
-            found[:, step] = rate, u
+            found[:, step] = rate, u, e
             e, rate = e + T * rate - 0.5 * T * T * u, rate - T * u
         return found[..., :2], np.moveaxis(found[..., 2:], 3, 2)
 
@@ -171,18 +240,40 @@ class Mpc(ControlLaw):
         estimate, memory = self.estimator.step(sample, H, state)
         known = estimate.base_force + H @ (sample.a_d - estimate.base_acceleration)
         R_WB = RotationMatrix(Quaternion(sample.q[:4] / np.linalg.norm(sample.q[:4]))).matrix()
-        motor = self.limits.share @ R_WB.T  # (nw, 3), from the base's torque in world axes
-        momentum = state["wheel_momentum"] + self.sample_time * motor @ sample.applied_force[:3]
-        x = np.stack([estimate.e, estimate.e_dot], axis=-1)
-        c, solved = self._planned(self._rows(sample, x, H, known, motor, momentum))
-        force = known + H @ (-(self.regulator[:, :2] * x).sum(axis=-1) + c)
+        now = _Now(
+            x=np.stack([estimate.e, estimate.e_dot], axis=-1),
+            mass_matrix=H,
+            known=known,
+            rotation=R_WB,
+            momentum=state["wheel_momentum"]
+            + self.sample_time * self.limits.share @ R_WB.T @ sample.applied_force[:3],
+        )
+        c, counted = self.solve(sample, now, state)
+        force = known + H @ (c - (self.regulator[:, :2] * now.x).sum(axis=-1))
         force = np.clip(force, -self.limits.force, self.limits.force)
-        return force, {
-            **memory,
-            "wheel_momentum": momentum,
+        return force, {**state, **memory, "wheel_momentum": now.momentum, **counted}
+
+    def solve(
+        self, sample: Sample, now: "_Now", state: State
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """c_0 (nv), and the memory of the programs."""
+        if not self.limits.exist:
+            return np.zeros_like(now.known), {}
+        _, from_c = self.prediction
+        H = now.mass_matrix
+        forces = now.known + self.free(now)[1, :-1] @ H.T
+        c, solved = self.planned(
+            self.rows(sample, now, forces, np.einsum("ij,kfj->kifj", H, from_c[1, :-1]))
+        )
+        return c[0], {
             "programs": state["programs"] + float(solved is not None),
             "fallbacks": state["fallbacks"] + float(solved is False),
         }
+
+    def free(self, now: "_Now") -> np.ndarray:
+        """[e'_k; u_k; e_k] (3, N + 1, nv) of the regulator alone."""
+        found: np.ndarray = (self.prediction[0] * now.x).sum(axis=-1)
+        return found
 
     def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
         """See ControlLaw; of the estimator as in ``TimeDelayControl``."""
@@ -191,73 +282,89 @@ class Mpc(ControlLaw):
         ratio, v_d = after_grasp(self.model, before.model, reference)
         return {**state, **self.estimator.resume(state, ratio, v_d)}
 
-    def _rows(
-        self,
-        sample: Sample,
-        x: np.ndarray,
-        H: np.ndarray,
-        known: np.ndarray,
-        motor: np.ndarray,
-        momentum: np.ndarray,
+    def rows(
+        self, sample: Sample, now: "_Now", forces: np.ndarray, change: np.ndarray
     ) -> "list[_Rows]":
-        """The limited quantities of the prediction, by kind."""
-        limits, found = self.limits, list[_Rows]()
-        from_x, from_c = self.prediction
-        free = (from_x * x).sum(axis=-1)  # (2, N + 1, nv)
+        """The limited quantities of the prediction, by kind, from the forces (N, nv) of c = 0 and
+        their change (N, nv, N, nv) with c.
+        """
+        limits, found, steps = self.limits, list[_Rows](), self.steps
         rows = np.flatnonzero(np.isfinite(limits.force))
         if rows.size:
-            force = np.einsum("ij,kfj->kifj", H[rows], from_c[1, :-1])
-            offset = known[rows] + free[1, :-1] @ H[rows].T
-            found.append(_Rows(map=force, offset=offset, bound=limits.force[rows], hard=1))
+            bound = limits.force[rows]
+            found.append(_Rows(map=change[:, rows], offset=forces[:, rows], bound=bound, hard=1))
         rows = np.flatnonzero(np.isfinite(limits.rate))
         if rows.size:
-            ahead = self.prediction_step * np.arange(1, _STEPS + 1)[:, None]
+            from_c = self.prediction[1]
+            ahead = self.prediction_step * np.arange(1, steps + 1)[:, None]
             planned = sample.v_d + ahead * sample.a_d
-            rates = np.zeros((_STEPS, rows.size, *from_c.shape[2:]))
+            rates = np.zeros((steps, rows.size, *from_c.shape[2:]))
             rates[:, np.arange(rows.size), :, rows] = -from_c[0, 1:, :, rows]
-            offset = (planned - free[0, 1:])[:, rows]
+            offset = (planned - self.free(now)[0, 1:])[:, rows]
             found.append(_Rows(map=rates, offset=offset, bound=limits.rate[rows]))
         if limits.torque.size:
-            share = motor @ H[:3]
-            torque = np.einsum("ij,kfj->kifj", share, from_c[1, :-1])
-            offset = motor @ known[:3] + free[1, :-1] @ share.T
+            motor = limits.share @ now.rotation.T
+            torque = np.einsum("ij,kjfl->kifl", motor, change[:, :3])
+            offset = forces[:, :3] @ motor.T
             found.append(_Rows(map=torque, offset=offset, bound=limits.torque, hard=1))
             stored = self.prediction_step * np.cumsum(torque, axis=0)
-            offset = momentum + self.prediction_step * np.cumsum(offset, axis=0)
+            offset = now.momentum + self.prediction_step * np.cumsum(offset, axis=0)
             found.append(_Rows(map=stored, offset=offset, bound=limits.momentum))
+        if limits.jets.size:
+            turn = np.kron(np.eye(2), now.rotation.T)
+            turn[:3] *= not limits.torque.size
+            wrench = np.einsum("ij,kjfl->kifl", turn, change[:, :6])
+            bound = np.abs(limits.jets).sum(axis=1)
+            used = bound > 0.0
+            found.append(
+                _Rows(
+                    map=wrench[:, used],
+                    offset=(forces[:, :6] @ turn.T)[:, used],
+                    bound=bound[used],
+                    hard=1,
+                    given=limits.jets[used],
+                )
+            )
         return found
 
-    def _planned(self, rows: "list[_Rows]") -> tuple[np.ndarray, bool | None]:
-        """c_0 (nv), and whether a program was solved; None: none was needed."""
+    def planned(self, rows: "list[_Rows]") -> tuple[np.ndarray, bool | None]:
+        """c (N, nv), and whether a program was solved; None: none was needed."""
         size = len(self.error_size)
-        if all((np.abs(each.offset) <= each.bound).all() for each in rows):
-            return np.zeros(size), None
+        if all(each.is_kept(self.limits) for each in rows):
+            return np.zeros((self.steps, size)), None
         program = MathematicalProgram()
-        c = program.NewContinuousVariables(_STEPS * size)
+        c = program.NewContinuousVariables(self.steps * size)
         slack = program.NewContinuousVariables(len(rows))
         # c in units of its weight, quantities in units of their limits
-        scale = np.tile(self.regulator[:, 2], _STEPS) ** -0.5
+        scale = np.tile(self.regulator[:, 2], self.steps) ** -0.5
         program.AddQuadraticCost(np.eye(c.size), np.zeros(c.size), c, is_convex=True)
         program.AddLinearCost(np.full(slack.size, _SLACK), slack)
         program.AddBoundingBoxConstraint(0.0, np.inf, slack)
         for each, own in zip(rows, slack, strict=True):
             matrix = (each.map / each.bound[:, None, None]).reshape(-1, c.size) * scale
             offset, hard = (each.offset / each.bound).ravel(), each.hard * each.bound.size
+            variables, bound = c, 1.0
+            if each.given is not None:  # the difference from the thrusters' wrench is zero
+                shares = program.NewContinuousVariables(self.steps * each.given.shape[1])
+                program.AddBoundingBoxConstraint(0.0, 1.0, shares)
+                given = np.kron(np.eye(self.steps), each.given / each.bound[:, None])
+                matrix, bound = np.hstack([matrix, -given]), 0.0
+                variables = np.concatenate([c, shares])
             if hard:
                 program.AddLinearConstraint(
-                    matrix[:hard], -1.0 - offset[:hard], 1.0 - offset[:hard], c
+                    matrix[:hard], -bound - offset[:hard], bound - offset[:hard], variables
                 )
             soft, offset = matrix[hard:], offset[hard:]
-            endless, variables = np.full(offset.size, np.inf), np.append(c, own)
+            endless, variables = np.full(offset.size, np.inf), np.append(variables, own)
             for sign in (1.0, -1.0):
                 over = np.column_stack([sign * soft, -np.ones(offset.size)])
-                program.AddLinearConstraint(over, -endless, 1.0 - sign * offset, variables)
+                program.AddLinearConstraint(over, -endless, bound - sign * offset, variables)
         solver, options = ClarabelSolver(), SolverOptions()
         options.SetOption(solver.solver_id(), "max_iter", max(1, round(self.iterations)))
         result = solver.Solve(program, None, options)
         if not result.is_success():
-            return np.zeros(size), False
-        return (result.GetSolution(c) * scale)[:size], True
+            return np.zeros((self.steps, size)), False
+        return (result.GetSolution(c) * scale).reshape(self.steps, size), True
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:

@@ -7,8 +7,10 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from scipy.linalg import solve_discrete_are
+from scipy.optimize import lsq_linear
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
+from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.systems.controllers import Sample, make_law
 
 EXACT = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
@@ -170,3 +172,30 @@ def test_the_same_seed_gives_the_same_bits():
     one, other = (simulate(scenario, check_stability=False).dataset for _ in range(2))
     assert one.identical(other)
     assert np.abs(one["generalized_force"]).values[:, 6:].max() == pytest.approx(2.0)
+
+
+@pytest.mark.slow
+def test_the_base_asks_no_more_than_its_thrusters_give():
+    """Each commanded wrench against a linear program over the thrusters."""
+    start = np.concatenate([FIRST, np.zeros(11)])
+    start[:7] = [np.cos(0.05), 0.0, 0.0, np.sin(0.05), 0.1, -0.05, 0.0]
+    thrusters = "actuation.thrusters={layout: 12x5N}"
+    scenario = load_scenario("postcapture", [EXACT, "controller=mpc", thrusters])
+    course = flown(scenario, still(FIRST), 6.0, start=start)
+    units = thrusters_of(scenario.actuation.thrusters).values()
+    force = np.array([np.multiply(unit.force, unit.direction) for unit in units]).T
+    jets = np.vstack([np.cross([unit.position for unit in units], force.T).T, force])
+    beyond = []
+    for q, command in zip(course.state[::5, :4], course.force[::5], strict=True):
+        R_BW = RotationMatrix(Quaternion(q / np.linalg.norm(q))).matrix().T
+        wrench = np.concatenate([R_BW @ command[:3], R_BW @ command[3:6]])
+        found = lsq_linear(jets, wrench, (0.0, 1.0))
+        beyond.append(np.abs(jets @ found.x - wrench).max())
+    assert max(beyond) < 1e-3
+    assert course.memory["programs"][-1] > 10
+    assert course.memory["fallbacks"][-1] == 0
+    assert np.abs(course.error[-1]).max() < 0.02
+    free = load_scenario("postcapture", [EXACT, "controller=mpc"])
+    assert (
+        np.abs(flown(free, still(FIRST), 0.02, start=start).force[0, 3:6]).max() > 2.0 * force.max()
+    )
