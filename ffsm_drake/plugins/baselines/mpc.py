@@ -158,7 +158,7 @@ class _Rows:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Now:
-    """What a program begins with."""
+    """The start of a program."""
 
     x: np.ndarray  # (nv, 2) estimated error and its rate
     mass_matrix: np.ndarray  # (nv, nv)

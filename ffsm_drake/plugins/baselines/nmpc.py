@@ -25,7 +25,7 @@ from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.plugins.baselines.mpc import Mpc, _Now
 from ffsm_drake.systems.controllers.law import Sample, State, gain
 
-_STEP = 1e-6  # of finite differences, rad, m, rad/s, m/s
+_STEP = 1e-6  # step of finite differences, rad, m, rad/s, m/s
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

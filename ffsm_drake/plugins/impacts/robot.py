@@ -24,8 +24,11 @@ from pydrake.multibody.tree import (
 from ffsm_drake.plugins.impacts.contact import Surface, depth_in_square
 
 SIDES = ("left", "right")
-WIDTH, TIP = 0.15, 0.015  # of the target; radius of a tip
-TIP_REACH, TIP_ANGLE = 0.057505101269, 0.763179598071  # of the tips from the wrist, from its axis
+WIDTH, TIP = 0.15, 0.015  # width of the target, radius of a tip
+TIP_REACH, TIP_ANGLE = (
+    0.057505101269,
+    0.763179598071,
+)  # tips: from the wrist, from its axis
 TORQUE_LIMIT = 10.0  # N m
 # along y: length, mass, moment of inertia, centre of mass from the middle
 _LINKS = (

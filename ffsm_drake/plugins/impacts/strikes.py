@@ -1,6 +1,6 @@
-"""Repeated impacts that slow a spinning target.
+"""Repeated impacts against the spin of a target.
 
-The arms strike in turn. A tip meets the face that turns towards its side, off the face's middle
+The arms strike in turn. A tip meets the face towards its side, off the face's middle
 against the spin, with a chosen speed. From the contact on the tip moves as the admittance has it,
 beside the planned motion and for a while:
 
@@ -52,7 +52,7 @@ class Strikes:
     spin: float = 1.0  # rad/s
     slow: float = 0.5  # rad/s; below it no tip strikes any more
     speed: float = 0.17  # m/s; of the tip to the face
-    off_middle: float = 0.75  # of half the width
+    off_middle: float = 0.75  # share of half the width
     soonest: float = 0.8  # s; of a strike from its start
     duration: float = 25.0  # s
     step: float = 1e-3  # s; of control and integration (Runge-Kutta of order 4)
@@ -135,7 +135,7 @@ class _Control:
         self, scene: Scene, mission: Strikes, state: tuple[np.ndarray, np.ndarray]
     ) -> None:
         self._scene, self._mission = scene, mission
-        self._tip = 0 if mission.spin > 0.0 else 1  # that which leads
+        self._tip = 0 if mission.spin > 0.0 else 1  # index of the leading tip
         self._lead = -math.copysign(0.5 * TIP_ANGLE, mission.spin)
         scene.place(*state)
         self.hands = [_Hand(self._state(i, state[0])) for i in range(2)]
