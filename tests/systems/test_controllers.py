@@ -12,7 +12,7 @@ from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.systems.controllers import PAPER_LAWS, make_controller, make_law
 from ffsm_drake.systems.controllers.law import gains_of
-from ffsm_drake.systems.controllers.laws import aismc, asmc, tde_aismc
+from ffsm_drake.systems.controllers.laws import asmc, tde_aismc
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
 from ffsm_drake.systems.controllers.laws.asmc import Asmc
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
@@ -278,17 +278,15 @@ def test_upper_bounds_hold():
 
 
 def test_reaching_gain_laws_rest_at_their_threshold():
-    k_s, beta = np.array([80.0]), np.array([4e7])
-    for rate, threshold in (
-        (tde_aismc.reaching_gain_rate, k_s / beta),
-        (aismc.reaching_gain_rate, k_s**2 / beta),
-    ):
-        alpha = np.array([3e4])
-        assert rate(threshold, k_s, alpha=alpha, beta=beta) == 0.0
-        assert rate(-1.01 * threshold, k_s, alpha=alpha, beta=beta) == pytest.approx(
+    _, laws = coordinates_and_laws()
+    k_s, beta, alpha = np.array([80.0]), np.array([4e7]), np.array([3e4])
+    for name, threshold in (("tde_aismc", k_s / beta), ("aismc", k_s**2 / beta)):
+        law = dataclasses.replace(laws[name], alpha=alpha, beta=beta)
+        assert law.reaching_gain_rate(threshold, k_s) == 0.0
+        assert law.reaching_gain_rate(-1.01 * threshold, k_s) == pytest.approx(
             alpha * 1.01 * threshold
         )
-        assert rate(0.99 * threshold, k_s, alpha=alpha, beta=beta) == pytest.approx(
+        assert law.reaching_gain_rate(0.99 * threshold, k_s) == pytest.approx(
             -alpha * 0.99 * threshold
         )
 

@@ -14,14 +14,6 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 _SMALLEST_SCALE = 1e-9  # 1/s^3, least K_s K_P to divide by
 
 
-def reaching_gain_rate(
-    s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray
-) -> np.ndarray:
-    """dK_s/dt (..., nv) of equation (21): zero at |s| = K_s^2 / beta."""
-    magnitude = np.abs(s)
-    return alpha * magnitude * np.sign(magnitude - k_s * k_s / beta)
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Aismc(InjectedDynamics):
     """u = a_d + K_D e' + K_P e + K_s s with s = e' + K_D e + K_P int e (equation (20)). Gains are
@@ -73,7 +65,13 @@ class Aismc(InjectedDynamics):
         )
 
     def _rest(self, k_s: np.ndarray) -> np.ndarray:
+        """|s| at which dK_s/dt = alpha |s| sgn(|s| - K_s^2 / beta) (equation (21)) is zero."""
         return k_s * k_s / self.beta
+
+    def reaching_gain_rate(self, s: np.ndarray, k_s: np.ndarray) -> np.ndarray:
+        """dK_s/dt (..., nv)."""
+        magnitude = np.abs(s)
+        return self.alpha * magnitude * np.sign(magnitude - self._rest(k_s))
 
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
         return dataclasses.replace(self, k_s_initial=k_s)
@@ -102,11 +100,11 @@ class Aismc(InjectedDynamics):
         integral, k_s = state["integral_error"], state["reaching_gain"]
         s = e_dot + self.k_d * e + self.k_p * integral
         u = a_d + self.k_d * e_dot + self.k_p * e + k_s * s
-        k_s_rate = reaching_gain_rate(s, k_s, alpha=self.alpha, beta=self.beta)
+        rate = self.reaching_gain_rate(s, k_s)
         return u, {
             "integral_error": integral + self.sample_time * e,
             "sliding_variable": s,
             "reaching_gain": np.minimum(
-                np.maximum(k_s + self.sample_time * k_s_rate, 0.0), self.k_s_max
+                np.maximum(k_s + self.sample_time * rate, 0.0), self.k_s_max
             ),
         }
