@@ -6,6 +6,7 @@ Sola et al. 2018, "A micro Lie theory for state estimation in robotics".
 """
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,18 @@ def skew(vector: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def times_conjugate(first: Iterable[Any], second: Iterable[Any]) -> tuple[Any, Any, Any, Any]:
+    """The product first * conjugate(second) of quaternions, of numbers or arrays."""
+    dw, dx, dy, dz = first
+    w, x, y, z = second
+    return (
+        dw * w + dx * x + dy * y + dz * z,
+        dx * w - dw * x - dy * z + dz * y,
+        dy * w - dw * y - dz * x + dx * z,
+        dz * w - dw * z - dx * y + dy * x,
+    )
+
+
 def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
     """Rotation vector, in the world frame, from R(quaternion) to R(quaternion_d): log(R_d R^T),
     rad.
@@ -79,13 +92,7 @@ def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[fl
     Quaternions are (w, x, y, z); their norms do not matter. Plain floats, because this runs in
     every controller update.
     """
-    dw, dx, dy, dz = quaternion_d.tolist()
-    w, x, y, z = quaternion.tolist()
-    # The product quaternion_d * conjugate(quaternion).
-    ew = dw * w + dx * x + dy * y + dz * z
-    ex = dx * w - dw * x - dy * z + dz * y
-    ey = dy * w - dw * y - dz * x + dx * z
-    ez = dz * w - dw * z - dx * y + dy * x
+    ew, ex, ey, ez = times_conjugate(quaternion_d.tolist(), quaternion.tolist())
     if ew < 0.0:  # the shorter rotation
         ew, ex, ey, ez = -ew, -ex, -ey, -ez
     sine = math.sqrt(ex * ex + ey * ey + ez * ez)

@@ -72,7 +72,7 @@ SIGNALS = (
     "applied_force",
     "disturbance_force",
 )
-# What the record holds of its forces.
+# Variables of the record.
 _force = functools.partial(Signal, unit=EFFORT, dimension="coordinate")
 FORCES = (
     _force(name="generalized_force", meaning="control tau, held from this sample to the next"),

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -24,20 +24,6 @@ class MissingWarning(UserWarning):
     """A section of a page has no content, since a block of the run's loop fails."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Magnitude:
-    """The largest values of the coordinates of one group and unit; NaN if the record has
-    none.
-    """
-
-    group: str
-    unit: str  # "rad" or "m"
-    peak_error: float
-    final_error: float
-    peak_effort: float  # N m or N, commanded
-    peak_applied: float  # N m or N, applied by the actuators
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Result:
     """One run: name, status, verdict and figures; NaN if the record lacks what a figure
@@ -51,7 +37,9 @@ class Result:
     verdict: str  # one sentence
     itae: float
     isv: float
-    magnitudes: tuple[Magnitude, ...]
+    # group and unit ("rad" or "m") of some coordinates -> their largest values: peak_error,
+    # final_error, peak_effort (N m or N, commanded), peak_applied (by the actuators)
+    magnitudes: Mapping[tuple[str, str], Mapping[str, float]]
 
     @property
     def comparable(self) -> bool:
@@ -118,7 +106,6 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
             record.dataset["time"].values[:-1], tracked_of(record.dataset).error[:-1], period
         )
     cost = math.nan if effort is None else isv(effort[:-1], period)
-    magnitudes = tuple(_magnitudes(record, error, effort))
     return Result(
         record=record,
         label=label,
@@ -127,29 +114,31 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
         verdict=record.ending.sentence,
         itae=accuracy,
         isv=cost,
-        magnitudes=magnitudes,
+        magnitudes=_magnitudes(record, error, effort),
     )
 
 
 def _magnitudes(
     record: RunRecord, error: np.ndarray | None, effort: np.ndarray | None
-) -> list[Magnitude]:
+) -> dict[tuple[str, str], dict[str, float]]:
     groups, units = (record.dataset[name].values.astype(str) for name in ("group", "unit"))
+    found = {
+        "peak_error": error,
+        "final_error": None if error is None else error[-1],
+        "peak_effort": effort,
+        "peak_applied": values_of(record, "applied_force"),
+    }
 
     def largest(values: np.ndarray | None, members: np.ndarray) -> float:
         return math.nan if values is None else float(np.abs(values[..., members]).max())
 
-    magnitudes = []
-    for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True)):
-        members = (groups == group) & (units == unit)
-        values = (
-            error,
-            None if error is None else error[-1],
-            effort,
-            values_of(record, "applied_force"),
-        )
-        magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
-    return magnitudes
+    return {
+        (group, unit): {
+            name: largest(values, (groups == group) & (units == unit))
+            for name, values in found.items()
+        }
+        for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True))
+    }
 
 
 def attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:

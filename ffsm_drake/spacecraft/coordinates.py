@@ -18,6 +18,7 @@ from ffsm_drake.common.so3 import (
     rotation_error_rate,
     rotation_error_rates,
     rotation_errors,
+    times_conjugate,
 )
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
@@ -255,18 +256,8 @@ def tracking_errors(
 
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
-    dw, dx, dy, dz = q_d[:, :4].T
-    w, x, y, z = q[:, :4].T
-    # The product quaternion_d * conjugate(quaternion), for the shorter rotation.
-    ew = dw * w + dx * x + dy * y + dz * z
-    axis = np.stack(
-        [
-            dx * w - dw * x - dy * z + dz * y,
-            dy * w - dw * y - dz * x + dx * z,
-            dz * w - dw * z - dx * y + dy * x,
-        ],
-        axis=1,
-    )
+    ew, *vector = times_conjugate(q_d[:, :4].T, q[:, :4].T)
+    axis = np.stack(vector, axis=1)  # of the shorter rotation
     sine = np.sqrt((axis * axis).sum(axis=1))
     angle = np.where(ew < 0.0, -2.0, 2.0) * np.arctan2(sine, np.abs(ew))
     factor = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)

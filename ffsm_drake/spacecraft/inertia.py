@@ -3,12 +3,13 @@
 import numpy as np
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
 
-_ROWS, _COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]  # indices of Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+# Indices of Ixx, Iyy, Izz, Ixy, Ixz, Iyz in a matrix.
+SIX = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 
 
 def rotational_inertia(matrix: np.ndarray) -> RotationalInertia:
     """The inertia of a symmetric matrix (3, 3), kg m^2. Raises RuntimeError: it is not physical."""
-    return RotationalInertia(*matrix[_ROWS, _COLUMNS])
+    return RotationalInertia(*matrix[SIX])
 
 
 def spatial_inertia_about(mass: float, center: np.ndarray, matrix: np.ndarray) -> SpatialInertia:

@@ -17,11 +17,15 @@ from ffsm_drake.scenario import Reference, Shaper
 Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
+def _share(time: np.ndarray | float, duration: float) -> np.ndarray:
+    return np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+
+
 def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
     """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside
     [0, duration].
     """
-    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    x = _share(time, duration)
     return (
         x * x * x * (10.0 + x * (6.0 * x - 15.0)),
         30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
@@ -35,7 +39,7 @@ def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
     g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, zero acceleration at both ends; constant
     outside [0, T].
     """
-    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    x = _share(time, duration)
     y = 1.0 - x
     return (
         duration * x * y * y * y * (1.0 + 3.0 * x),
@@ -50,7 +54,7 @@ def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
     Peak speed 2.1875/T, peak acceleration 7.5132/T^2.
     s(x) = x^4 (35 - 84 x + 70 x^2 - 20 x^3), s' = 140 x^3 (1 - x)^3 / T.
     """
-    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    x = _share(time, duration)
     xy = x * (1.0 - x)
     return (
         x * x * x * x * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x))),
@@ -64,7 +68,7 @@ def septic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
 
     g(x) = T x (1 - x)^4 (1 + 4 x + 10 x^2).
     """
-    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    x = _share(time, duration)
     y = 1.0 - x
     return (
         duration * x * y * y * y * y * (1.0 + x * (4.0 + 10.0 * x)),

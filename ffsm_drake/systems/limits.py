@@ -16,10 +16,8 @@ from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.registry import own_actuators, section_parts
 
 # Axes, edges and corners of a cube.
-_DIRECTIONS = np.array(
-    [each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)]
-)
-_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
+DIRECTIONS = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 
 _UNEVEN = 30.0  # ratio of the largest to the least torque, or force; shipped sets: below 10
 
@@ -38,10 +36,10 @@ class BaseLimits:
 
 def base_limits(scenario: Scenario) -> BaseLimits:
     """The limits of a scenario's base actuators. Raises the errors of ``make_actuation``."""
-    torque = helped = force = np.full(len(_DIRECTIONS), np.inf)
+    torque = helped = force = np.full(len(DIRECTIONS), np.inf)
     names = list[str]()
     for part in own_actuators(scenario):
-        most = part.most(scenario, _DIRECTIONS)
+        most = part.most(scenario, DIRECTIONS)
         if most is not None:  # the torque of the last one counts, where it gives any itself
             own = most.get("torque", torque)
             own = np.where(np.isfinite(own), own, torque)
@@ -65,7 +63,7 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
     """
     for part in own_actuators(scenario):
         principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
-        directions = np.vstack([_DIRECTIONS, *(-each for each in principal), *principal])
+        directions = np.vstack([DIRECTIONS, *(-each for each in principal), *principal])
         for what, most in (part.most(scenario, directions) or {}).items():
             finite = np.isfinite(most)
             if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():

@@ -180,7 +180,7 @@ class Metric(_Named):
       'coils_force'
     """
 
-    of: Callable[[Any], Any]  # of a View; of the core's own, see ``runs.metrics.METRICS``
+    of: Callable[[Any], Any]  # reads a View; the core's own read a ``Tracking``
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

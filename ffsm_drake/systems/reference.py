@@ -38,7 +38,7 @@ from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.setup import BlockSetup
 
-# What the record holds of its ports.
+# Variables of the record.
 SIGNALS = (
     *state_signals("desired_state", "desired_", "reference q_d", "reference v_d"),
     Signal(

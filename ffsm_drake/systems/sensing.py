@@ -50,7 +50,7 @@ from ffsm_drake.systems.part import Part, state_signals
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 from ffsm_drake.systems.side_by_side import SideBySide
 
-# What the record holds of its port.
+# Variables of the record.
 SIGNALS = state_signals(
     "measurement", "measured_", "measured q, read by the controller",
     "measured v, read by the controller", "1",

@@ -18,12 +18,13 @@ from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.so3 import skew
 from ffsm_drake.scenario import MassProperties, inertia_matrix
+from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import find_body
 from ffsm_drake.systems.setup import BlockSetup
 
 SIZE = 10  # parameters
-_I, _J = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # entries of I
+_I, _J = SIX
 
 
 def parameters_of(properties: MassProperties) -> np.ndarray:

@@ -17,7 +17,7 @@ from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.limits import DIRECTIONS, actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 
@@ -111,9 +111,7 @@ def _ways(away: np.ndarray) -> Iterator[np.ndarray]:
 
 def outwards(away: np.ndarray) -> np.ndarray:
     """Directions (26, 3) to the faces, edges and corners of a cube, those along ``away`` first."""
-    cube = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
-    cube /= np.linalg.norm(cube, axis=1)[:, None]
-    first: np.ndarray = cube[np.argsort(-(cube @ away), kind="stable")]
+    first: np.ndarray = DIRECTIONS[np.argsort(-(DIRECTIONS @ away), kind="stable")]
     return first
 
 

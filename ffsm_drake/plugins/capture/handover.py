@@ -16,6 +16,7 @@ from ffsm_drake.plugins.capture.contact import (
 )
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.scenario import Capture, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, hand_frame
@@ -118,11 +119,10 @@ def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassPropertie
     """The mass properties of a body in frame P, in another frame Q of it."""
     R = X_QP.rotation().matrix()
     inertia = R @ inertia_matrix(properties) @ R.T
-    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     return MassProperties(
         mass=properties.mass,
         center_of_mass=(X_QP @ np.array(properties.center_of_mass)).tolist(),
-        inertia=inertia[rows, columns].tolist(),
+        inertia=inertia[SIX].tolist(),
     )
 
 

@@ -29,6 +29,7 @@ from ffsm_drake.plugins.generated.vectors import (
     times,
     transposed,
 )
+from ffsm_drake.spacecraft.inertia import SIX
 
 
 def derivative(
@@ -341,9 +342,8 @@ def _moved(row: Sequence[Any], pose: _Pose) -> Vector:
         [turning[i][j] - (mixed[i][j] + mixed[j][i]) - mass * square[i][j] for j in range(3)]
         for i in range(3)
     ]
-    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     center = plus(moment, scaled(mass, pose.place))
-    return [mass, *center, *(shifted[i][j] for i, j in places)]
+    return [mass, *center, *(shifted[i][j] for i, j in zip(*SIX, strict=True))]
 
 
 def solved(matrix: Matrix, right: Sequence[Any]) -> Vector:

@@ -18,6 +18,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context
 
 from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.spacecraft.inertia import SIX
 
 _INERTIA = 10  # parameters of a body: mass, mass times centre of mass, inertia xx yy zz xy xz yz
 _JOINT = 3  # parameters of a joint: damping, reflected inertia of its rotor, stiffness
@@ -204,5 +205,4 @@ def _inertia(
     if mass == 0.0:
         return np.zeros(_INERTIA)
     about = whole.CalcRotationalInertia().CopyToFullMatrix3()
-    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    return np.concatenate([[mass], mass * whole.get_com(), about[rows, columns]])
+    return np.concatenate([[mass], mass * whole.get_com(), about[SIX]])

@@ -21,7 +21,7 @@ from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.products import matrix_vector
-from ffsm_drake.common.so3 import skew
+from ffsm_drake.common.so3 import quaternion_rate, skew
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
@@ -165,17 +165,7 @@ def linearized(
 
 def moved(q: np.ndarray, change: np.ndarray) -> np.ndarray:
     """q (nq) changed by a small rotation vector change[:3], world axes, and by change[3:]."""
-    w, x, y, z = q[:4]
-    a, b, c = 0.5 * change[:3]
-    turn = np.array(
-        [
-            -a * x - b * y - c * z,
-            a * w + b * z - c * y,
-            b * w + c * x - a * z,
-            c * w + a * y - b * x,
-        ]
-    )
-    turned = q[:4] + turn
+    turned = q[:4] + quaternion_rate(q[:4], change[:3])
     return np.concatenate([turned / np.linalg.norm(turned), q[4:] + change[3:]])
 
 

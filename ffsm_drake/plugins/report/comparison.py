@@ -60,9 +60,7 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
                 [Cell(number(distance, 3)) for distance in distances],
             )
         )
-    kinds = list(
-        dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes)
-    )
+    kinds = list(dict.fromkeys(kind for result in results for kind in result.magnitudes))
     groups = [group for group, _ in kinds]
     shares = [saturation(result.record) for result in results]
     untracked = _untracked(results)
@@ -73,7 +71,8 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
                 if groups.count(group) > 1
                 else ""
             )
-            cells = [Cell(number(_magnitude(result, group, unit, field))) for result in results]
+            found = [result.magnitudes.get((group, unit), {}) for result in results]
+            cells = [Cell(number(each.get(field))) for each in found]
             is_force = field in ("peak_effort", "peak_applied")
             shown = EFFORT_UNITS.get(unit, unit) if is_force else unit
             kind += ", not tracked" if group in untracked and not is_force else ""
@@ -106,7 +105,7 @@ def _untracked(results: Sequence[Result]) -> set[str]:
     """Groups whose errors no run is judged by: nothing drives them, or a frame is tracked in their
     place.
     """
-    groups = {part.group for result in results for part in result.magnitudes}
+    groups = {group for result in results for group, _ in result.magnitudes}
     for data in (result.record.dataset for result in results):
         if "error" not in data:
             continue
@@ -151,15 +150,6 @@ def _by_moment(
                 Row((name or key.rpartition("_")[2]).capitalize(), cells, unit=unit, head=head)
             )
     return rows
-
-
-def _magnitude(result: Result, group: str, unit: str, field: str) -> float:
-    found = [
-        getattr(part, field)
-        for part in result.magnitudes
-        if (part.group, part.unit) == (group, unit)
-    ]
-    return float(found[0]) if found else math.nan
 
 
 def _part_rows(results: Sequence[Result]) -> list[Row]:

@@ -127,7 +127,7 @@ class Linearizer:
         for block in self.loop.blocks.values():
             context = block.GetMyMutableContextFromRoot(self._context)
             for port in map(block.GetInputPort, filter(block.HasInputPort, FROM_ACTUATORS)):
-                if not port.HasValue(context):  # of actuators that stand for ideal ones here
+                if not port.HasValue(context):  # the actuators are ideal here
                     port.FixValue(context, np.zeros(port.size()))
         self.loop.set_blocks(self._context, self._plant.known())
 

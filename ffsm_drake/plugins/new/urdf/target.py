@@ -21,6 +21,7 @@ from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.formats.building import add_link, add_visual, text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.checked_urdf import Faults, require
+from ffsm_drake.spacecraft.inertia import SIX
 
 GRASP, SECOND = "grasp", "grasp_2"
 _DENSITY, _MOST_DENSE = 100.0, 1000.0  # kg/m^3, of a cube whose side is not given
@@ -115,9 +116,7 @@ def read_target(path: Path, packages: Mapping[str, Path] | None = None) -> Targe
             second=SECOND if SECOND in frames else None,
             mass=sum(masses.values()),
             center_of_mass=tuple(center.tolist()),
-            inertia=tuple(
-                float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-            ),
+            inertia=tuple(tensor[SIX].tolist()),
             root=root,
             header=header,
             remarks=tuple(remarks),
