@@ -15,6 +15,7 @@ from ffsm_drake.plugins.design.gains import design
 from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.runs.ending import Ending, Outcome
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import Phase
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import compare, simulate, simulate_many
@@ -39,6 +40,7 @@ __all__ = [
     "ModelError",
     "Outcome",
     "Part",
+    "Phase",
     "PlantModel",
     "RecordError",
     "Rollout",

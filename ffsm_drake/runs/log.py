@@ -30,90 +30,25 @@ from ffsm_drake.systems.part import (
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class GraspLog:
-    """The grasp in numbers, and the target before it; world axes, SI units."""
+    """The target before a run's grasp; world axes, SI units."""
 
     sample: int  # index of the first sample of the run at which the target is held
-    contact: Contact | None  # None: the run ended before
     # true mass properties of the target in frame P, where the model welds the payload body
     payload: MassProperties
     # legs before the grasp, in the order of the samples: name, number of samples
-    legs: tuple[tuple[str, int], ...] = ()  # none: "approach" alone
+    legs: tuple[tuple[str, int], ...] = ()
     # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
     target: np.ndarray
-    # (6) the target's pose error from P at the grasp: rotation vector, position
-    offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (6) of the target from the hand, at its origin: angular velocity, velocity
-    mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (3) momentum stored in the actuators, N m s; the grasp does not change it
-    stored: np.ndarray | None = None
+    contact: Contact | None = None  # None: the run ended before
 
     @property
     def phases(self) -> list[str]:
         """The leg of each sample before the grasp."""
-        legs = self.legs or (("approach", self.sample),)
-        return [name for name, samples in legs for _ in range(samples)]
+        return [name for name, samples in self.legs for _ in range(samples)]
 
     def ledger(self, time: np.ndarray, coordinates: Coordinates) -> dict[str, Any] | None:
         """The grasp in plain numbers, where there was one; ``time`` (n; s) are the samples."""
-        if self.contact is None:
-            return None
-        contact, grasp, compliant = self.contact, self.contact.grasp, self.contact.compliant
-        known = contact.split.known_velocities
-        named = zip(coordinates.names, known(grasp.brake_impulse).tolist(), strict=True)
-        return {
-            "time": float(time[self.sample]),
-            "impulse": contact.impulse[3:].tolist(),  # on the target, N s
-            "angular_impulse": contact.impulse[:3].tolist(),  # about the hand, N m s
-            # by joint, N m s or N s
-            "brake_impulse": {name: impulse for name, impulse in named if impulse != 0.0},
-            "before": self._side(
-                coordinates,
-                momentum=contact.momentum_before,
-                spin=contact.spin_before,
-                energy=grasp.energy_before,
-                velocity=known(contact.velocity),
-            ),
-            "after": self._side(
-                coordinates,
-                momentum=contact.momentum_after,
-                spin=contact.spin_after,
-                energy=grasp.energy_after,
-                velocity=known(grasp.velocity),
-            ),
-            # angular momentum stored by actuators in the base, N m s
-            **({} if self.stored is None else {"stored_momentum": self.stored.tolist()}),
-            "compliant": {} if compliant is None else {
-                "peak_force": compliant.peak_force,  # N
-                "peak_torque": compliant.peak_torque,  # N m
-                "peak_stretch": compliant.peak_stretch,  # m
-                "time": compliant.time,  # s
-            },
-            "miss": {
-                "position": float(np.linalg.norm(self.offset[3:])),  # m
-                "angle": float(np.linalg.norm(self.offset[:3])),  # rad
-                "velocity": float(np.linalg.norm(self.mismatch[3:])),  # m/s
-                "angular_velocity": float(np.linalg.norm(self.mismatch[:3])),  # rad/s
-            },
-        }  # fmt: skip
-
-    def _side(
-        self,
-        coordinates: Coordinates,
-        *,
-        momentum: np.ndarray,
-        spin: np.ndarray,
-        energy: float,
-        velocity: np.ndarray,
-    ) -> dict[str, Any]:
-        """Servicer and target together, and the servicer's velocity, on one side of the grasp."""
-        return {
-            "linear_momentum": momentum[3:].tolist(),  # N s
-            # momentum of the bodies, without that stored in actuators, N m s
-            "angular_momentum": momentum[:3].tolist(),  # about the origin
-            "spin": spin.tolist(),  # about the centre of mass
-            "kinetic_energy": energy,  # J
-            "velocity": dict(zip(coordinates.names, velocity.tolist(), strict=True)),
-        }
+        return None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

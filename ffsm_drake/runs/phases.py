@@ -1,16 +1,17 @@
 """Phases of a mission as data, and the runner that goes through them with one log.
 
-A phase gives the loop (reference, held bodies, law), the state at its start, the sample at its end
-and the next phase. Runs side by side go through the same phases.
+A phase says how its loop differs from the mission's (target in the gripper or not, plan, motion,
+blocks such as the law), where it ends and what comes next. The runner builds the loop, or takes one
+that is kept. Runs side by side go through the same phases.
 """
 
 import dataclasses
+import functools
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, Diagram
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -18,6 +19,10 @@ from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import reference_from
+from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.setup import BlockSetup
 
 Begin = Callable[[ClosedLoop, Context], None]
 Progress = Callable[[float, float], None]
@@ -25,14 +30,28 @@ Progress = Callable[[float, float], None]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Phase:
-    """A part of a mission that one loop runs through."""
+    """A part of a mission that one loop runs through.
 
-    loop: Rollout
+    A factory of ``blocks.phases`` returns one with ``motion``, from the phase's begin on, and
+    perhaps ``blocks``.
+
+    Example:
+      >>> from ffsm_drake import Phase
+      >>> Phase(names=(("stop", None),), holds=True).holds
+      True
+    """
+
     # names of its samples in the record, in turn, with the sample before which each ends; None: the
     # end of the run
-    names: tuple[tuple[str, int | None], ...]
-    begin: Begin  # sets the initialized loop to where the phase begins
-    scenarios: Sequence[Scenario] | None = None  # scenarios of the loop; None: those of its build
+    names: tuple[tuple[str, int | None], ...] = ()
+    holds: bool = False  # whether the target is in the gripper
+    scenario: Scenario | None = None  # its plan; None: the mission's
+    motion: PlannedMotion | None = None  # desired, by the run's time; None: that of the plan
+    # in place of the mission's: block -> factory
+    blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
+    joint_force: np.ndarray | None = None  # see ``add_closed_loop``
+    afresh: tuple[str, ...] = ()  # blocks that do not continue those of the phase before
+    begin: Begin = lambda loop, context: None  # further changes of its loop where it begins
     next: Callable[[], "Phase | None"] = lambda: None  # called where not all runs have ended
 
 
@@ -45,10 +64,26 @@ class Mission:
 
     before: ClosedLoop
     context: Context
+    loop: ClosedLoop  # of the present phase
 
-    def __init__(self, scenarios: Sequence[Scenario], progress: Progress | None = None) -> None:
-        """Args: scenario of each run, as its log shall have it; progress, see ``Rollout.run``."""
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        progress: Progress | None = None,
+        *,
+        make: Callable[..., Rollout] = Rollout,
+        blocks: Mapping[str, Factory] | None = None,
+        kept: Mapping[bool, Rollout | None] | None = None,
+    ) -> None:
+        """Args:
+        scenarios: scenario of each run, as its log shall have it.
+        progress: see ``Rollout.run``.
+        make: makes the loop of a phase, ``Rollout`` with further arguments.
+        blocks: factories that replace the scenarios' blocks.
+        kept: by ``holds``, loops of phases that differ in nothing else.
+        """
         self._scenarios, self._progress = list(scenarios), progress
+        self._make, self._blocks, self._kept = make, blocks or {}, kept or {}
         self._start, self.sample = time.perf_counter(), 0
         self._names: list[tuple[str, int]] = []  # phases with an end, and the sample after it
         self.logs: list[list[RunLog]] = [[] for _ in scenarios]
@@ -77,23 +112,35 @@ class Mission:
         copies = range(len(self.logs))
         return [None if copy in self._lost else self._joined(copy) for copy in copies]
 
-    def _loop(self, scenario: Scenario, **how: Any) -> Rollout:
-        """A loop, released at the end of the run; arguments: see ``Rollout``."""
-        self._own.append(Rollout(scenario, **how))
+    def _loop_of(self, phase: Phase, scenarios: list[Scenario]) -> Rollout:
+        """The loop of a phase; a new one is released at the end of the run."""
+        own: dict[str, Factory] = {}
+        if phase.motion is not None:
+            own["reference"] = functools.partial(_along, phase.motion)
+        own |= phase.blocks
+        if (kept := self._kept.get(phase.holds)) and not own and phase.scenario is None:
+            return kept
+        blocks = {**self._blocks, **own}
+        self._own.append(self._make(scenarios, blocks=blocks, joint_force=phase.joint_force))
         return self._own[-1]
 
-    def go_on(self, loop: ClosedLoop, root_context: Context, *afresh: str) -> None:
-        """Put a loop, but for the blocks ``afresh``, where the last phase ended."""
-        loop.set_whole_states(root_context, self.before.whole_states(self.context))
-        loop.resume(root_context, self.before, self.context, afresh=afresh)
+    def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
+        """Put a phase's loop where the phase begins: where the last one ended."""
+        if self.sample > 0:
+            loop.set_whole_states(root_context, self.before.whole_states(self.context))
+            loop.resume(root_context, self.before, self.context, afresh=phase.afresh)
+        phase.begin(loop, root_context)
 
     def _through(self, phase: Phase) -> Sequence[RunLog | None]:
-        last = phase.names[-1][1]
-        leg = Leg(first=self.sample, last=last, begin=phase.begin, end=self._keep)
-        given = phase.scenarios
+        plans = self._scenarios if phase.scenario is None else [phase.scenario]
+        scenarios = [dataclasses.replace(each, holds=phase.holds) for each in plans]
+        loop = self._loop_of(phase, scenarios)
+        self.loop = loop.loop
+        begin = functools.partial(self.begin, phase)
+        leg = Leg(first=self.sample, last=phase.names[-1][1], begin=begin, end=self._keep)
         if len(self.logs) > 1:
-            return phase.loop.run_all(given, leg=leg, without=self.ended)
-        return [phase.loop.run(given[0] if given else None, progress=self._progress, leg=leg)]
+            return loop.run_all(scenarios, leg=leg, without=self.ended)
+        return [loop.run(scenarios[0], progress=self._progress, leg=leg)]
 
     def _keep(self, loop: ClosedLoop, root_context: Context) -> None:
         self.before, self.context = loop, root_context
@@ -152,3 +199,8 @@ class Mission:
                 legs.append((name, count))
                 first += count
         return tuple(legs)
+
+
+def _along(motion: PlannedMotion, setup: BlockSetup) -> Diagram:
+    """The reference of a motion."""
+    return reference_from([motion], [], setup.coordinates, sample_time=setup.sample_time)

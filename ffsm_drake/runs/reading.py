@@ -59,8 +59,6 @@ _FINITE = [name for name in _REQUIRED if not name.startswith("measured")]
 _STATE = ("position", "velocity")
 _OF_FRAME = {"frame_error": True, "frame_prescribed": False, "frame_tracked": False}  # along time
 _OF_TARGET = {"target_position": "axis", "target_quaternion": "quaternion"}
-# further tries are numbered; the target is held from "stop" on
-_PHASE = re.compile(r"(approach|closing|retreat)(_\d+)?|stop")
 _NORM_TOLERANCE = 0.5  # quaternion norm: coarse integration causes a remark, not an error
 
 _VECTOR = tuple[float, float, float]
@@ -330,15 +328,15 @@ def _of_times(dataset: "xr.Dataset", scenario: Scenario, outcome: Outcome) -> It
 
 
 def _of_phases(dataset: "xr.Dataset") -> Iterator[str]:
-    """The approach before the stop, and the target's pose."""
+    """The phases, the stop last, and the target's pose."""
     if "phase" not in dataset.variables:
         return
     column = dataset.variables["phase"]
     phases = column.values.tolist()
-    held = [phase == "stop" for phase in phases]
-    known = all(isinstance(phase, str) and _PHASE.fullmatch(phase) for phase in phases)
+    held = [phase == "stop" for phase in phases]  # the target is held from then on
+    known = all(isinstance(phase, str) and phase.isidentifier() for phase in phases)
     if column.dims != ("time",) or not known or held != sorted(held):
-        yield "phase must be approach, closing or retreat, and then stop, along time"
+        yield "phase must be the phases' names, and stop to the end, along time"
     for name, along in _OF_TARGET.items():
         if name not in dataset or dataset[name].dims != ("time", along):
             yield f"{name} must hold numbers along time, {along}"

@@ -11,13 +11,10 @@ from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import (
-    Demultiplexer,
     LogVectorOutput,
     Multiplexer,
-    TrajectorySource,
     VectorLogSink,
 )
-from pydrake.trajectories import PiecewisePolynomial
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError
 from ffsm_drake.common.files import same_folder
@@ -33,7 +30,7 @@ from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
 from ffsm_drake.spacecraft.dynamics import Dynamics
-from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
+from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.part import signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
@@ -81,7 +78,7 @@ class Rollout:
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
-        target: np.ndarray | None = None,
+        show: Callable[[DiagramBuilder, ClosedLoop], None] | None = None,
         joint_force: np.ndarray | None = None,
         dynamics: Dynamics | None = None,
     ) -> None:
@@ -91,7 +88,7 @@ class Rollout:
           scenario: the scenario to build; several are for ``run_all``.
           blocks: factories that replace its blocks, see ``add_closed_loop``.
           meshcat: shows the motion.
-          target: pose of a free target to show (n, 7; quaternion, position) at the control samples.
+          show: adds the scene graph, and what moves its bodies; default: those of the plant.
           joint_force: see ``add_closed_loop``.
           dynamics: likewise.
         """
@@ -101,7 +98,7 @@ class Rollout:
         scenario = scenarios[0]
         plant = (
             None
-            if meshcat is None or target is not None
+            if meshcat is None or show is not None
             else add_combined_plant(builder, scenario.model, flexible=True)
         )
         loop = add_closed_loop(
@@ -112,8 +109,8 @@ class Rollout:
             joint_force=joint_force,
             dynamics=dynamics,
         )
-        if meshcat is not None and target is not None:
-            _show_apart(builder, loop, target)
+        if show is not None:
+            show(builder, loop)
         self._logger, self._rows = _add_logger(builder, loop)
         if meshcat is not None:
             visualizer = MeshcatVisualizer.AddToBuilder(
@@ -475,24 +472,6 @@ def _outcome(
     if interrupted:
         return Outcome(status=INTERRUPTED, time=time, message=f"interrupted at t = {time:.2f} s")
     return Outcome(status=COMPLETED, time=time, message=f"completed {time:g} s")
-
-
-def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -> None:
-    """Show the spacecraft and a free target, whose poses are given (n, 7)."""
-    scenario, plant = loop.scenario, loop.plant
-    poses = add_pictures_apart(builder, scenario.model, scenario.payload.body)
-    parts = builder.AddNamedSystem(
-        "shown_state", Demultiplexer([plant.num_positions(), plant.num_velocities()])
-    )
-    times = scenario.sample_time * np.arange(len(target))
-    path = builder.AddNamedSystem(
-        "shown_target", TrajectorySource(PiecewisePolynomial.FirstOrderHold(times, target.T))
-    )
-    both = builder.AddNamedSystem("shown", Multiplexer([plant.num_positions(), target.shape[1]]))
-    builder.Connect(plant.get_state_output_port(), parts.get_input_port())
-    builder.Connect(parts.get_output_port(0), both.get_input_port(0))
-    builder.Connect(path.get_output_port(), both.get_input_port(1))
-    builder.Connect(both.get_output_port(), poses.get_input_port())
 
 
 def user_supplied(

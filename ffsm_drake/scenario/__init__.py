@@ -62,7 +62,6 @@ from ffsm_drake.scenario.resolving import as_dict, build_settings, schema_fields
 from ffsm_drake.scenario.schema import (
     Scenario,
     controller_key,
-    from_grasp,
     planned_part,
 )
 from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
@@ -125,7 +124,6 @@ __all__ = [
     "Thrusters",
     "Wheel",
     "Wheels",
-    "from_grasp",
     "kind_of",
     "inertia_matrix",
     "planned_part",

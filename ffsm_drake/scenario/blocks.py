@@ -3,8 +3,13 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ffsm_drake.common.settings import Problems
-from ffsm_drake.scenario.fields import identifier_problems, name_problems, unitless
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import (
+    identifier_problems,
+    name_problems,
+    sample_problems,
+    unitless,
+)
 
 
 @dataclass
@@ -29,6 +34,24 @@ class Block:
 
 
 @dataclass
+class OwnPhase(Block):
+    """A phase of a mission before its approach; a text stands for ``{system: text}``."""
+
+    system: str = unitless(
+        "",
+        "factory (BlockSetup -> Phase): module:attribute, or the name of an installed one",
+    )
+    duration: float = setting(10.0, "s", "duration; a whole number of control samples", above=0)
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Check the name, for whole samples, and for an approach."""
+        yield from super().check(key, scenario)
+        yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
+        if scenario.approach is None:
+            yield key, "comes before an approach; give capture.approach"
+
+
+@dataclass
 class Blocks:
     """User-supplied blocks, which replace the scenario's sections of the same names or add to
     them.
@@ -48,18 +71,24 @@ class Blocks:
         "scenario's sections of those names, any other name adds a force",
     )
 
+    phases: dict[str, OwnPhase] = unitless(
+        {}, "phases of the mission by name, in turn before the approach"
+    )
+
     def choices(self) -> dict[str, Block]:
         """The blocks that are filled here in place of their own section, by name."""
         named = {name: getattr(self, name) for name in ("reference", "actuation")}
         for name, stage in self.sensing.items():  # one called sensing replaces the section
             named[name if name == "sensing" else f"sensing.{name}"] = stage
         named |= {f"forces.{name}": block for name, block in self.forces.items()}
+        named |= {f"phases.{name}": phase for name, phase in self.phases.items()}
         return {name: block for name, block in named.items() if block is not None}
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that the names are valid in the diagram."""
         yield from identifier_problems(f"{key}.forces", self.forces, "a force's")
         yield from identifier_problems(f"{key}.sensing", self.sensing, "a stage's")
+        yield from identifier_problems(f"{key}.phases", self.phases, "a phase's")
 
 
 def kind_of(name: str) -> str:

@@ -10,6 +10,7 @@ from ffsm_drake.scenario.fields import (
     ZERO,
     PerCoordinate,
     choice_of,
+    sample_problems,
     undriven_problems,
     unitless,
     vector_in,
@@ -27,7 +28,7 @@ class Approach:
     duration: float = setting(
         20.0,
         "s",
-        "time from the start of the run to the grasp; a whole number of control samples",
+        "time from the start of the approach to the grasp; a whole number of control samples",
         above=0,
     )
     posture: Posture = unitless(Posture(), "initial posture of the servicer, at rest")
@@ -60,14 +61,8 @@ class Approach:
             yield key, "needs every coordinate driven (actuation.driven); leave it out"
         if scenario.reference.frame is not None:
             yield key, "needs reference.frame: null; leave one of them out"
-        samples = self.duration / scenario.sample_time
-        if samples < 0.5 or abs(samples - round(samples)) >= 1e-6:
-            yield (
-                f"{key}.duration",
-                f"must be a whole number of control samples of {scenario.sample_time:g} s, not "
-                f"{self.duration:g} s",
-            )
-        if self.duration > scenario.duration - scenario.sample_time:
+        yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
+        if scenario.grasp_time > scenario.duration - scenario.sample_time:
             yield (
                 f"{key}.duration",
                 f"must leave time for the stop: the run ends at {scenario.duration:g} s; lengthen "
@@ -143,13 +138,8 @@ class Closing:
         approach = scenario.capture.approach
         if approach is None or self.duration >= approach.duration:
             yield key, "needs a capture.approach that lasts longer than time and hold together"
-        samples = self.duration / scenario.sample_time
-        if abs(samples - round(samples)) >= 1e-6:
-            yield (
-                key,
-                f"time and hold together must be whole control samples of "
-                f"{scenario.sample_time:g} s, not {self.duration:g} s",
-            )
+        for _, problem in sample_problems(self.duration, scenario.sample_time, key):
+            yield key, f"time and hold together {problem}"
         if not any(self.axis):
             yield f"{key}.axis", "must not be zero"
 

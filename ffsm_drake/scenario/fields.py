@@ -65,6 +65,14 @@ def identifier_problems(key: str, names: Iterable[str], whose: str) -> Problems:
             yield f"{key}.{name}", f"{whose} name must be letters, digits and underscores"
 
 
+def sample_problems(duration: float, sample_time: float, key: str) -> Problems:
+    """A problem with a duration that is not a whole number of control samples, s."""
+    samples = duration / sample_time
+    if samples < 0.5 or abs(samples - round(samples)) >= 1e-6:
+        whole = f"must be a whole number of control samples of {sample_time:g} s"
+        yield key, f"{whole}, not {duration:g} s"
+
+
 def undriven_problems(name: str, key: str, undriven: Collection[str]) -> Problems:
     """Problems with the name of an undriven base coordinate."""
     if name not in undriven:

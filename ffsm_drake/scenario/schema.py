@@ -257,7 +257,10 @@ class Scenario:
     @property
     def grasp_time(self) -> float:
         """Time of the grasp, s; 0 for a target held from the start."""
-        return 0.0 if self.approach is None else self.approach.duration
+        if self.approach is None:
+            return 0.0
+        before = (each.duration for each in self.blocks.phases.values())
+        return sum(before, self.approach.duration)
 
     @property
     def approach(self) -> Approach | None:
@@ -288,14 +291,6 @@ class Scenario:
         return next(
             (self.tolerance[name] for name in (*names, "all") if name in self.tolerance), 1e-3
         )
-
-
-def from_grasp(scenario: Scenario) -> Scenario:
-    """The scenario from the grasp on, without an approach; unchanged if it has no capture."""
-    if scenario.capture is None or scenario.approach is None:
-        return scenario
-    held = replace(scenario.capture, approach=None, closing=None, retreat=None, measured=None)
-    return replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
 
 
 # Settings without influence on a planned motion with the nominal payload.

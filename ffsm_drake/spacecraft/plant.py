@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role, SceneGraph
+from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.common.plugins import service
@@ -80,7 +79,7 @@ def add_combined_plant(
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     plant.set_name("plant")
     scene_graph.set_name("scene_graph")
-    _load(plant, model, apart=apart, flexible=flexible)
+    load_model(plant, model, apart=apart, flexible=flexible)
     if flexible and model.flexible:
         flexible_parts().draw_on_plates(plant, scene_graph, model)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
@@ -89,32 +88,6 @@ def add_combined_plant(
     )
     scene_graph.collision_filter_manager().Apply(nothing_touches)
     return plant
-
-
-def add_pictures_apart(
-    builder: DiagramBuilder, model: Model, body: str
-) -> MultibodyPositionToGeometryPose:
-    """Add a scene graph of the model with one free body (scoped name), and a system that poses it.
-
-    Returns: the system; its input is the spacecraft's configuration, then the body's pose
-    (quaternion, position).
-
-    Raises:
-      ModelError: as ``add_combined_plant``.
-    """
-    scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
-    plant = MultibodyPlant(time_step=0.0)
-    plant.RegisterAsSourceForSceneGraph(scene_graph)
-    _load(plant, model, apart=body, flexible=True)
-    if model.flexible:
-        flexible_parts().draw_on_plates(plant, scene_graph, model)
-    poses: MultibodyPositionToGeometryPose = builder.AddNamedSystem(
-        "poses", MultibodyPositionToGeometryPose(plant)
-    )
-    builder.Connect(
-        poses.get_output_port(), scene_graph.get_source_pose_port(plant.get_source_id())
-    )
-    return poses
 
 
 def flexible_parts() -> Any:
@@ -156,7 +129,7 @@ def make_plant(
     ``copy_0::servicer`` and so on; q and v hold copy after copy (``spacecraft.copies``).
     """
     plant = MultibodyPlant(time_step=0.0)
-    _load(plant, model, flexible=flexible, copies=copies, jointless=jointless)
+    load_model(plant, model, flexible=flexible, copies=copies, jointless=jointless)
     return plant
 
 
@@ -165,7 +138,7 @@ def copy_instance(copy: int, name: str) -> str:
     return f"copy_{copy}::{name}"
 
 
-def _load(
+def load_model(
     plant: MultibodyPlant,
     model: Model,
     *,

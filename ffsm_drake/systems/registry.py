@@ -77,6 +77,7 @@ ENTRY_POINT_GROUPS = {
     "controller": "ffsm_drake.controllers",
     "actuation": "ffsm_drake.actuation",
     "forces": "ffsm_drake.forces",
+    "phases": "ffsm_drake.phases",
 }
 
 

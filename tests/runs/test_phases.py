@@ -10,41 +10,27 @@ from ffsm_drake.runs.ending import DIVERGED
 from ffsm_drake.runs.phases import Mission, Phase
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario, override_scenario
+from ffsm_drake.systems.controllers import controller_factory
 
 SCENARIO = load_scenario("postcapture", ["duration=0.6", "reference.duration=10"])
 
 
-@pytest.fixture(name="loops")
-def _loops():
-    loops = [Rollout(SCENARIO) for _ in range(2)]
-    yield loops
-    for loop in loops:
-        loop.release()
-
-
-def _two_phases(loops, scenario=SCENARIO, afresh=()):
+def _two_phases(scenario=SCENARIO, kept=None, **second):
     """A mission that changes loops after 25 samples, and its first phase."""
-    mission = Mission([scenario])
-
-    def second():
-        def begin(loop, context):
-            mission.go_on(loop, context, *afresh)
-
-        return Phase(loop=loops[1], names=(("rest", None),), begin=begin)
-
-    first = Phase(
-        loop=loops[0],
-        names=(("one", 10), ("two", 25)),
-        begin=lambda loop, context: None,
-        scenarios=[scenario],
-        next=second,
-    )
-    return mission, first
+    rest = Phase(names=(("rest", None),), holds=True, **second)
+    names = (("one", 10), ("two", 25))
+    return Mission([scenario], kept=kept), Phase(names=names, holds=True, next=lambda: rest)
 
 
-def test_a_change_of_loops_keeps_the_bits(loops):
-    alone = loops[1].run()
-    mission, first = _two_phases(loops)
+def _of_law(name):
+    return override_scenario(SCENARIO, [f"controller={name}"])
+
+
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_a_change_of_loops_keeps_the_bits(is_kept):
+    loop = Rollout(SCENARIO)
+    alone = loop.run()
+    mission, first = _two_phases(kept={True: loop} if is_kept else None)
     (log,) = mission.run(first)
     assert log.outcome == alone.outcome
     assert np.array_equal(log.time, alone.time)
@@ -52,22 +38,34 @@ def test_a_change_of_loops_keeps_the_bits(loops):
     for name, values in alone.series.items():
         assert np.array_equal(log.series[name], values), name
     assert mission.sample == 25
+    assert bool(loop.accepts(SCENARIO))  # a kept one is not released
+    loop.release()
 
 
-def test_a_run_that_diverges_goes_through_no_further_phase(loops):
+def test_a_run_that_diverges_goes_through_no_further_phase():
     scenario = dataclasses.replace(SCENARIO, divergence_speed=1e-6)
-    mission, first = _two_phases(loops, scenario)
+    mission, first = _two_phases(scenario)
     (log,) = mission.run(first)
     assert log.outcome.status == DIVERGED
     assert len(mission.logs[0]) == 1
     assert log.time[-1] < 0.25
 
 
+def test_nothing_in_the_gripper_is_lighter():
+    """The first force of a law with a model is that of the phase's own payload."""
+    motion = override_scenario(SCENARIO, ["controller=computed_torque"])
+    forces = {}
+    for holds in (True, False):
+        names = (("only", None),)
+        (log,) = Mission([motion]).run(Phase(names=names, holds=holds))
+        forces[holds] = np.abs(log.series["generalized_force"][5:]).max(axis=0)
+    assert (forces[False][6:] < 0.7 * forces[True][6:]).all()
+
+
 @pytest.mark.parametrize("laws", [("tde_aismc", "pd_plus"), ("pd_plus", "tde_aismc")])
 def test_series_of_one_phase_are_nan_in_the_other(laws):
-    scenarios = [override_scenario(SCENARIO, [f"controller={law}"]) for law in laws]
-    loops = [Rollout(scenario) for scenario in scenarios]
-    mission, first = _two_phases(loops, scenarios[0], afresh=("controller",))
+    own = {"controller": controller_factory(_of_law(laws[1]))}
+    mission, first = _two_phases(_of_law(laws[0]), blocks=own, afresh=("controller",))
     (log,) = mission.run(first)
     there = slice(0, 25) if laws[0] == "tde_aismc" else slice(25, None)
     for name in ("sliding_variable", "reaching_gain", "switching_gain"):
@@ -76,5 +74,3 @@ def test_series_of_one_phase_are_nan_in_the_other(laws):
         rest = np.delete(values, there, axis=0)
         assert len(rest) in (25, 36)
         assert np.isnan(rest).all()
-    for loop in loops:
-        loop.release()

@@ -10,7 +10,6 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import from_grasp
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.controllers import gain_vectors
@@ -65,7 +64,7 @@ class Evidence:
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
-        self.scenario = from_grasp(record.scenario)
+        self.scenario = record.scenario
         phases = phases_of(record.dataset)
         if phases and "stop" not in phases:
             raise FfsmError("the run ended before the grasp; there is nothing to analyse")

@@ -21,8 +21,8 @@ from ffsm_drake.plugins.design.stability.boundaries import (
     first_unstable_delay,
     largest_payload,
 )
-from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_yaml
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
+from ffsm_drake.scenario import Scenario, scenario_from_yaml
 from ffsm_drake.systems.reference import timed
 
 RADIUS, PAYLOAD, DELAY = "spectral_radius", "payload_factor", "delay_margin"

@@ -20,7 +20,7 @@ from ffsm_drake.plugins.design.stability.linearization import POSTURES, Lineariz
 from ffsm_drake.plugins.design.stability.load import predicted_load
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.design.stability.rehearsal import rehearse
-from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.reference import timed
 
 POINTS, FEWEST_POINTS = 11, 4  # along each axis; few where there are few cases to compare with
@@ -38,7 +38,6 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     Raises ModelError, ScenarioError or BlockError: a value cannot be used, or a block cannot be
     linearised.
     """
-    scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
         starting, expected = found = _radii(linearizer)
         if (load := predicted_load(linearizer)) is not None:
@@ -51,7 +50,7 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
 
 def expected_radius(scenario: Scenario) -> float:
     """The second value of ``predict`` alone. Raises the same errors."""
-    with Linearizer(from_grasp(scenario)) as linearizer:
+    with Linearizer(scenario) as linearizer:
         return _radii(linearizer)[1]
 
 

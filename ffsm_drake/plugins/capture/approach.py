@@ -10,6 +10,7 @@ import numpy as np
 from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.capture.before import with_phases
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
@@ -119,11 +120,12 @@ def approach_motion(
     scenario: Scenario, model: PlantModel, contact: Contact, posture: Posture
 ) -> PolynomialMotion:
     """The way from the grasp back to a posture, as a function of the time before the grasp."""
+    duration = scenario.approach.duration if scenario.approach else 0.0
     return PolynomialMotion(
         coordinates=model.coordinates,
         start=scenario.initial_posture,
         target=posture,
-        blend=Blend(scenario.reference, scenario.grasp_time, backwards=True),
+        blend=Blend(scenario.reference, duration, backwards=True),
         base_rotation=scenario.reference.base_rotation,
         sample_time=scenario.sample_time,
         velocity=-contact.velocity,
@@ -146,12 +148,13 @@ class Backwards(PlannedMotion):
 
 
 def planned_approach(scenario: Scenario) -> PlannedMotion:
-    """The approach of a scenario; errors as ``approach_posture``."""
+    """The motion of a scenario up to the grasp; errors as ``approach_posture``, ``with_phases``."""
     model = make_nominal_plant(dataclasses.replace(scenario, holds=True))
     motion = approach_motion(
         scenario, model, planned_contact(scenario, model), approach_posture(scenario)
     )
-    return Backwards(motion, sample_time=scenario.sample_time)
+    approach = Backwards(motion, sample_time=scenario.sample_time)
+    return with_phases(scenario, approach) if scenario.blocks.phases else approach
 
 
 def margins_of(

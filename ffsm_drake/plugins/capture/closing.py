@@ -6,7 +6,7 @@ Each phase has a loop of its own; plant and blocks keep their states from phase 
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from ffsm_drake.plugins.capture.contact import coast, payload_body
 from ffsm_drake.plugins.capture.gripper import Gripper
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.plugins.capture.phases import Captures, given_up
-from ffsm_drake.plugins.capture.retreat import Move, RetreatReference
+from ffsm_drake.plugins.capture.retreat import Move, along
 from ffsm_drake.plugins.capture.supervisor import SupervisorPart
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget, drawn_path
@@ -37,7 +37,6 @@ from ffsm_drake.runs.ending import BOUNCED, MISSED, SLIPPED
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Phase, Progress
-from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Compliance, Retreat
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
@@ -59,23 +58,21 @@ _LATELY = 20  # samples before the contact, over which the joints' force is aver
 class ClosingRun(Captures):
     """One run with its tries to close the gripper.
 
-    ``scenario``, ``blocks`` and ``handover`` are those of the last try.
+    ``scenario`` and ``handover`` are those of the last try.
     """
 
-    afresh = ("controller",)
     _across: Move  # from where a retreat ends to where the next try begins
 
     def __init__(
-        self,
-        handover: Handover,
-        *,
-        blocks: Mapping[str, Factory] | None,
-        progress: Progress | None,
+        self, handovers: Sequence[Handover], progress: Progress | None = None, **how: Any
     ) -> None:
-        """Args: scenario of the first try; blocks and viewer, see ``Rollout``; see ``Captures``."""
-        super().__init__([handover], progress)
+        """Args: see ``Captures``; there is one run."""
+        super().__init__(handovers, progress, **how)
+        handover = self.handover
         self._chosen = self.scenario = scenario = handover.scenario
-        self.blocks = dict(blocks or {})
+        self._moves: tuple[Move, ...] = ()  # of the last retreat
+        self._again: float | None = None  # s; begin of the approach after it
+        self._supervises: dict[str, Factory] = {}  # the supervisor's block after a retreat
         assert scenario.capture is not None
         assert scenario.approach is not None
         assert scenario.closing is not None
@@ -104,22 +101,31 @@ class ClosingRun(Captures):
         """Handover of the last try."""
         return self.handovers[0]
 
-    def first(self, loop: Rollout, scenarios: Sequence[Scenario] | None) -> Phase:
-        """The approach, on the loop of such without closing, which a measured target replaces."""
-        if self._measured:
-            loop, scenarios = self._apart(self.followed(self.blocks)), None
-        return Phase(
-            loop=loop,
-            names=(("approach", self.handover.sample - self._samples),),
-            begin=self.put_at_start,
-            scenarios=scenarios,
-            next=self._close,
-        )
+    def first(self) -> Phase:
+        """The first phase."""
+        blocks = self._followed(None) if self._measured else {}
+        return self.approach(self.handover.sample - self._samples, self._close, blocks)
 
-    def _apart(self, blocks: dict[str, Factory], joint_force: np.ndarray | None = None) -> Rollout:
-        """A loop with the target apart."""
-        return self._loop(
-            dataclasses.replace(self.scenario, holds=False), blocks=blocks, joint_force=joint_force
+    def _phase(
+        self, *, follows: bool = True, sees: bool = True, afresh: Sequence[str] = (), **how: Any
+    ) -> Phase:
+        """A phase on the plan of the last try, after the moves of a retreat. Args: see
+        ``_followed``; further fields.
+        """
+        plan, motion = dataclasses.replace(self.scenario, holds=how.get("holds", False)), None
+        if self._moves:
+            motion = along(self._moves, plan, self.before.coordinates, again=self._again)
+        blocks = {**self._supervises, **how.pop("blocks", {})}
+        if self._measured:
+            blocks |= self._followed(motion, follows=follows, sees=sees)
+        elif not plan.holds:
+            afresh = (*afresh, "reference")
+        return Phase(
+            scenario=plan,
+            motion=None if self._measured else motion,
+            blocks=blocks,
+            afresh=tuple(afresh),
+            **how,
         )
 
     def _stop(self) -> Phase:
@@ -149,11 +155,11 @@ class ClosingRun(Captures):
         handover = Handover(scenario)
         handover.sample, handover.path = self.sample, self._motion[: self.sample]
         handover.find_target(self._motion[self.sample])
-        self.handovers = [handover]
-        blocks = self.followed(self.blocks, follows=False, sees=False)
-        loop = self._loop(scenario, blocks=blocks)
-        self.meet(loop.loop)
-        return Phase(loop=loop, names=(("stop", None),), begin=self.grasp)
+        self.handovers, self.scenario = [handover], scenario
+        self.meet()
+        return self._phase(
+            names=(("stop", None),), holds=True, follows=False, sees=False, afresh=("controller",)
+        )
 
     def _path(self, copy: int) -> np.ndarray:
         return self._motion
@@ -161,14 +167,10 @@ class ClosingRun(Captures):
     def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
         first = self.sample
         super()._note(phase, logs)
-        gripper: Any = phase.loop.loop.blocks[GRIPPER]
+        gripper: Any = self.loop.blocks[GRIPPER]
         if gripper.motions:  # it moved the target
             count = self.logs[0][-1].time.size
             self._motion = np.vstack([self._motion[:first], *gripper.motions[:count]])
-
-    def go_on(self, loop: ClosedLoop, root_context: Context, *afresh: str) -> None:
-        own = afresh if self._measured else (*afresh, "reference")
-        super().go_on(loop, root_context, *own)
 
     def _close(self) -> Phase | None:
         """Close the gripper, unless it misses."""
@@ -176,19 +178,14 @@ class ClosingRun(Captures):
         if since := given_up(self.logs[0][-1]):
             return self._retreat(MISSED, f"is not met: {since}")
         handover.find_target(self._motion[first])
-        self.meet(self.before)
+        self.meet()
         if beyond := handover.beyond_envelope():
             return self._retreat(MISSED, f"is missed: {beyond}")
         part = Gripper(self._capture.compliance or Compliance())
-        blocks = self._supervised({**self.blocks, GRIPPER: part}, waits=True)
         limp = self._closing.joints == "limp"
         applied = self.logs[0][-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
-        loop = self._apart(
-            self.followed(blocks, sees=False), applied.mean(axis=0) if limp else None
-        )
 
         def begin(loop: ClosedLoop, root_context: Context) -> None:
-            self.go_on(loop, root_context)
             force, context = _gripper(loop, root_context)
             force.begin(
                 context,
@@ -198,9 +195,11 @@ class ClosingRun(Captures):
             )
 
         last = first + self._samples
-        return Phase(
-            loop=loop,
+        return self._phase(
             names=((self._numbered("closing"), last),),
+            blocks={GRIPPER: part, **self._supervised(waits=True)},
+            joint_force=applied.mean(axis=0) if limp else None,
+            sees=False,
             begin=begin,
             next=lambda: self._judge(first),
         )
@@ -264,7 +263,7 @@ class ClosingRun(Captures):
         def again(*, touched: bool = False) -> Phase | None:
             if left and self._meet_again(away.goal, end):
                 self._tries += 1
-                begin = self.handover.sample - round(self.scenario.grasp_time / period)
+                begin = self.handover.sample - round(self._approach.duration / period)
                 closes = self.handover.sample - self._samples
                 names = ((name[0], begin), (self._numbered("approach"), closes))
                 moves = (away, self._across)
@@ -295,21 +294,19 @@ class ClosingRun(Captures):
         """Along moves, and from ``again`` on (s) along the next approach; ``touched``: the gripper
         has touched the target since it was seen.
         """
-        self.blocks["reference"] = RetreatReference(moves=moves, again=again)
-        begin = moves[0].begin if again is None else again
-        self.blocks = self._supervised(self.blocks, begin=begin)
+        self._moves, self._again = moves, again
+        self._supervises = self._supervised(begin=moves[0].begin if again is None else again)
 
-        def go_on(loop: ClosedLoop, root_context: Context) -> None:
-            self.go_on(loop, root_context, "controller", "supervisor")
-            if self._measured:
-                block: Any = loop.blocks["reference"]
-                block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
+        def renew(loop: ClosedLoop, root_context: Context) -> None:
+            block: Any = loop.blocks["reference"]
+            block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
 
-        return Phase(
-            loop=self._apart(self.followed(self.blocks, follows=again is not None)),
+        return self._phase(
             names=names,
-            begin=go_on,
+            follows=again is not None,
+            afresh=("controller", "supervisor"),
             next=next,
+            begin=renew if self._measured else _nothing,
         )
 
     @property
@@ -366,34 +363,32 @@ class ClosingRun(Captures):
         duration = gentle_duration(scenario, motion_in, move.duration)
         return dataclasses.replace(move, duration=max(min(duration, left), move.duration))
 
-    def followed(
-        self, blocks: dict[str, Factory], *, follows: bool = True, sees: bool = True
+    def _followed(
+        self, motion: PlannedMotion | None, *, follows: bool = True, sees: bool = True
     ) -> dict[str, Factory]:
-        """Blocks with a reference that follows the estimate of a measured target, or only estimates
-        it; ``sees``: whether there are images.
+        """The reference that follows the estimate of a measured target from a motion, or only
+        estimates it; ``sees``: whether there are images.
         """
-        if not self._measured:
-            return blocks
+        assert self._measured is not None
         period, meets = self._chosen.sample_time, self.handover.sample
-        begin = meets - round(self.scenario.grasp_time / period)
+        begin = meets - round(self._approach.duration / period)
         approached = Approached(
             begin=begin * period,
             contact=(meets - self._samples) * period,
             meets=meets * period,
             motion=self.handover.expected,
         )
-        inner: Any = blocks.get("reference")
         part = TrackedTarget(
             self._chosen,
             self._capture,
             self._measured,
             self._motion,
             self._expected,
-            inner=inner,
+            motion=motion,
             approached=approached if follows else None,
             sees=sees,
         )
-        return {**blocks, "reference": part}
+        return {"reference": part}
 
     @property
     def _seen(self) -> Path:
@@ -406,11 +401,9 @@ class ClosingRun(Captures):
         motion = np.vstack([self._motion[: self.sample], path.motion])
         return dataclasses.replace(path, motion=motion)
 
-    def _supervised(self, blocks: dict[str, Factory], **how: Any) -> dict[str, Factory]:
-        """Blocks with the supervisor's, if there is one, made as ``SupervisorPart`` says."""
-        if self._chosen.supervisor is None:
-            return blocks
-        return {**blocks, "supervisor": SupervisorPart(**how)}
+    def _supervised(self, **how: Any) -> dict[str, Factory]:
+        """The supervisor's block, if there is one, made as ``SupervisorPart`` says."""
+        return {} if self._chosen.supervisor is None else {"supervisor": SupervisorPart(**how)}
 
     @property
     def _true_arm(self) -> np.ndarray:
@@ -423,8 +416,8 @@ class ClosingRun(Captures):
         keeps clear. False: there is none.
         """
         chosen, period = self._chosen, self._chosen.sample_time
-        lasts = round(chosen.grasp_time / period)
-        stop = chosen.reference.duration or chosen.grasp_time
+        lasts = round(self._approach.duration / period)
+        stop = chosen.reference.duration or self._approach.duration
         earliest = first + lasts + round(_EVERY / period)
         latest = chosen.num_control_periods - math.ceil(stop / period)
         X_BP = self._target_from_base(make_nominal_plant(chosen))
@@ -475,7 +468,8 @@ class ClosingRun(Captures):
             approach=dataclasses.replace(self._approach, posture=posture, start="given"),
         )
         posture = _placed(chosen.initial_posture, X_WB)
-        return dataclasses.replace(chosen, initial_posture=posture, capture=capture)
+        blocks = dataclasses.replace(chosen.blocks, phases={})
+        return dataclasses.replace(chosen, initial_posture=posture, capture=capture, blocks=blocks)
 
     def _leads_to(self, start: Posture, scenario: Scenario, first: int, begin: int) -> bool:
         """Whether the servicer, at rest in a posture from a sample on, can ``_across`` be where the
@@ -500,6 +494,10 @@ class ClosingRun(Captures):
         target = self._known.motion[samples, :7]
         nearest = closest_of(scenario, times, q, target=target)
         return all(each.distance >= scenario.clearance + margin for each in nearest)
+
+
+def _nothing(loop: ClosedLoop, root_context: Context) -> None:
+    pass
 
 
 def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:

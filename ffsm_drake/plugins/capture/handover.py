@@ -7,14 +7,15 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.plugins.capture.approach import approach_posture
+from ffsm_drake.plugins.capture.approach import approach_posture, planned_approach
 from ffsm_drake.plugins.capture.contact import (
     contact_at,
     payload_body,
     planned_contact,
     target_path,
 )
-from ffsm_drake.runs.log import GraspLog, RunLog
+from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.scenario import Capture, MassProperties, Scenario, inertia_matrix
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
@@ -26,7 +27,7 @@ from ffsm_drake.systems.part import STORED_MOMENTUM
 class Handover:
     """Takes a run from the loop before the grasp to the one after it."""
 
-    log: GraspLog | None = None  # log of the grasp, once it is made
+    log: MadeGrasp | None = None  # log of the grasp, once it is made
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self.payload = scenario, scenario.payload.truth  # as it lies in the gripper
@@ -42,13 +43,16 @@ class Handover:
         self.expected = np.concatenate([pose, self._twist])
 
     def start(self, loop: ClosedLoop) -> np.ndarray:
-        """The plant's own [q; v] of the servicer where the approach starts."""
-        position = configuration(
-            loop.single, approach_posture(self.scenario), key="capture.approach.posture"
-        )
+        """The plant's own [q; v] of the servicer where the run starts."""
         velocity = loop.coordinates.vector(
             self.scenario.initial_velocity, key="initial_velocity", default=0.0
         )
+        if self.scenario.blocks.phases:
+            position, planned, _ = planned_approach(self.scenario).evaluate(0.0)
+            velocity += planned
+        else:
+            posture = approach_posture(self.scenario)
+            position = configuration(loop.single, posture, key="capture.approach.posture")
         return loop.split.whole(np.concatenate([position, velocity]))
 
     def find_target(self, motion: np.ndarray) -> None:
@@ -104,7 +108,7 @@ class Handover:
         contact = contact_at(
             scenario, model, q=self._q, velocity=self._v, target_velocity=self._twist_Q
         )
-        self.log = GraspLog(
+        self.log = MadeGrasp(
             sample=self.sample,
             contact=contact,
             payload=payload,
@@ -133,7 +137,7 @@ def grasped_at_start(log: RunLog) -> RunLog:
     mismatch = mismatch_of(
         log.scenario, model, contact.q, contact.velocity, contact.target_velocity
     )
-    grasp = GraspLog(
+    grasp = MadeGrasp(
         sample=0,
         contact=contact,
         payload=log.scenario.payload.truth,

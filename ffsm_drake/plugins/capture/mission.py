@@ -8,6 +8,7 @@ part of the payload's mass properties.
 """
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 
 from pydrake.geometry import Meshcat
@@ -15,7 +16,8 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.closing import ClosingRun
 from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
-from ffsm_drake.plugins.capture.phases import ApproachAndStop
+from ffsm_drake.plugins.capture.phases import Captures
+from ffsm_drake.plugins.capture.pictures import show_apart
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Progress
 from ffsm_drake.runs.rollout import Rollout
@@ -36,18 +38,20 @@ class MissionRollout:
         dynamics: Dynamics | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
-        self._blocks = blocks
+        self._blocks, self._dynamics = blocks, dynamics
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)
         self._scenarios = _as_tuple(scenario)
         self._approach = None
         first = self._scenarios[0]
         if first.grasp_time > 0.0:
-            target = None if meshcat is None else Handover(first).path[:, :7]
+            show = None
+            if meshcat is not None:
+                show = functools.partial(show_apart, Handover(first).path[:, :7])
             self._approach = Rollout(
                 [dataclasses.replace(each, holds=False) for each in self._scenarios],
                 blocks=blocks,
                 meshcat=meshcat,
-                target=target,
+                show=show,
                 dynamics=dynamics,
             )
 
@@ -81,7 +85,7 @@ class MissionRollout:
         """As ``Rollout.run``; at the sample of the grasp the log holds the velocity after it."""
         if self._approach is None:
             return grasped_at_start(self._stop.run(scenario, progress=progress))
-        (log,) = self._through(self._approach, None if scenario is None else [scenario], progress)
+        (log,) = self._through(None if scenario is None else [scenario], progress)
         assert log is not None  # failures of a run alone are raised
         return log
 
@@ -90,21 +94,22 @@ class MissionRollout:
         if self._approach is None:
             logs = self._stop.run_all(scenarios)
             return [None if log is None else grasped_at_start(log) for log in logs]
-        return self._through(self._approach, scenarios, None)
+        return self._through(scenarios, None)
 
     def _through(
-        self, loop: Rollout, given: Sequence[Scenario] | None, progress: Progress | None
+        self, given: Sequence[Scenario] | None, progress: Progress | None
     ) -> list[RunLog | None]:
-        """Run scenarios, None: the built ones, with the loop of their approach."""
-        handovers = [Handover(each) for each in given or self._scenarios]
-        alone = (
-            None if given is None else [dataclasses.replace(each, holds=False) for each in given]
+        """Run scenarios, None: the built ones, through their phases."""
+        scenarios = given or self._scenarios
+        kind = Captures if scenarios[0].closing is None else ClosingRun
+        mission = kind(
+            [Handover(each) for each in scenarios],
+            progress,
+            make=functools.partial(Rollout, dynamics=self._dynamics),
+            blocks=self._blocks,
+            kept={True: self._stop, False: self._approach},
         )
-        if handovers[0].scenario.closing is not None:
-            closing = ClosingRun(handovers[0], blocks=self._blocks, progress=progress)
-            return closing.run(closing.first(loop, alone))
-        runs = ApproachAndStop(handovers, progress)
-        return runs.run(runs.first(loop, self._stop, alone, given))
+        return mission.run(mission.first())
 
 
 def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:

@@ -1,43 +1,81 @@
-"""Phases of a capture: their common part, and an approach with a gripper that closes at once."""
+"""Phases of a capture: those of the scenario, the approach, and the stop."""
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context
 
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.capture.before import phases_before
 from ffsm_drake.plugins.capture.handover import Handover, stored_at_start
 from ffsm_drake.plugins.capture.supervisor import Mode
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.phases import Mission, Phase, Progress
-from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.registry import Factory
 
 
 class Captures(Mission):
-    """Runs that go through the phases of a capture; see ``Mission``."""
+    """Runs through the phases of a capture with grippers that close at once."""
 
-    afresh: tuple[str, ...] = ()  # blocks that start afresh with the target held
-
-    def __init__(self, handovers: Sequence[Handover], progress: Progress | None = None) -> None:
-        """Args: handover of each run; progress, see ``Rollout.run``."""
-        super().__init__([each.scenario for each in handovers], progress)
+    def __init__(
+        self, handovers: Sequence[Handover], progress: Progress | None = None, **how: Any
+    ) -> None:
+        """Args: handover of each run; further ones, see ``Mission``."""
+        super().__init__([each.scenario for each in handovers], progress, **how)
         self.handovers = list(handovers)
 
-    def put_at_start(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Put the servicers where their approaches start."""
-        loop.set_whole_states(root_context, np.stack([each.start(loop) for each in self.handovers]))
+    def first(self) -> Phase:
+        """The first phase."""
+        return self.approach(self.handovers[0].sample, self._hold)
 
-    def meet(self, loop: ClosedLoop) -> None:
-        """Find how each gripper meets its target, with the loop in which the targets are held."""
+    def approach(
+        self,
+        last: int,
+        then: Callable[[], Phase | None],
+        blocks: Mapping[str, Factory] | None = None,
+    ) -> Phase:
+        """The scenario's own phases and the approach, up to a sample, with some blocks: neighbours
+        with the same blocks share a loop.
+        """
+        scenario, shared, end = self.handovers[0].scenario, blocks or {}, 0.0
+        phases, before = list[Phase](), dict[str, Factory]()
+        for name, phase in {**phases_before(scenario), "approach": Phase()}.items():
+            own = dict(phase.blocks)
+            end += scenario.blocks.phases[name].duration if name in scenario.blocks.phases else 0.0
+            part = name, last if name == "approach" else round(end / scenario.sample_time)
+            if phases and own == before:
+                phases[-1] = dataclasses.replace(phases[-1], names=(*phases[-1].names, part))
+            else:
+                afresh = tuple({**own, **before})
+                phases.append(Phase(names=(part,), blocks={**shared, **own}, afresh=afresh))
+            before = own
+        for phase in reversed(phases):
+            phase = dataclasses.replace(phase, next=then)
+            then = functools.partial(_itself, phase)
+        return phase
+
+    def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
+        """Put the servicers at their starts; where the last phase ended; or with their targets."""
+        if self.sample == 0:
+            starts = np.stack([each.start(loop) for each in self.handovers])
+            loop.set_whole_states(root_context, starts)
+        elif phase.holds:
+            self._grasp(phase, loop, root_context)
+        else:
+            super().begin(phase, loop, root_context)
+
+    def meet(self) -> None:
+        """Find how each gripper meets its target."""
         for copy, state in enumerate(self.before.whole_states(self.context)):
             if copy not in self.ended:
-                self.handovers[copy].meet(loop, state)
+                self.handovers[copy].meet(self.before, state)
 
-    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
+    def _grasp(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
         """Grasp the targets; the runs continue from the states after the grasp."""
         rows = loop.whole_states(root_context)
         for copy, handover in enumerate(self.handovers):
@@ -45,9 +83,23 @@ class Captures(Mission):
                 rows[copy] = handover.grasp(loop)
         loop.set_whole_states(root_context, rows)
         references = np.stack([each.reference for each in self.handovers])
-        loop.resume(root_context, self.before, self.context, references, afresh=self.afresh)
+        loop.resume(root_context, self.before, self.context, references, afresh=phase.afresh)
         # to the blocks, which resume with nothing in the gripper
         loop.set_payloads(root_context, [each.payload for each in self.handovers])
+
+    def _hold(self) -> Phase | None:
+        """The stop, of those whose grippers hold."""
+        self.meet()
+        for copy in {*range(len(self.logs))} - self.ended:
+            handover = self.handovers[copy]
+            message, beyond = given_up(self.logs[copy][-1]), handover.beyond_envelope()
+            at = f"t = {handover.scenario.grasp_time:g} s"
+            if message or beyond:
+                self._fail(copy, MISSED, message or f"the target is missed at {at}: {beyond}")
+        self.ended |= set(self.failed)
+        if len(self.ended) == len(self.logs):
+            return None
+        return Phase(names=(("stop", None),), holds=True)
 
     def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
         super()._note(phase, [None if log is None else _without_contact(log) for log in logs])
@@ -57,51 +109,20 @@ class Captures(Mission):
         return self.handovers[copy].path
 
     def _joined(self, copy: int) -> RunLog:
-        log, grasp = super()._joined(copy), self.handovers[copy].log
-        if grasp is None:
+        log, made = super()._joined(copy), self.handovers[copy].log
+        if made is None:
             truth = self._scenarios[copy].payload.truth
             target = self._path(copy)[: log.time.size]
-            grasp = GraspLog(sample=log.time.size, contact=None, payload=truth, target=target)
+            grasp = GraspLog(sample=log.time.size, payload=truth, target=target)
         else:
-            grasp = dataclasses.replace(grasp, stored=stored_at_start(self.logs[copy][-1]))
+            grasp = dataclasses.replace(made, stored=stored_at_start(self.logs[copy][-1]))
         return dataclasses.replace(
             log, grasp=dataclasses.replace(grasp, legs=self._legs(grasp.sample))
         )
 
 
-class ApproachAndStop(Captures):
-    """Runs whose grippers close at once, at the end of the approach."""
-
-    def first(
-        self,
-        approach: Rollout,
-        stop: Rollout,
-        alone: Sequence[Scenario] | None,
-        given: Sequence[Scenario] | None,
-    ) -> Phase:
-        """The approach. Args: loops without and with the targets, and the scenarios of each."""
-
-        def hold() -> Phase | None:
-            self.meet(stop.loop)
-            for copy in {*range(len(self.logs))} - self.ended:
-                handover = self.handovers[copy]
-                message, beyond = given_up(self.logs[copy][-1]), handover.beyond_envelope()
-                at = f"t = {handover.scenario.grasp_time:g} s"
-                if message or beyond:
-                    missed = message or f"the target is missed at {at}: {beyond}"
-                    self._fail(copy, MISSED, missed)
-            self.ended |= set(self.failed)
-            if len(self.ended) == len(self.logs):
-                return None
-            return Phase(loop=stop, names=(("stop", None),), begin=self.grasp, scenarios=given)
-
-        return Phase(
-            loop=approach,
-            names=(("approach", self.handovers[0].sample),),
-            begin=self.put_at_start,
-            scenarios=alone,
-            next=hold,
-        )
+def _itself(phase: Phase) -> Phase:
+    return phase
 
 
 def given_up(approach: RunLog) -> str:

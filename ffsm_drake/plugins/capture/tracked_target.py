@@ -18,7 +18,6 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import attitude_motion, composed, matrix_of, quaternion_of, turn_between
 from ffsm_drake.plugins.capture.free_body import SIZE, Target
-from ffsm_drake.plugins.capture.retreat import RetreatReference
 from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilter, observed
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.target_sensing import Measured, TargetTracker
@@ -70,7 +69,7 @@ class TrackedTarget(Part):
         path: np.ndarray,
         expected: Target,
         *,
-        inner: RetreatReference | None = None,
+        motion: PlannedMotion | None = None,
         approached: Approached | None = None,
         sees: bool = True,
     ) -> None:
@@ -79,14 +78,13 @@ class TrackedTarget(Part):
         motion; for what, None: nothing is; whether there are images.
         """
         self.scenario, self.grasp, self.measured = scenario, grasp, measured
-        self.path, self.expected, self.inner = path, expected, inner
+        self.path, self.expected, self.motion = path, expected, motion
         self.approached, self.sees = approached, sees
 
     def build(self, setup: BlockSetup) -> "TrackedReference":
         """The block."""
-        if self.inner is None:
-            return TrackedReference(self, make_motion(setup.scenario, setup.coordinates))
-        return TrackedReference(self, self.inner.motion(setup))
+        own = self.motion or make_motion(setup.scenario, setup.coordinates)
+        return TrackedReference(self, own)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The estimate at the last image, its errors and their deviations."""

@@ -27,10 +27,11 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import (
     Demand,
     PlannedDynamics,
+    from_grasp,
     make_demand,
 )
 from ffsm_drake.plugins.estimators.filter_gains import SMALLEST_RATIO
-from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
 # Prices of effort along the front, in the units of ``_regulator``.

@@ -41,7 +41,7 @@ from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.scenario import Scenario, checked, from_grasp
+from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.systems.part import Advice
 
 _RARE = 0.02  # share of noise sequences; resolution of the linearised loop
@@ -348,7 +348,7 @@ def _without_a_run(
     if margins:
         found["margins"] = stability(scenario, linearizer=linearizer)
         found["noises"] = found["margins"].rehearsal
-    elif is_rehearsed(from_grasp(scenario)) and not linear.is_alarm:
+    elif is_rehearsed(scenario) and not linear.is_alarm:
         found["noises"] = rehearse(scenario)
 
 

@@ -20,12 +20,12 @@ from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
 from ffsm_drake.plugins.design.stability import Margins, stability
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
-from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.hands import Hands
 from ffsm_drake.plugins.new.urdf import Servicer, Target
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.scenario import Scenario, from_grasp, scenario_from_dict
+from ffsm_drake.scenario import Scenario, scenario_from_dict
 from ffsm_drake.scenario.actuation import Wheel
 from ffsm_drake.spacecraft.clearance import Clearance, Nearest
 from ffsm_drake.spacecraft.coordinates import (

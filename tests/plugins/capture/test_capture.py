@@ -22,7 +22,7 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
-from ffsm_drake.scenario import NOTHING, MassProperties, Payload, Scenario, from_grasp
+from ffsm_drake.scenario import NOTHING, MassProperties, Payload, Scenario
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
@@ -363,7 +363,7 @@ def test_another_centre_of_mass_needs_another_plan():
 @pytest.mark.smoke
 def test_without_an_approach_it_begins_with_the_grasp():
     scenario = override_scenario(
-        from_grasp(SCENARIO), ["duration=1", "initial_velocity.joint_2=0.001"]
+        SCENARIO, ["capture.approach=null", "duration=1", "initial_velocity.joint_2=0.001"]
     )
     record = simulate(scenario, check_stability=False)
     contact = planned_contact(scenario, make_true_plant(scenario))
@@ -378,7 +378,9 @@ def test_without_an_approach_it_begins_with_the_grasp():
 
 
 def test_braked_joints_stop_at_the_grasp():
-    scenario = override_scenario(from_grasp(SCENARIO), ["duration=0.5", "capture.joints=braked"])
+    scenario = override_scenario(
+        SCENARIO, ["capture.approach=null", "duration=0.5", "capture.joints=braked"]
+    )
     record = simulate(scenario, check_stability=False)
     assert not record.dataset["velocity"].values[0, 6:].any()
     assert set(record.grasp["brake_impulse"]) == {f"joint_{i}" for i in range(1, 6)}
@@ -418,7 +420,9 @@ def test_findings_are_about_the_stop(record):
 
 
 def test_an_automatic_duration_is_recorded_as_it_was():
-    scenario = override_scenario(from_grasp(SCENARIO), ["duration=0.2", "reference.duration=auto"])
+    scenario = override_scenario(
+        SCENARIO, ["capture.approach=null", "duration=0.2", "reference.duration=auto"]
+    )
     record = simulate(scenario, check_stability=False)
     assert scenario.reference.duration is None
     assert 0.1 < record.scenario.reference.duration < 3.0

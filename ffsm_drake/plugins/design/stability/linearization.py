@@ -37,8 +37,8 @@ from ffsm_drake.plugins.actuators.mean import make_mean_actuation
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.loop_state import Memory, PlantState, difference
-from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
+from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController

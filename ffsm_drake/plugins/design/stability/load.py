@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
-from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.scenario import Scenario, controller_key, from_grasp, override_scenario
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
+from ffsm_drake.scenario import Scenario, controller_key, override_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_true_plant

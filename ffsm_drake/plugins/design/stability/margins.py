@@ -28,10 +28,10 @@ from ffsm_drake.plugins.design.stability.one_axis import (
     largest_stable_k_s,
     tolerated_eta,
 )
-from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
-from ffsm_drake.scenario import Scenario, checked, from_grasp
+from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from ffsm_drake.plugins.actuators.drives import DriveSet
-from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.inertia import inertia_ratios
@@ -22,6 +22,23 @@ from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import make_motion
 
 _POINTS = 101  # instants at which the lightest coordinates are sought
+
+
+def from_grasp(scenario: Scenario) -> Scenario:
+    """The mission that begins with a scenario's grasp, as a user would write it: without approach
+    and phases before it. Unchanged without them.
+    """
+    if scenario.capture is None or scenario.approach is None:
+        return scenario
+    held = dataclasses.replace(
+        scenario.capture, approach=None, closing=None, retreat=None, measured=None
+    )
+    return dataclasses.replace(
+        scenario,
+        duration=scenario.duration - scenario.grasp_time,
+        capture=held,
+        blocks=dataclasses.replace(scenario.blocks, phases={}),
+    )
 
 
 class PlannedDynamics:

@@ -1,0 +1,82 @@
+"""Phases before an approach (``blocks.phases``)."""
+
+import dataclasses
+
+import numpy as np
+
+from ffsm_drake.common.errors import BlockError, ScenarioError
+from ffsm_drake.runs.phases import Phase
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
+from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.setup import BlockSetup
+
+_OF_A_CAPTURE = ("approach", "closing", "retreat", "stop")
+_JUMP = 1e-6  # rad, m, and per s; a motion may miss the begin of the next by this
+
+
+class _Rest(PlannedMotion):
+    """Rest where another motion begins."""
+
+    def __init__(self, then: PlannedMotion, *, duration: float, sample_time: float) -> None:
+        self._row = np.zeros_like(then.row(0.0))
+        places = len(then.coordinates.position_names)
+        self._row[:places] = then.row(0.0)[:places]
+        super().__init__(coordinates=then.coordinates, sample_time=sample_time, end=duration)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        return np.tile(self._row, (times.size, 1))
+
+
+def phases_before(scenario: Scenario) -> dict[str, Phase]:
+    """The scenario's phases before its approach, by name, as their factories return them.
+
+    Raises ScenarioError or BlockError: a factory is unknown, fails, or returns something else.
+    """
+    found, alone = dict[str, Phase](), dataclasses.replace(scenario, holds=False)
+    for name, given in scenario.blocks.phases.items():
+        key = f"blocks.phases.{name}"
+        if name in _OF_A_CAPTURE:
+            raise ScenarioError(key, f"'{name}' is a phase of every capture; rename it")
+        factory = find_factory("phases", given.system, key=key, python_path=scenario.python_path)
+        setup = BlockSetup(
+            name=name, scenario=alone, nominal=make_nominal_plant(alone), settings=given.settings
+        )
+        phase = call_factory(factory, setup, place=f"{key} '{given.system}'")
+        if not isinstance(phase, Phase):
+            raise BlockError(f"{key} '{given.system}' must be a Phase, not {type(phase).__name__}")
+        found[name] = phase
+    return found
+
+
+def with_phases(scenario: Scenario, approach: PlannedMotion) -> PlannedMotion:
+    """An approach with the motions of the phases before it. Raises the errors of
+    ``phases_before``, and BlockError for a motion that does not end where the next begins.
+    """
+    found, period, begin = phases_before(scenario), scenario.sample_time, scenario.grasp_time
+    begin -= approach.end
+    motions = [(begin, approach)]
+    for name, phase in reversed(found.items()):
+        lasts, then = scenario.blocks.phases[name].duration, motions[0][1]
+        motion = phase.motion or _Rest(then, duration=lasts, sample_time=period)
+        _check_seam(f"blocks.phases.{name}", motion, lasts, then)
+        begin -= lasts
+        motions.insert(0, (begin, motion))
+    return InTurn(motions, begin=0.0, end=scenario.grasp_time, sample_time=period)
+
+
+def _check_seam(key: str, motion: PlannedMotion, lasts: float, then: PlannedMotion) -> None:
+    names = then.coordinates
+    states = len(names.position_names) + len(names.names)
+    last, first = motion.row(lasts), then.row(0.0)
+    if last.shape != first.shape:
+        raise BlockError(f"{key}: its motion has rows of {last.size} numbers, not {first.size}")
+    gap = np.abs(last[:states] - first[:states])
+    worst = int(gap.argmax())
+    if not gap.max() <= _JUMP:
+        labels = [*names.position_names, *(f"velocity of {name}" for name in names.names)]
+        raise BlockError(
+            f"{key}: its motion must end where the next begins, at {labels[worst]} "
+            f"{first[worst]:.6g}, not {last[worst]:.6g}"
+        )
