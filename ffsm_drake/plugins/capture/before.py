@@ -1,10 +1,12 @@
 """Phases before an approach (``blocks.phases``)."""
 
 import dataclasses
+import re
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
+from ffsm_drake.common.guard import calling
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -12,7 +14,8 @@ from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.registry import call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
-_OF_A_CAPTURE = ("approach", "closing", "retreat", "stop")
+_OF_A_CAPTURE = re.compile(r"(approach|closing|retreat)(_\d+)?|stop")
+_INSTANTS = 100  # of a motion that are looked at
 _JUMP = 1e-6  # rad, m, and per s; a motion may miss the begin of the next by this
 
 
@@ -37,7 +40,7 @@ def phases_before(scenario: Scenario) -> dict[str, Phase]:
     found, alone = dict[str, Phase](), dataclasses.replace(scenario, holds=False)
     for name, given in scenario.blocks.phases.items():
         key = f"blocks.phases.{name}"
-        if name in _OF_A_CAPTURE:
+        if _OF_A_CAPTURE.fullmatch(name):
             raise ScenarioError(key, f"'{name}' is a phase of every capture; rename it")
         factory = find_factory("phases", given.system, key=key, python_path=scenario.python_path)
         setup = BlockSetup(
@@ -46,6 +49,12 @@ def phases_before(scenario: Scenario) -> dict[str, Phase]:
         phase = call_factory(factory, setup, place=f"{key} '{given.system}'")
         if not isinstance(phase, Phase):
             raise BlockError(f"{key} '{given.system}' must be a Phase, not {type(phase).__name__}")
+        plain = Phase(motion=phase.motion, blocks=phase.blocks)
+        for field in dataclasses.fields(Phase):
+            if getattr(phase, field.name) is not getattr(plain, field.name):
+                raise BlockError(f"{key}: its {field.name} follows from its place; leave that out")
+        if "reference" in phase.blocks:
+            raise BlockError(f"{key}: give its motion in place of a block 'reference'")
         found[name] = phase
     return found
 
@@ -60,23 +69,32 @@ def with_phases(scenario: Scenario, approach: PlannedMotion) -> PlannedMotion:
     for name, phase in reversed(found.items()):
         lasts, then = scenario.blocks.phases[name].duration, motions[0][1]
         motion = phase.motion or _Rest(then, duration=lasts, sample_time=period)
-        _check_seam(f"blocks.phases.{name}", motion, lasts, then)
+        _check(f"blocks.phases.{name}", motion, lasts, then)
         begin -= lasts
         motions.insert(0, (begin, motion))
     return InTurn(motions, begin=0.0, end=scenario.grasp_time, sample_time=period)
 
 
-def _check_seam(key: str, motion: PlannedMotion, lasts: float, then: PlannedMotion) -> None:
-    names = then.coordinates
-    states = len(names.position_names) + len(names.names)
-    last, first = motion.row(lasts), then.row(0.0)
-    if last.shape != first.shape:
-        raise BlockError(f"{key}: its motion has rows of {last.size} numbers, not {first.size}")
-    gap = np.abs(last[:states] - first[:states])
-    worst = int(gap.argmax())
-    if not gap.max() <= _JUMP:
+def _check(key: str, motion: PlannedMotion, lasts: float, then: PlannedMotion) -> None:
+    """Raise BlockError for a motion that fails, or does not lead to where another begins."""
+    names, first = then.coordinates, then.row(0.0)
+    times = np.linspace(0.0, lasts, _INSTANTS)
+    rows = calling(f"{key}: its motion", lambda: np.asarray(motion.rows(times)))
+    if rows.shape != (times.size, first.size):
+        wanted = f"({times.size}, {first.size}) at {times.size} times"
+        raise BlockError(f"{key}: its motion must have rows {wanted}, not {rows.shape}")
+    places = len(names.position_names)
+    turned = np.abs(np.linalg.norm(rows[:, :4], axis=1) - 1.0) > _JUMP
+    if (bad := turned | ~np.isfinite(rows).all(axis=1)).any():
+        raise BlockError(
+            f"{key}: its motion must be finite, with unit quaternions, and is not at "
+            f"{times[bad.argmax()]:.3g} s"
+        )
+    gap = np.abs(rows[-1] - first)[: places + len(names.names)]
+    if gap.max() > _JUMP:
+        worst = int(gap.argmax())
         labels = [*names.position_names, *(f"velocity of {name}" for name in names.names)]
         raise BlockError(
             f"{key}: its motion must end where the next begins, at {labels[worst]} "
-            f"{first[worst]:.6g}, not {last[worst]:.6g}"
+            f"{first[worst] + 0.0:.6g}, not {rows[-1, worst]:.6g}"
         )

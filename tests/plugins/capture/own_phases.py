@@ -2,12 +2,15 @@
 
 import dataclasses
 
+import numpy as np
 from pydrake.systems.primitives import ConstantVectorSource
 
 from ffsm_drake import Phase
 from ffsm_drake.plugins.capture.approach import approach_posture
+from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
+from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 
 
@@ -34,6 +37,42 @@ def come(setup):
         sample_time=setup.sample_time,
     )
     return Phase(motion=motion)
+
+
+class Broken(PlannedMotion):
+    """Rest where the approach begins, with a fault."""
+
+    def __init__(self, setup, fault):
+        super().__init__(coordinates=setup.coordinates, sample_time=setup.sample_time, end=1.0)
+        goal = approach_posture(setup.scenario)
+        self._fault, self._goal = fault, configuration(setup.nominal.plant, goal, key="posture")
+
+    def rows(self, times):
+        if self._fault == "raises":
+            raise KeyError("joints")
+        rows = np.tile([*self._goal, *np.zeros(22)], (times.size, 1))
+        if self._fault == "nan":
+            rows[times > 0.5, 9] = np.nan
+        if self._fault == "turned":
+            rows[:, :4] *= 1.01
+        if self._fault == "moves":
+            rows[:, 12 + 4] = 0.1
+        return rows[:, :3] if self._fault == "narrow" else rows
+
+
+def broken(setup):
+    """A phase with such a motion."""
+    return Phase(motion=Broken(setup, setup.settings["fault"]))
+
+
+def placed(setup):
+    """A phase that says what its place says."""
+    return Phase(names=(("mine", 10),))
+
+
+def referred(setup):
+    """A phase with a reference of its own."""
+    return Phase(blocks={"reference": wait})
 
 
 def system(setup):

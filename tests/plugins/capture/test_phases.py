@@ -106,6 +106,9 @@ def test_side_by_side_with_the_same_bits(name):
         ("wait=own_phases:system", BlockError, "must be a Phase, not ConstantVectorSource"),
         ("wait=own_phases:fails", BlockError, r"wait 'own_phases:fails' cannot be built.*no_such"),
         ("stop=own_phases:wait", ScenarioError, "'stop' is a phase of every capture"),
+        ("approach_2=own_phases:wait", ScenarioError, "'approach_2' is a phase of every"),
+        ("wait=own_phases:placed", BlockError, r"wait: its names follows from its place"),
+        ("wait=own_phases:referred", BlockError, r"wait: give its motion in place of a block"),
         (
             "come={system: own_phases:come, settings: {by: [1, 0, 0], lasts: 3}}",
             BlockError,
@@ -117,6 +120,22 @@ def test_what_cannot_be_is_said_in_a_line(given, error, words):
     with pytest.raises(error, match=words) as found:
         run(phases(given))
     assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("raises", r"its motion failed: KeyError: 'joints' \(in Broken.rows: .*own_phases\.py"),
+        ("narrow", r"its motion must have rows \(100, 34\) at 100 times, not \(100, 3\)"),
+        ("nan", r"its motion must be finite, with unit quaternions, and is not at 0\.505 s"),
+        ("turned", r"its motion must be finite, with unit quaternions, and is not at 0 s"),
+        ("moves", r"its motion must end where the next begins, at velocity of base_position_y 0"),
+    ],
+)
+def test_a_motion_with_a_fault_is_named(fault, words):
+    given = f"turn={{system: own_phases:broken, settings: {{fault: {fault}}}}}"
+    with pytest.raises(BlockError, match=rf"blocks\.phases\.turn: {words}"):
+        run(phases(given))
 
 
 @pytest.mark.parametrize(
