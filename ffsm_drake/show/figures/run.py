@@ -83,7 +83,7 @@ def _fit(figure: Figure, width: float) -> None:
         axes.tick_params(which="both", labelsize=6, width=0.6, pad=1)
         axes.yaxis.labelpad = 0
         if hasattr(axes, "zaxis"):
-            axes.set_box_aspect(None, zoom=0.9)
+            axes.set_box_aspect(None, zoom=0.9)  # type: ignore[call-arg]
     for text in figure.findobj(Text):
         text.set_fontsize(min(text.get_fontsize(), 7))
     for line in figure.findobj(Line2D):
