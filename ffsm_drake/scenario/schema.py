@@ -321,8 +321,10 @@ def planned_part(scenario: Scenario) -> Scenario:
     computed from it.
     """
     plain, truth = Scenario(), MassProperties()
-    # the target turns about its true centre of mass before the grasp
-    if scenario.grasps:
+    # the target turns about its true centre of mass before the grasp, which a clear start looks at
+    if scenario.approach is not None and scenario.approach.start == "clear":
+        truth = scenario.payload.truth
+    elif scenario.grasps:
         truth.center_of_mass = scenario.payload.truth.center_of_mass
     payload = replace(scenario.payload, truth=truth)
     changes = {name: getattr(plain, name) for name in _OF_THE_RUN}

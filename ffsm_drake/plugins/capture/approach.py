@@ -1,6 +1,7 @@
 """Where the approach to a tumbling target begins (``capture.approach.start``)."""
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -24,6 +25,7 @@ from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 
 _LENGTHS = (0.3, 0.6, 1.0)  # m; from the base at the grasp
 _INSTANTS, _CLOSER = 40, 200
+_SPREAD = 0.618034  # multiples of it modulo one are far apart
 _GROWTH, _LONGEST = 1.15, 300.0  # growth factor of a tried duration; longest, s
 # Largest shares of the limits of force; the first candidate below the small one and wide of the
 # target is taken.
@@ -81,17 +83,23 @@ def _clear_start(scenario: Scenario) -> Posture:
     end = np.array(scenario.initial_posture.base_position)
     best, kept = -np.inf, approach.posture
     needed = scenario.clearance + approach.margin
+    wide, share_of = max(_WIDE, needed), shares_of(scenario)
     for joints, way in itertools.product(
         (kept.joints, scenario.initial_posture.joints), _ways(end - X_WP.translation())
     ):
         posture = dataclasses.replace(kept, base_position=(end + way).tolist(), joints=joints)
         motion = approach_motion(scenario, model, contact, posture)
-        margins = margins_of(scenario, motion, path[:, :7], instants=_INSTANTS, most=_MOST)
-        if margins.distance > best:  # worth a closer look
-            margins = margins_of(scenario, motion, path[:, :7], instants=_CLOSER, most=_MOST)
-        if margins.distance > best:
-            best, found = margins.distance, posture
-        if margins.distance >= max(_WIDE, needed) and margins.share <= _LITTLE:
+        # one that is nearer at any instant is neither the best nor returned
+        margins = functools.partial(
+            margins_of, scenario, motion, path[:, :7], most=_MOST, share_of=share_of,
+            enough=min(best, math.nextafter(wide, -math.inf)),
+        )  # fmt: skip
+        found = margins(instants=_INSTANTS)
+        if found.distance > best:  # worth a closer look
+            found = margins(instants=_CLOSER)
+        if found.distance > best:
+            best, widest = found.distance, posture
+        if found.distance >= wide and found.share <= _LITTLE:
             return posture
     if best < needed:
         raise LimitError(
@@ -101,7 +109,7 @@ def _clear_start(scenario: Scenario) -> Posture:
             "or posture.joints",
             limit="clearance",
         )
-    return found
+    return widest
 
 
 def _ways(away: np.ndarray) -> Iterator[np.ndarray]:
@@ -164,30 +172,41 @@ def margins_of(
     *,
     instants: int,
     most: float = np.inf,
+    enough: float = -np.inf,
+    share_of: Callable[[np.ndarray], float] | None = None,
 ) -> Margins:
     """Margins of an approach, given backwards from the grasp, with the target at poses (n, 7) at
-    the n control samples before it. Beyond ``most`` of the limits no distance is measured.
+    the n control samples before it. Beyond ``most`` of the limits no distance is measured, and none
+    after one that is as small as ``enough`` (m). ``share_of``: see ``shares_of``; default: made.
     """
     samples = np.unique(np.linspace(0, len(target) - 1, instants).round().astype(int))
     rows = backwards.rows(scenario.sample_time * (len(target) - samples))
-    share = force_share(scenario, rows)
+    share = (share_of or shares_of(scenario))(rows)
     if share > most:
         return Margins(distance=-np.inf, share=share)
     shapes = shapes_of(scenario, apart=True)
     q = rows[:, : len(backwards.coordinates.position_names)]
-    nearest = shapes.along(np.hstack([q, target[samples]])).nearest if shapes.pairs else None
-    return Margins(distance=np.inf if nearest is None else nearest.distance, share=share)
+    if not shapes.pairs:
+        return Margins(distance=np.inf, share=share)
+    spread = np.argsort(np.modf(_SPREAD * np.arange(len(samples)))[0])  # soon near any instant
+    nearest = shapes.along(np.hstack([q, target[samples]])[spread], enough=enough).nearest
+    return Margins(distance=nearest.distance, share=share)
 
 
-def force_share(scenario: Scenario, rows: np.ndarray) -> float:
-    """The largest share of the limits of force that a motion [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
-    takes with an empty gripper; the same in either direction but for damping.
+def shares_of(scenario: Scenario) -> Callable[[np.ndarray], float]:
+    """A function that gives the largest share of the limits of force that a motion [q_d; v_d;
+    dv_d/dt] (n, nq + 2 nv) takes with an empty gripper; the same in either direction but for
+    damping.
     """
     model = make_nominal_plant(dataclasses.replace(scenario, holds=False))
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
-    force = model.calc_tracking_force(*np.split(rows, [nq, nq + nv], axis=1))
     limit = actuation_limit(scenario, model.coordinates).upper
-    return float((np.abs(force) / limit).max())
+
+    def share_of(rows: np.ndarray) -> float:
+        force = model.calc_tracking_force(*np.split(rows, [nq, nq + nv], axis=1))
+        return float((np.abs(force) / limit).max())
+
+    return share_of
 
 
 def gentle_duration(
@@ -207,4 +226,4 @@ def gentle_duration(
 
 def is_gentle(scenario: Scenario, motion: PlannedMotion) -> bool:
     """Whether a motion takes at most half of the limits of force with an empty gripper."""
-    return force_share(scenario, motion.rows(np.linspace(0.0, motion.end, _INSTANTS))) <= _MOST
+    return shares_of(scenario)(motion.rows(np.linspace(0.0, motion.end, _INSTANTS))) <= _MOST
