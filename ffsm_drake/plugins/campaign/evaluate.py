@@ -20,10 +20,11 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, FfsmError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.plugins import service
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of
-from ffsm_drake.plugins.campaign.prediction import predict
+from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
@@ -203,6 +204,7 @@ def predictions_of(spec: Spec) -> tuple[str, ...]:
 CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
 
 Row = dict[str, Any]
+Foreseen = tuple[float, ...] | Exception  # predictions of a run, or why there are none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,18 +269,33 @@ class Evaluator:
         start = time.perf_counter()
         logs = self._side_by_side(batch)
         share = (time.perf_counter() - start) / max(len(logs), 1)
+        foreseen = self._foreseen(logs)
         rows = []
         for case in batch.cases:
-            rows.append(self.evaluate(case, batch.controller, log=logs.get(case.index)))
+            log, known = logs.get(case.index), foreseen.get(case.index)
+            rows.append(self.evaluate(case, batch.controller, log=log, foreseen=known))
             rows[-1]["wall_time"] += share if case.index in logs else 0.0
         return rows
+
+    def _foreseen(self, logs: Mapping[int, RunLog]) -> dict[int, Foreseen]:
+        """The predictions of the runs with these logs, all at once; none if that takes too long."""
+        if not self._spec.predictions:
+            return {}
+        scenarios = [log.scenario for log in logs.values()]
+        limit = self._spec.time_limit * max(len(logs), 1)
+        with contextlib.suppress(TimeLimit, FfsmError), guarded, time_limit(limit):
+            return dict(zip(logs, predict_many(scenarios), strict=True))
+        return {}
 
     def _side_by_side(self, batch: Batch) -> dict[int, RunLog]:
         """The logs of those cases that can run side by side, by their number."""
         scenarios: dict[int, Scenario] = {}
         for case in batch.cases if len(batch.cases) > 1 else ():
             with contextlib.suppress(Exception):  # the row reports the error
-                scenarios[case.index] = timed(scenario_of(self._spec, case, batch.controller))
+                scenario = timed(scenario_of(self._spec, case, batch.controller))
+                if scenario.approach is not None:  # one that is refused would stop all
+                    service("planned_approach", "capture.approach")(scenario)
+                scenarios[case.index] = scenario
         numbers = list(scenarios)
         groups = batches_of(list(scenarios.values()), len(numbers))
         chosen = [numbers[place] for group in groups if len(group) > 1 for place in group]
@@ -291,8 +308,17 @@ class Evaluator:
                     logs[chosen[place]] = result
         return logs
 
-    def evaluate(self, case: Case, controller: str, *, log: RunLog | None = None) -> Row:
-        """The row of one case; ``log`` is that of its run, if it has run."""
+    def evaluate(
+        self,
+        case: Case,
+        controller: str,
+        *,
+        log: RunLog | None = None,
+        foreseen: Foreseen | None = None,
+    ) -> Row:
+        """The row of one case; ``log`` is that of its run, if it has run, and ``foreseen`` its
+        predictions.
+        """
         start = time.perf_counter()
         own = dynamics_columns(self._spec)
         row: Row = dict.fromkeys((*self._metrics, *self._predictions, *own))
@@ -302,7 +328,7 @@ class Evaluator:
                     log = self._run(timed(scenario_of(self._spec, case, controller)))
                 row |= evaluate_run(self._spec, log) | self._dynamics_of(log, case)
                 if self._spec.predictions:
-                    row |= self._predicted(log.scenario, row["message"])
+                    row |= self._predicted(log.scenario, row["message"], foreseen)
         except LimitError as error:  # no motion keeps the limits
             refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
             row = dict.fromkeys(row) | error_row(str(error)) | refused
@@ -317,10 +343,13 @@ class Evaluator:
             "software": self._software,
         }
 
-    def _predicted(self, scenario: Scenario, message: str) -> Row:
+    def _predicted(self, scenario: Scenario, message: str, foreseen: Foreseen | None) -> Row:
         """The predictions; if there are none, the message gives the reason."""
         try:
-            return dict(zip(self._predictions, predict(scenario), strict=False))
+            (found,) = [foreseen] if foreseen else predict_many([scenario])
+            if isinstance(found, Exception):
+                raise found
+            return dict(zip(self._predictions, found, strict=False))
         except BlockError as error:
             why = f"{NO_PREDICTION}{one_line(error)}"
             return {"message": "; ".join(filter(None, (message, why)))}

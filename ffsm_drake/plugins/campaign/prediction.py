@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.load import predicted_load
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.plugins.design.stability.rehearsal import rehearse
+from ffsm_drake.plugins.design.stability.rehearsal import Rehearsed, shares_diverged
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.reference import timed
 
@@ -38,14 +38,35 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     Raises ModelError, ScenarioError or BlockError: a value cannot be used, or a block cannot be
     linearised.
     """
-    with Linearizer(scenario) as linearizer:
-        starting, expected = found = _radii(linearizer)
-        if (load := predicted_load(linearizer)) is not None:
-            found.append(load)
-        if is_rehearsed(scenario):
-            stable = max(starting, expected) < 1.0
-            found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)
-        return tuple(found)
+    (found,) = predict_many([scenario])
+    if isinstance(found, Exception):
+        raise found
+    return found
+
+
+def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exception]:
+    """``predict`` of several scenarios, or its error; those that are rehearsed go side by side."""
+    found: list[tuple[float, ...] | Exception] = []
+    cases = dict[int, Rehearsed]()
+    for index, scenario in enumerate(scenarios):
+        try:
+            with Linearizer(scenario) as linearizer:
+                own = _radii(linearizer)
+                is_stable = max(own) < 1.0
+                if (load := predicted_load(linearizer)) is not None:
+                    own.append(load)
+            if is_rehearsed(scenario):
+                own.append(1.0)
+                if is_stable:
+                    cases[index] = Rehearsed(scenario)
+            found.append(tuple(own))
+        except Exception as error:
+            found.append(error)
+    for index, share in zip(cases, shares_diverged(list(cases.values()), seeds=1), strict=True):
+        radii = found[index]
+        assert isinstance(radii, tuple)
+        found[index] = (*radii[:-1], share)
+    return found
 
 
 def expected_radius(scenario: Scenario) -> float:

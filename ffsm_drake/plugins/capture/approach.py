@@ -72,7 +72,7 @@ def given_approach(scenario: Scenario) -> Approach:
     return dataclasses.replace(approach, posture=posture, start="given")
 
 
-@memoized(maxsize=16)
+@memoized(maxsize=128)  # a campaign asks for those of a batch before it runs them
 @step("a search for a clear start")
 def _clear_start(scenario: Scenario) -> Posture:
     approach = scenario.approach

@@ -9,10 +9,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ffsm_drake import load_scenario, simulate
+from ffsm_drake import load_scenario, override_scenario, simulate
 from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
-from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
+from ffsm_drake.plugins.design.stability.rehearsal import (
+    Rehearsal,
+    Rehearsed,
+    rehearse,
+    shares_diverged,
+)
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import actuation_limit, base_limits
@@ -198,3 +203,16 @@ def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
     assert record.outcome.status == "completed"
     error = record.dataset["error"].values[record.dataset["time"].values > stop + 1.0]
     assert np.abs(error).max() < 1e-3
+
+
+def test_cases_side_by_side_have_the_results_that_they_have_alone():
+    base = load_scenario(
+        "thrusters_and_wheels", ["duration=1", "actuation.delay=1", "controller=tde_aismc"]
+    )
+    heavier = override_scenario(base, ["payload.nominal.mass=110", "divergence_speed=1e-4"])
+    longer = override_scenario(base, ["duration=1.2"])
+    cases = [Rehearsed(each) for each in (base, heavier, longer)]
+    assert cases[0].kind == cases[1].kind != cases[2].kind
+    alone = [rehearse(each.scenario, seeds=2).share_diverged for each in cases]
+    assert len(set(alone)) > 1
+    assert shares_diverged(cases, seeds=2) == alone

@@ -8,7 +8,8 @@ saturation.
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.common import RandomDistribution
@@ -16,6 +17,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
+from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
@@ -30,10 +32,8 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import (
 )
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.part import Part
-from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.registry import section_parts
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
@@ -153,23 +153,17 @@ def rehearse(
 
     Raises: the errors of ``Linearizer`` and ``Linearizer.at``.
     """
-    with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
-        loops = _close_loops(linearizer, held)
-        scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
-    if mean is None:
-        ideal = make_demand(scenario).force
-        mean = np.zeros_like(ideal), ideal
-    times = np.arange(scenario.num_control_periods) * scenario.sample_time
-    mean = np.nan_to_num(mean[0]), np.nan_to_num(mean[1])
-    diverged, shares, largest, square = _Runs(scenario, loops, motion, mean, law).go(times, seeds)
+    case = Rehearsed(scenario, held, mean)
+    scenario, count = case.scenario, case.scenario.num_control_periods
+    ((diverged, shares, largest, square),) = _Runs([case], seeds).go()
     return Rehearsal(
         scenario=scenario,
-        coordinates=motion.coordinates,
+        coordinates=case.motion.coordinates,
         noise_force=np.max(
-            [_without_push(loop).noise_response(times.size)["force"] for loop in loops.values()],
+            [_without_push(loop).noise_response(count)["force"] for loop in case.loops.values()],
             axis=0,
         ),
-        motion_force=np.abs(mean[1]).max(axis=0),
+        motion_force=np.abs(case.force).max(axis=0),
         diverged=diverged,
         saturated=dict(zip([*_actuators(scenario), _LIMIT], shares.T, strict=True)),
         largest_error=np.median(largest, axis=0),
@@ -188,37 +182,93 @@ def is_near_limits(scenario: Scenario, coordinates: Coordinates, force: np.ndarr
     return bool((np.abs(force).max(axis=0) + _FURTHER * noise > limit).any())
 
 
-class _Runs:
-    """Runs of the linear loops, by time, with the actuators of a scenario, side by side; arrays
-    have a row for each.
-    """
+class Rehearsed:
+    """The linear loops of a scenario, by time, about its planned motion."""
 
     def __init__(
         self,
         scenario: Scenario,
-        loops: Mapping[float, LinearLoop],
-        motion: PlannedMotion,
-        mean: tuple[np.ndarray, np.ndarray],
-        law: ControlLaw | None,
+        held: Mapping[str, np.ndarray] | None = None,
+        mean: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
-        settings, coordinates = allocated(scenario), motion.coordinates
-        self._scenario, self._motion, self._law = scenario, motion, law
-        self._error, self._force = mean
-        self._times, (first, *_) = list(loops), loops.values()
-        self._push, self._memory = first.noise[_PUSH], first.memory
+        """Args and errors: see ``rehearse``."""
+        with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
+            self.loops = _close_loops(linearizer, held)
+            self.motion, self.law = linearizer.motion, linearizer.law
+            self.scenario = scenario = linearizer.given
+        if mean is None:
+            ideal = make_demand(scenario).force
+            mean = np.zeros_like(ideal), ideal
+        self.error, self.force = (np.nan_to_num(each) for each in mean)
+        self.settings, self._times = allocated(scenario), list(self.loops)
+        first = self.loops[self._times[0]]
+        self.push, self._noise = first.noise[_PUSH], first.noise
         # by posture, of each sample of a common period: from x and from w to [u; x+]
         self._maps = [
             [
                 (np.vstack([each.c, each.a]), np.vstack([each.d, each.b]))
                 for each in _from_start(loop)
             ]
-            for loop in loops.values()
+            for loop in self.loops.values()
         ]
+        self.states = self._maps[0][0][0].shape[1]
         planned = PlannedDynamics(scenario)
         self._mass = [planned.mass_matrices(time)[1] for time in self._times]
-        self._base = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
+        start = {} if self.law is None else self.law.initial_state()
+        known = {"sliding_variable", "switching_gain"} <= set(start)
+        # G (nv), which the linear loop leaves out; empty if the law has none
+        self.switching = np.array(start["switching_gain"]) if known else np.zeros(0)
+        self.sliding = first.memory["sliding_variable"] if known else slice(0)
+
+    @property
+    def kind(self) -> Hashable:
+        """Equal for cases that can go side by side."""
+        scenario, shapes = self.scenario, [each.shape for each in self._maps[0][0]]
+        clock = scenario.sample_time, scenario.num_control_periods, len(self._maps[0])
+        noise = [(name, part.start, part.stop) for name, part in self._noise.items()]
+        return content_of((self.settings, clock, shapes, noise, list(_actuators(scenario))))
+
+    def near(self, time: float) -> tuple[list[Maps], np.ndarray]:
+        """The loop's maps of one common period and the nominal mass matrix at a time, interpolated
+        between postures.
+        """
+        i = min(max(int(np.searchsorted(self._times, time)) - 1, 0), len(self._times) - 2)
+        begin, end = self._times[i : i + 2]
+        share = min(max((time - begin) / (end - begin), 0.0), 1.0)
+
+        def blend(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+            return (1.0 - share) * first + share * second
+
+        pairs = zip(self._maps[i], self._maps[i + 1], strict=True)
+        maps = [(blend(a, b), blend(c, d)) for (a, c), (b, d) in pairs]
+        return maps, blend(self._mass[i], self._mass[i + 1])
+
+    def base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The planned R_WB (n, 3, 3), and ``turning`` (n, 6) of ``BaseActuators.give``."""
+        rows, nq = self.motion.rows(times), self.force.shape[1] + 1
+        rotation = np.array(
+            [attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]]
+        )
+        turning = in_body_axes(rows[:, :4], rows[:, nq : nq + 3])
+        return rotation, np.hstack([turning, np.zeros_like(turning)])
+
+
+class _Runs:
+    """Runs of cases of one kind with their actuators, side by side; arrays have a row for each, the
+    seeds of case after case.
+    """
+
+    def __init__(self, cases: Sequence[Rehearsed], seeds: int) -> None:
+        self._cases, self._seeds, first = cases, seeds, cases[0]
+        self._scenario, coordinates, settings = (
+            first.scenario, first.motion.coordinates, first.settings,
+        )  # fmt: skip
+        self._push, self._nv = first.push, first.force.shape[1]
+        self._base = make_base_actuators(
+            settings, coordinates, sample_time=first.scenario.sample_time
+        )
         self._ends = np.cumsum([*self._base.sizes.values()])[:-1]
-        self._actuators = _actuators(scenario).values()
+        self._actuators = _actuators(first.scenario).values()
         self._limit = coordinates.vector(
             settings.limit or {}, key="actuation.limit", default=np.inf
         )
@@ -226,57 +276,62 @@ class _Runs:
             settings.quantization, key="actuation.quantization", default=0.0
         )
 
-    def go(
-        self, times: np.ndarray, seeds: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """With each seed: the time of divergence or NaN (seeds,), the share of saturated samples by
-        actuator (seeds, k), the largest errors at the end and the mean square deviations once
-        settled (seeds, nv).
+    def go(self) -> list[tuple[np.ndarray, ...]]:
+        """Of each case, with each seed: the time of divergence or NaN (seeds,), the share of
+        saturated samples by actuator (seeds, k), the largest errors at the end and the mean square
+        deviations once settled (seeds, nv).
         """
-        nv, base = self._force.shape[1], self._base
-        generators = [np.random.default_rng(seed) for seed in range(seeds)]
-        x, memory, switching = (
-            np.tile(first, (seeds, 1))
-            for first in (
-                np.zeros(self._maps[0][0][0].shape[1]),
-                base.initial_memory,
-                self._switching_at_start,
-            )
-        )
+        nv, base, cases, seeds = self._nv, self._base, self._cases, self._seeds
+        times = np.arange(self._scenario.num_control_periods) * self._scenario.sample_time
+        runs, by_case = len(cases) * seeds, (len(cases), seeds, -1)
+        generators = [[np.random.default_rng(seed) for seed in range(seeds)] for _ in cases]
+        x, memory = np.zeros((runs, cases[0].states)), np.tile(base.initial_memory, (runs, 1))
+        switching = [np.tile(case.switching, (seeds, 1)) for case in cases]
+        speed = self._of_each([case.scenario.divergence_speed for case in cases])
         # delayed commands, and the linear loop's part of them
-        late = [np.zeros((seeds, nv))] * self._scenario.actuation.delay
+        late = [np.zeros((runs, nv))] * self._scenario.actuation.delay
         own = list(late)
-        diverged, samples = np.full(seeds, np.nan), np.full((seeds, 1), times.size)
-        saturated = np.zeros((seeds, len(self._actuators) + 1))  # and by actuation.limit
-        square, largest = np.zeros((2, seeds, nv))
+        diverged, samples = np.full(runs, np.nan), np.full((runs, 1), times.size)
+        saturated = np.zeros((runs, len(self._actuators) + 1))  # and by actuation.limit
+        square, largest = np.zeros((2, runs, nv))
         settled, at_end = times > _SETTLED_AFTER, times >= times[-1] - _LAST
-        motion = zip(times.tolist(), *self._base_motion(times), strict=True)
-        for k, (time, rotation, turning) in enumerate(motion):
+        motions = [case.base_motion(times) for case in cases]
+        for k, time in enumerate(times.tolist()):
             if k % _BLENDED == 0:
-                maps, mass = self._near(time)
-                noise = self._noise(generators, maps, k)
-            of_x, of_w = maps[k % len(maps)]
-            force, after = np.split(products.times(of_x, x) + noise[:, k % _BLENDED], [nv], axis=1)
-            force = self._force[k] + force
+                maps, masses = zip(*(case.near(time) for case in cases), strict=True)
+                noise = np.concatenate(
+                    [self._noise(*each, k) for each in zip(generators, maps, strict=True)]
+                )
+                period = len(maps[0])
+                of_x, of_w = (
+                    [
+                        np.stack([each[kind][part] for each in maps])[:, None]
+                        for kind in range(period)
+                    ]
+                    for part in (0, 1)
+                )
+            kind = k % period
+            linear = products.times(of_x[kind], x.reshape(by_case)).reshape(runs, -1)
+            force, after = np.split(linear + noise[:, k % _BLENDED], [nv], axis=1)
+            force = self._of_each([case.force[k] for case in cases]) + force
             own.append(force)
-            if self._law is not None and switching.size:
-                s = after[:, self._memory["sliding_variable"]]
-                force = force + products.times(mass, switching * np.sign(s))
-                switching = self._law.switching_gain_after(s, switching)
+            force = self._switched(force, after, switching, masses)
             bounded = np.clip(force, -self._limit, self._limit)
             saturated[:, -1] += np.isnan(diverged) & (bounded != force).any(axis=1)
             late.append(quantize(bounded, self._resolution))
-            begins = k % base.frame == 0
+            rotation, turning = (
+                self._of_each([motion[part][k] for motion in motions]) for part in (0, 1)
+            )
             stacked = base.give(
-                late.pop(0), memory, rotation=rotation, turning=turning, begins=begins
+                late.pop(0), memory, rotation=rotation, turning=turning, begins=k % base.frame == 0
             )
             sample = dict(zip(base.sizes, np.split(stacked, self._ends, axis=1), strict=True))
             memory, going = sample["memory"], np.isnan(diverged)
             for index, part in enumerate(self._actuators):
                 saturated[:, index] += going & part.saturated(sample)
-            pushed = sample["applied_force"] - own.pop(0)
-            x = after + products.applied(of_w[nv:, self._push], pushed)
-            within = np.abs(x[:, nv : 2 * nv]).max(axis=1) < self._scenario.divergence_speed
+            pushed = (sample["applied_force"] - own.pop(0)).reshape(by_case)
+            x = after + products.applied(of_w[kind][..., nv:, self._push], pushed).reshape(runs, -1)
+            within = np.abs(x[:, nv : 2 * nv]).max(axis=1) < speed
             if not within.all():
                 beyond = ~within  # they stay where they started
                 diverged[beyond & going], samples[beyond & going] = time, k + 1
@@ -286,13 +341,38 @@ class _Runs:
                     break
             square += settled[k] * x[:, :nv] ** 2
             if at_end[k]:
-                largest = np.maximum(largest, np.abs(self._error[k] + x[:, :nv]))
-        return diverged, saturated / samples, largest, square / max(1, int(settled.sum()))
+                error = self._of_each([case.error[k] for case in cases])
+                largest = np.maximum(largest, np.abs(error + x[:, :nv]))
+        found = diverged, saturated / samples, largest, square / max(1, int(settled.sum()))
+        return list(zip(*(np.split(each, len(cases)) for each in found), strict=True))
+
+    def _switched(
+        self,
+        force: np.ndarray,
+        after: np.ndarray,
+        switching: list[np.ndarray],
+        masses: Sequence[np.ndarray],
+    ) -> np.ndarray:
+        """The commands with the switching terms of the laws, whose gains are brought up to date."""
+        if not any(gain.size for gain in switching):
+            return force
+        force = force.copy()
+        for index, (case, mass) in enumerate(zip(self._cases, masses, strict=True)):
+            gain, rows = switching[index], slice(index * self._seeds, (index + 1) * self._seeds)
+            if case.law is not None and gain.size:
+                s = after[rows, case.sliding]
+                force[rows] += products.times(mass, gain * np.sign(s))
+                switching[index] = case.law.switching_gain_after(s, gain)
+        return force
+
+    def _of_each(self, values: Sequence[Any]) -> np.ndarray:
+        """A row for each seed from one for each case."""
+        return np.repeat(np.array(values), self._seeds, axis=0)
 
     def _noise(
         self, generators: Sequence[np.random.Generator], maps: Sequence[Maps], first: int
     ) -> np.ndarray:
-        """Effect of noise on [u; x+] (runs, _BLENDED, rows) from a control sample on."""
+        """Effect of noise on [u; x+] (seeds, _BLENDED, rows) from a control sample on."""
         width = maps[0][1].shape[1]
         w = np.stack([each.standard_normal((_BLENDED, width)) for each in generators])
         w[..., self._push] = 0.0
@@ -302,35 +382,20 @@ class _Runs:
             found[:, own] = w[:, own] @ of_w.T
         return found
 
-    @property
-    def _switching_at_start(self) -> np.ndarray:
-        """G (nv), which the linear loop leaves out; empty if the law has none."""
-        start = {} if self._law is None else self._law.initial_state()
-        known = {"sliding_variable", "switching_gain"} <= set(start)
-        return np.array(start["switching_gain"]) if known else np.zeros(0)
 
-    def _near(self, time: float) -> tuple[list[Maps], np.ndarray]:
-        """The loop's maps of one common period and the nominal mass matrix at a time, interpolated
-        between postures.
-        """
-        i = min(max(int(np.searchsorted(self._times, time)) - 1, 0), len(self._times) - 2)
-        share = min(max((time - self._times[i]) / (self._times[i + 1] - self._times[i]), 0.0), 1.0)
-
-        def blend(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-            return (1.0 - share) * first + share * second
-
-        pairs = zip(self._maps[i], self._maps[i + 1], strict=True)
-        maps = [(blend(a, b), blend(c, d)) for (a, c), (b, d) in pairs]
-        return maps, blend(self._mass[i], self._mass[i + 1])
-
-    def _base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The planned R_WB (n, 3, 3), and ``turning`` (n, 6) of ``BaseActuators.give``."""
-        rows, nq = self._motion.rows(times), self._force.shape[1] + 1
-        rotation = np.array(
-            [attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]]
-        )
-        turning = in_body_axes(rows[:, :4], rows[:, nq : nq + 3])
-        return rotation, np.hstack([turning, np.zeros_like(turning)])
+def shares_diverged(cases: Sequence[Rehearsed], *, seeds: int) -> list[float]:
+    """``Rehearsal.share_diverged`` of several cases: those of one kind side by side, each with the
+    result that it has alone.
+    """
+    groups: dict[Hashable, list[int]] = {}
+    for index, case in enumerate(cases):
+        groups.setdefault(case.kind, []).append(index)
+    found = [0.0] * len(cases)
+    for group in groups.values():
+        results = _Runs([cases[index] for index in group], seeds).go()
+        for index, (diverged, *_) in zip(group, results, strict=True):
+            found[index] = float(np.isfinite(diverged).mean())
+    return found
 
 
 def _actuators(scenario: Scenario) -> dict[str, Part]:
