@@ -14,7 +14,13 @@ from ffsm_drake import RunRecord, Scenario, load_scenario, simulate
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 ENCODERS = f"sensing.position_bias={{{', '.join(f'right_{k}: 1e-3' for k in range(1, 7))}}}"
-ERRORS = {"none": (), "1 mrad, 1 mm": (ENCODERS, "contacts.right.position_error=[1e-3, 0, 0]")}
+CALIBRATION = (ENCODERS, "contacts.right.position_error=[1e-3, 0, 0]")
+WRISTS = ("contacts.right.force_noise=1", "contacts.right.moment_noise=0.05")
+ERRORS = {
+    "none": (),
+    "1 mrad, 1 mm": CALIBRATION,
+    "1 mrad, 1 mm; wrist 1 N, 0.05 N m": (*CALIBRATION, *WRISTS),
+}
 
 
 def main() -> None:
@@ -31,6 +37,8 @@ def main() -> None:
     for law in given.laws:
         for chain, seeds in (("plain", 1), ("minimal, force: null", 1), ("minimal", given.seeds)):
             for errors, overrides in ERRORS.items():
+                if "wrist" in errors and chain != "minimal":  # nothing else measures the wrench
+                    continue
                 print(_row(law, chain, errors, overrides, seeds), flush=True)
     for name, seconds, ratio in _costs(given.repeats):
         print(f"{name}: {seconds:.3f} s, {ratio:.2f} times the one-armed run")

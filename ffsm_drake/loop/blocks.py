@@ -46,7 +46,7 @@ from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
 # Wrenches on the target, of the contacts that close loops (``contacts``): 6 for each.
-WRENCH, WRENCHES = "contact_wrench", "6 contacts"
+WRENCH, WRENCHES = "measured_wrench", "6 contacts"
 # Outputs of actuators that act on the plant beside the applied force.
 BESIDES = ("gyroscopic_force", "friction_force")
 # The output port of a block that wants the supervisor to act: above 0.5.
@@ -211,12 +211,11 @@ class _Making:
         self._owns = [section_parts(scenario, given) for scenario in scenarios]
         if len({tuple(own) for own in self._owns}) > 1:
             raise NotAlike("the sections of the copies' scenarios differ")
-        if len(scenarios) > 1 and "supervisor" in self._owns[0]:
-            raise NotAlike("a restart of the law affects all copies")
-        if len(scenarios) > 1 and any(scenario.faults for scenario in scenarios):
-            raise NotAlike("a spacecraft with faults runs alone")
-        if len(scenarios) > 1 and any(len(scenario.contacts) > 1 for scenario in scenarios):
-            raise NotAlike("a closed chain runs alone")
+        if len(scenarios) > 1:
+            if "supervisor" in self._owns[0]:
+                raise NotAlike("a restart of the law affects all copies")
+            if any(each.faults or len(each.contacts) > 1 for each in scenarios):
+                raise NotAlike("a spacecraft with faults or a closed chain runs alone")
         self._setups = [
             BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
             for scenario, nominal in zip(scenarios, nominals, strict=True)

@@ -556,8 +556,9 @@ class _Wiring:
         if self._controller.HasInputPort(WRENCH):
             for system in forces.values():
                 if system.HasOutputPort(WRENCH):
-                    port = self._controller.GetInputPort(WRENCH)
-                    builder.Connect(system.GetOutputPort(WRENCH), port)
+                    builder.Connect(
+                        system.GetOutputPort(WRENCH), self._controller.GetInputPort(WRENCH)
+                    )
         on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
         if self._split.names:
             acts = self._on_whole_plant(acts, on_hidden)

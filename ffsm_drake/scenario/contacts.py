@@ -39,6 +39,13 @@ class Contact:
     damping: float = setting(200.0, "N s/m", "of a compliant contact", least=0)
     rotational_stiffness: float = setting(500.0, "N m/rad", "of a compliant contact", above=0)
     rotational_damping: float = setting(5.0, "N m s/rad", "of a compliant contact", least=0)
+    force_noise: float = setting(
+        0.0,
+        "N",
+        "standard deviation per sample of the force measured at the wrist",
+        least=0,
+    )
+    moment_noise: float = setting(0.0, "N m", "of the moment, likewise", least=0)
     force_limit: float | None = setting(
         None, "N", "largest force along an axis that a run should not exceed; null: none", above=0
     )

@@ -366,8 +366,7 @@ def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
     is not grasped yet.
     """
     model, hands = scenario.model, tuple(each.effector for each in scenario.contacts.values())
-    body = scenario.payload.body if apart else None
-    return _loaded(model, model_files(model), body, hands)
+    return _loaded(model, model_files(model), scenario.payload.body if apart else None, hands)
 
 
 @memoized(maxsize=4)  # called after every run of a campaign; loading is slow

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.common import RandomDistribution
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import Demultiplexer
+from pydrake.systems.primitives import Adder, Demultiplexer, Gain, RandomSource
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dposv
 
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.loop import blocks
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.scenario.contacts import WRENCH, Contact, closing_contacts
@@ -153,8 +155,8 @@ class ContactForce(Diagram):
     """The force of the contacts, which close loops of the plant's tree.
 
     Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv). Outputs:
-    ``generalized_force`` (nv), ``contact_wrench`` (on the target) and ``contact_gap`` (6 for each
-    contact).
+    ``generalized_force`` (nv), ``contact_wrench`` (on the target), ``contact_gap`` and
+    ``measured_wrench`` (the wrench with the noise of the wrists' sensors; 6 for each contact).
     """
 
     def __init__(self, setup: BlockSetup) -> None:
@@ -171,11 +173,27 @@ class ContactForce(Diagram):
         builder.Connect(self._contact.get_output_port(), parts.get_input_port())
         for index, name in enumerate(("generalized_force", WRENCHES, GAP)):
             builder.ExportOutput(parts.get_output_port(index), name)
+        measured, noise = parts.get_output_port(1), _noise(setup.scenario)
+        if noise.any():
+            period = setup.scenario.sample_time
+            samples = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, size, period))
+            shaped, noisy = builder.AddSystem(Gain(noise)), builder.AddSystem(Adder(2, size))
+            builder.Connect(samples.get_output_port(), shaped.get_input_port())
+            builder.Connect(shaped.get_output_port(), noisy.get_input_port(1))
+            builder.Connect(measured, noisy.get_input_port(0))
+            measured = noisy.get_output_port()
+        builder.ExportOutput(measured, blocks.WRENCH)
         builder.BuildInto(self)
 
     def set_payload(self, context: Context, properties: MassProperties) -> None:
         """Give the payload other mass properties."""
         self._contact.set_payload(properties)
+
+
+def _noise(scenario: Scenario) -> np.ndarray:
+    """Standard deviations of the wrenches' noise (6 for each contact)."""
+    contacts = closing_contacts(scenario).values()
+    return np.repeat([[each.moment_noise, each.force_noise] for each in contacts], 3)
 
 
 class _Contact(LeafSystem):

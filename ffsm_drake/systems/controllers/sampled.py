@@ -59,7 +59,7 @@ class SampledController(LeafSystem):
       measurement_is_new: optional (nq + nv), 1 for entries with a new measurement at this sample;
         without the port all are new.
       desired_frame: optional (19), for a law tracking a frame; see ``Sample.desired_frame``.
-      contact_wrench: optional (6 for each contact), for a law with ``contacts_read``.
+      measured_wrench: optional (6 for each contact), for a law with ``contacts_read``.
       restart: optional (1), above 0.5 if the law restarts at this sample.
     Outputs, read from the state; no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint
@@ -135,7 +135,7 @@ class SampledController(LeafSystem):
 
         contacts = getattr(self.law, "contacts_read", 0)
         self._wrench = (
-            self.DeclareVectorInputPort("contact_wrench", 6 * contacts) if contacts else None
+            self.DeclareVectorInputPort("measured_wrench", 6 * contacts) if contacts else None
         )
 
     def _first_memory(self, num_velocities: int) -> State:

@@ -49,6 +49,18 @@ def test_the_internal_force_stays_below_1_newton_in_20_runs(law: str) -> None:
         assert run.metrics["contacts"]["moment"] < 2.0
 
 
+def test_noise_at_the_wrist_shakes_the_internal_force() -> None:
+    """F' = F - g (F + n) with the gain g a sample: deviation sqrt(g / (2 - g)) of the noise's."""
+    noise = ("contacts.right.force_noise=2", "contacts.right.moment_noise=0.2")
+    runs = [
+        simulate(scenario(*QUIET, *each, "duration=8"), check_stability=False)
+        for each in ((), noise)
+    ]
+    wrenches = [run.dataset["contact_wrench"].values for run in runs]
+    found = (wrenches[1] - wrenches[0])[100:].reshape(-1, 2, 3).std(axis=(0, 2))
+    assert_allclose(found, np.array([0.2, 2.0]) * np.sqrt(0.05 / 1.95), rtol=0.15)
+
+
 @pytest.mark.smoke
 def test_a_law_that_is_not_adapted_winds_up_unseen_in_the_errors() -> None:
     runs = [
