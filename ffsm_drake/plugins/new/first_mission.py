@@ -54,7 +54,6 @@ _LONGEST, _SETTLE, _INSTANTS = 120.0, 1.0, 60  # s; s after a grasp that do not 
 # m/s^2; its frequencies, rad/s, are taken in turn.
 _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
-_OUT_OF_PLANE = (*BASE_ROTATION[:2], BASE_POSITION[2])
 _PULSES, _WHEEL = 0.4, (0.05, 5.0)  # wheels' share of the thrusters' torque; a wheel, N m
 _SLOW_WHEEL, _ROTOR = 0.4, 0.005  # torque (1/s^2) and rotor per least moment of base
 # Natural frequencies to start from, rad/s, and what shrinks them.
@@ -75,9 +74,11 @@ class Draft:
         self.remarks, self.margins = list[str](), dict[str, Margins]()
         self.is_held = True  # by all hands
         self.touching = ""  # the parts that no posture and approach found keeps clear
-        if servicer.is_planar:
+        if servicer.normal is not None:
             initial = self.data["initial_posture"]
-            initial["base_position"][2], initial["base_rpy"][:2] = 0.0, [0.0, 0.0]
+            initial["base_position"][servicer.normal] = 0.0
+            for k in {0, 1, 2} - {servicer.normal}:
+                initial["base_rpy"][k] = 0.0
         self._enough = 0.0  # N m, of a wheel
         self.peaks, self.weak = np.zeros(0), ""  # (nv) forces of motion and disturbance
         self.true = make_true_plant(self.scenario)
@@ -253,12 +254,13 @@ class Draft:
         planned, harmonics = self._planned(capture=None), dict[str, dict[str, float]]()
         inertia = _effective_inertia(planned.mass_matrices(planned.motion.end)[0])
         limit = np.full(inertia.size, np.inf) if self._sizes_wheels else self._limit
-        coordinates = self.coordinates
+        coordinates, out_of_plane = self.coordinates, set[str]()
+        if (normal := self.servicer.normal) is not None:
+            out_of_plane = {*BASE_ROTATION} - {BASE_ROTATION[normal]} | {BASE_POSITION[normal]}
         for k, (name, group) in enumerate(
             zip(coordinates.names, coordinates.group_of, strict=True)
         ):
-            held = self.servicer.is_planar and name in _OUT_OF_PLANE
-            if self.asked.drives(group) and not held:
+            if self.asked.drives(group) and name not in out_of_plane:
                 size = _DISTURBANCE[coordinates.units[k] if group == "joints" else group]
                 harmonics[name] = {
                     "amplitude": rounded(min(size * inertia[k], _DISTURBED * limit[k])),

@@ -58,25 +58,47 @@ SLIDES = (
     joint("base_yaw", "y", "bus", kind="continuous"),
 )  # fmt: skip
 PLANAR = (link("world"), joint("slide", "world", "bus", kind="planar"))
+TURNED = (joint("slide", "world", "bus", kind="planar", rpy="1.5707963267949 0 0"), link("world"))
+UPRIGHT = (
+    link("world"), link("x"), link("z"),
+    joint("base_x", "world", "x", kind="prismatic", axis="1 0 0", limit=RANGE),
+    joint("base_z", "x", "z", kind="prismatic", axis="0 0 1", limit=RANGE),
+    joint("base_pitch", "z", "bus", kind="continuous", axis="0 -2 0"),
+)  # fmt: skip
+EARLY = (  # the turn first, about z of the world, which is x of the base
+    link("world"), link("a"), link("b"),
+    joint("base_yaw", "world", "a", kind="continuous", axis="0 0 1"),
+    joint("base_x", "a", "b", kind="prismatic", axis="1 0 0", limit=RANGE),
+    joint("base_y", "b", "bus", kind="prismatic", axis="1 0 0", rpy="0 1.5707963267949 0",
+          limit=RANGE),
+)  # fmt: skip
+TILTED = (link("world"), joint("slide", "world", "bus", kind="planar", axis="0 1 1"))
 FLOATING = (link("root"), joint("float", "root", "bus", kind="floating"))
 
 
 @pytest.mark.smoke
 @pytest.mark.parametrize(
-    ("parts", "is_planar"), [(SLIDES, True), (PLANAR, True), (FLOATING, False)]
-)
+    ("parts", "normal"),
+    [(SLIDES, 2), (PLANAR, 2), (TURNED, 2), (UPRIGHT, 1), (EARLY, 0), (TILTED, None),
+     (FLOATING, None)],
+)  # fmt: skip
 def test_a_base_held_by_joints_becomes_free(
-    tmp_path: Path, parts: tuple[str, ...], is_planar: bool
+    tmp_path: Path, parts: tuple[str, ...], normal: int | None
 ) -> None:
     new = made(tmp_path, arm(*parts))
     assert new.servicer.base == "bus"
     assert [each.name for each in new.servicer.joints] == ["shoulder", "elbow"]
-    assert new.servicer.is_planar is is_planar
+    assert new.servicer.normal == normal
     initial, harmonics = new.scenario.initial_posture, new.scenario.disturbance.harmonics
-    is_flat = initial.base_position[2] == 0.0 and initial.base_rpy[:2] == [0.0, 0.0]
-    assert is_flat is is_planar
-    assert ("base_position_z" in harmonics) is not is_planar
-    assert any("slides in a plane" in each for each in new.remarks) is is_planar
+    for k, axis in enumerate("xyz"):
+        assert (initial.base_position[k] == 0.0) == (k == normal)
+        assert (f"base_position_{axis}" in harmonics) == (k != normal)
+        within = normal is None or k == normal
+        assert (initial.base_rpy[k] != 0.0) == within
+        assert (f"base_rotation_{axis}" in harmonics) == within
+    told = [each for each in new.remarks if "slides in a plane" in each]
+    assert bool(told) == (parts is not FLOATING)
+    assert any("not one of two axes" in each for each in told) == (parts is TILTED)
 
 
 def test_a_sliding_base_of_its_own_mass_or_rotor_is_refused(tmp_path: Path) -> None:

@@ -89,6 +89,39 @@ def test_limits_and_what_is_passed_over(tmp_path: Path) -> None:
     assert servicer.root.find("link[@name='bus']/visual/geometry/box") is not None
 
 
+@pytest.mark.parametrize(("slope", "offset", "zero"), [(-1.0, 0.0, 0.0), (2.0, 0.1, 0.3)])
+def test_a_finger_that_follows(slope: float, offset: float, zero: float, tmp_path: Path) -> None:
+    """It is fixed at its leader's rest: slope (rest - zero) + offset."""
+    mass = """<inertial><mass>0.1</mass><inertia><ixx>0.01</ixx><iyy>0.01</iyy><izz>0.01</izz>
+        </inertia></inertial>"""
+    pose = '<pose relative_to="fore">0 0.1 0.5 0 0 0</pose>'
+    range_ = "<limit><lower>0.2</lower><upper>0.7</upper></limit>"
+    extra = "".join(
+        f"""<link name="{name}">{pose}{mass}</link><joint name="{name}_slide" type="prismatic">
+        <parent>fore</parent><child>{name}</child><axis><xyz>0 1 0</xyz>{more}</axis></joint>"""
+        for name, more in (
+            ("left", range_),
+            (
+                "right",
+                f"""{range_}<mimic joint="left_slide" axis="axis"><multiplier>{slope}</multiplier>
+                <offset>{offset}</offset><reference>{zero}</reference></mimic>""",
+            ),
+        )
+    )
+    servicer = read(sdf(extra), tmp_path)
+    assert "joints that follow others are fixed: right_slide (follows left_slide)" in " ".join(
+        servicer.remarks
+    )
+    joint = servicer.root.find("joint[@name='right_slide']")
+    assert joint.get("type") == "fixed"
+    place = np.array(joint.find("origin").get("xyz").split(), dtype=float)
+    rest = next(each.rest for each in servicer.joints if each.name == "left_slide")
+    assert rest > 0.2
+    np.testing.assert_allclose(place, [0.0, 0.1 + slope * (rest - zero) + offset, 0.5], atol=1e-9)
+    with pytest.raises(ModelError, match="multiplier"):
+        read(sdf(extra).replace(f"<multiplier>{slope}", "<multiplier>two"), tmp_path)
+
+
 def test_all_faults_of_an_sdformat_file(tmp_path: Path) -> None:
     text = sdf().replace("<izz>0.2</izz>", "<izz>2</izz>").replace("<izz>0.01<", "<izz>4<")
     with pytest.raises(ModelError) as error:
@@ -141,7 +174,7 @@ def test_xacro_with_arguments_and_packages(
         missing = CliRunner().invoke(main, words)
         assert missing.exit_code == 2
         assert "--package parts=FOLDER" in missing.output
-        words += ["--package", f"parts={parts}"]
+        words += ["--package", f"parts={parts.relative_to(tmp_path)}"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert '"mass": 300.0' in result.output

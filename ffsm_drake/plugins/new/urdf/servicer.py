@@ -47,7 +47,7 @@ class Servicer:
     base: str
     base_links: tuple[str, ...]  # the base and the links fixed to it
     base_mass: float  # mass of these bodies, kg
-    is_planar: bool  # whether the base slid in a plane of the world
+    normal: int | None  # axis of the base (0, 1, 2) normal to the plane that it slid in
     total_mass: float  # kg
     joints: tuple[Joint, ...]  # the moving ones, in the file's order
     tip: Tip
@@ -99,9 +99,10 @@ def read_urdf(
         )
         if bus is not None:
             mount(root, bus)
-        faults, base_kind, followers, vague = Faults(), None, dict[str, str](), list[str]()
+        faults, followers, vague = Faults(), dict[str, str](), list[str]()
+        axis: np.ndarray | None = None
         with faults:
-            base_kind = free_base(root)
+            axis = free_base(root)
         with faults:
             followers = fix_followers(root)
         with faults:
@@ -126,11 +127,12 @@ def read_urdf(
     base_links = tuple(tree.rigid_group(tree.base))
     base_mass, total = sum(tree.masses[name] for name in base_links), sum(tree.masses.values())
     remarks = [*left_out, *vague]
-    if base_kind == "planar":
-        remarks.append(
-            f"the base '{tree.base}' slides in a plane: it is free here, and its motion and "
-            "disturbance stay in that plane"
-        )
+    normal = None
+    if axis is not None:
+        kept = "; its plane is not one of two axes, so motion and disturbance leave it"
+        if np.abs(axis).max() > 0.999:
+            normal, kept = int(np.abs(axis).argmax()), ", and its motion and disturbance stay in it"
+        remarks.append(f"the base '{tree.base}' slides in a plane: it is free here{kept}")
     if followers:
         told = (f"{follower} (follows {leader})" for follower, leader in followers.items())
         remarks.append(f"joints that follow others are fixed: {', '.join(told)}")
@@ -145,7 +147,7 @@ def read_urdf(
         base=tree.base,
         base_links=base_links,
         base_mass=base_mass,
-        is_planar=base_kind == "planar",
+        normal=normal,
         total_mass=total,
         joints=tuple(joint for joint in tree.joints if joint.moves),
         tip=chosen,
@@ -228,8 +230,8 @@ class _Tree:
         require(
             joint.parent != WORLD,
             f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
-            f"and link '{WORLD}' from the URDF, so that the base is free, or mount it on a bus "
-            "with --bus-mass KG",
+            f"and link '{WORLD}' (in MJCF: give the body a <freejoint/>), so that the base is "
+            "free, or mount it on a bus with --bus-mass KG",
         )
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             require(

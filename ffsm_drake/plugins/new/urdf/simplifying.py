@@ -29,10 +29,10 @@ _BASES = {  # kinds of the joints between the world and a base -> kind of base
 _DEGREES = (20.0, 720.0)  # a range (upper less lower) between these is not in radians
 
 
-def free_base(root: Element) -> str | None:
+def free_base(root: Element) -> np.ndarray | None:
     """Remove the joints between a floating or sliding base and the world, or a massless root, with
-    the massless links between. Returns "free" or "planar" (it moved in the plane of x and y
-    only); None if there were none.
+    the massless links between. Returns the normal (3) of the plane of a planar base, in the base's
+    axes at the joints' zero; None of any other.
 
     Raises ModelError: such a joint has a rotor, an inertia that no body has.
     """
@@ -63,10 +63,20 @@ def free_base(root: Element) -> str | None:
             root.remove(joint)
             if (link := links.get(end_of(joint, "parent"))) is not None:
                 root.remove(link)
-        axis = vector(chain[-1].find("axis"), "xyz", f"joint '{names[-1]}'", "1 0 0")
-        is_upright = len(chain) == 1 or abs(axis[2]) > 0.99 * np.linalg.norm(axis)
-        return base if is_upright else "free"
+        return _normal(chain, kinds) if base == "planar" else None
     return None
+
+
+def _normal(chain: list[Element], kinds: list[str]) -> np.ndarray:
+    """The axis (3) of the turn of a planar base, or of its planar joint, in the base's axes."""
+    at = next(k for k, kind in enumerate(kinds) if kind in ("turn", "planar"))
+    place = f"joint '{name_of(chain[at])}'"
+    axis = vector(chain[at].find("axis"), "xyz", place, "1 0 0" if kinds[at] == "turn" else "0 0 1")
+    for joint in chain[at + 1 :]:
+        rpy = vector(joint.find("origin"), "rpy", f"joint '{name_of(joint)}'")
+        axis = RollPitchYaw(rpy).ToRotationMatrix().matrix().T @ axis
+    normal: np.ndarray = axis / max(float(np.linalg.norm(axis)), 1e-12)
+    return normal
 
 
 def rotor_of(root: Element, joint: str) -> float:

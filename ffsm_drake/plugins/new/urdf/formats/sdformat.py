@@ -25,7 +25,7 @@ from ffsm_drake.plugins.new.urdf.formats.building import (
     keep_servicer,
     text,
 )
-from ffsm_drake.spacecraft.checked_urdf import Faults, require
+from ffsm_drake.spacecraft.checked_urdf import Faults, number, require
 
 # Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
 _PASSED_OVER = (
@@ -49,7 +49,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     of it cannot be represented.
     """
     tree = ElementTree.parse(path).getroot()
-    visuals = dict(_visuals(tree))
+    visuals, mimics = dict(_visuals(tree)), dict(_take_mimics(tree))
     passed = Counter(_remove(tree))
     plant, springs = _parsed(tree, path, packages)
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
@@ -65,6 +65,10 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     for joint in joints:
         with faults:
             _add_joint(root, unique[_scoped(plant, joint)], plant, joint, names)
+    for follower, (leader, mimic) in mimics.items():
+        if follower in unique:
+            mimic.set("joint", unique.get(leader, leader))
+            root.find(f"joint[@name='{unique[follower]}']").append(mimic)  # type: ignore[union-attr]
     faults.raise_all()
     for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
         for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
@@ -90,6 +94,28 @@ def _visuals(element: Element, scope: str = "") -> Iterator[tuple[str, list[Elem
             yield name, child.findall("visual")
         elif child.tag in ("world", "model"):
             yield from _visuals(child, f"{name}::" if child.tag == "model" else scope)
+
+
+def _take_mimics(element: Element, scope: str = "") -> Iterator[tuple[str, tuple[str, Element]]]:
+    """Remove the <mimic> of each joint, which Drake refuses in continuous time; yields the joint,
+    its leader (scoped names), and a URDF's <mimic>.
+    """
+    for child in element:
+        name = f"{scope}{child.get('name', '')}"
+        if child.tag in ("world", "model"):
+            yield from _take_mimics(child, f"{name}::" if child.tag == "model" else scope)
+        for axis in child.findall("axis") if child.tag == "joint" else ():
+            if (given := axis.find("mimic")) is not None:
+                axis.remove(given)
+                keys = ("multiplier", "offset", "reference")
+                values = {key: given.findtext(key) for key in keys}
+                mimic = Element("mimic", {key: x for key, x in values.items() if x is not None})
+                slope, offset, zero = (
+                    number(mimic, key, f"joint '{name}': <mimic>", usual)
+                    for key, usual in zip(keys, "100", strict=True)
+                )
+                mimic.attrib = {"multiplier": text(slope), "offset": text(offset - slope * zero)}
+                yield name, (f"{scope}{given.get('joint', '')}", mimic)
 
 
 def _scoped(plant: MultibodyPlant, element: Any) -> str:

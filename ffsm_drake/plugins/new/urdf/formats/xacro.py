@@ -30,7 +30,7 @@ def expand(path: Path, arguments: Mapping[str, str], packages: Mapping[str, Path
     def find(package: str) -> str:
         for folder in package_folders(package, path.resolve(), packages):
             if folder.is_dir():
-                return str(folder)
+                return str(folder.resolve())
         raise ModelError(f"$(find {package}): no such package; give --package {package}=FOLDER")
 
     usual, substitution_args._eval_find = substitution_args._eval_find, find
