@@ -7,6 +7,7 @@ That the site builds, with all links inside it, is ``sphinx-build -W``'s to say.
 import functools
 import importlib
 import importlib.util
+import inspect
 import json
 import re
 import runpy
@@ -397,3 +398,15 @@ def test_the_baselines_sampled_limit(controller, coordinate):
         record = simulate(load_scenario("postcapture", [*held, gains, stiffness]))
         late[factor] = float(abs(record.dataset["error_rate"][-20:]).max())
     assert late[0.97] < 1e-4 < 1e-2 < late[1.03]
+
+
+def test_every_public_name_is_in_the_table_of_the_api():
+    """It is read in a checkout, where no docstrings are drawn: name, summary and file."""
+    rows = re.findall(r"^\| `(\w+)` \| (.+) \| `(.+)` \|$", (DOCS / "api.md").read_text(), re.M)
+    given = {name: (summary, ROOT / file) for name, summary, file in rows}
+    assert given.keys() == {*ffsm_drake.__all__, "analyze", "design", "run_campaign", "stability"}
+    for name in ffsm_drake.__all__:
+        described = inspect.getdoc(getattr(ffsm_drake, name)).split("\n\n")[0]
+        summary, file = given[name]
+        assert summary == " ".join(described.split()).replace("``", "`"), name
+        assert sys.modules[getattr(ffsm_drake, name).__module__].__file__ == str(file), name
