@@ -247,7 +247,7 @@ def _check_apart(scenario: Scenario, paths: dict[str, np.ndarray]) -> None:
     """Raise ScenarioError where two contacts are of one arm; two arms may share joints of a torso,
     and each has some of its own.
     """
-    for (name, joints), (other, others) in itertools.permutations(paths.items(), 2):
+    for (name, joints), (other, others) in itertools.permutations(reversed(paths.items()), 2):
         if set(joints.tolist()) <= set(others.tolist()):
             raise ScenarioError(
                 f"contacts.{name}.effector",

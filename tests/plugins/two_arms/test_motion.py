@@ -69,8 +69,6 @@ def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario)
     ("overrides", "words"),
     [
         (["contacts.right.effector=servicer::left_hand"], "is the hand of 'left' too"),
-        (["contacts.right.effector=servicer::left_link_4"], "is on the arm of contact 'left' too"),
-        (["contacts.right.effector=servicer::right_link_5"], "5 joints give its hand 5 of the 6"),
         (["contacts.left.kind=compliant"], "must be rigid"),
         (["contacts.left.effector=servicer::right_link_6"], "none has the effector"),
         (["initial_posture.joints.left_2=-1.2"], "its hand does not reach"),
@@ -84,6 +82,21 @@ def test_refusals_are_one_line(overrides: list[str], words: str) -> None:
     with pytest.raises(ScenarioError, match=words) as caught:
         simulate(load_scenario("two_arms", [*overrides, "duration=0.1"]), check_stability=False)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("link", range(1, 7))
+def test_a_second_hand_on_any_link_is_refused_unless_it_has_enough_joints(link: int) -> None:
+    """On the first arm always; on the second, up to its last link."""
+    for side, words in (
+        ("left", "is on the arm of contact 'left' too"),
+        ("right", f"{link} joints give its hand {link} of the 6"),
+    ):
+        if (side, link) == ("right", 6):
+            continue
+        changed = f"contacts.right.effector=servicer::{side}_link_{link}"
+        with pytest.raises(ScenarioError, match=words) as caught:
+            simulate(load_scenario("two_arms", [changed, "duration=0.1"]), check_stability=False)
+        assert "\n" not in str(caught.value)
 
 
 def test_an_arm_with_too_few_joints_is_refused(tmp_path: Path) -> None:
