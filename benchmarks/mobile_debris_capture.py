@@ -1,6 +1,6 @@
 """The task ``mobile_debris_capture`` of the Space Robotics Bench, by a controller without learning.
 
-    python benchmarks/mobile_debris_capture.py --draws 50 --force 40 100 400
+    python benchmarks/mobile_debris_capture.py --draws 500 --force 400
 
 A draw is the initial state of the task (version 0.0.6, as its source has it). The servicer catches
 the debris with its hand within the 60 s of the task: it moves along a polynomial that ends at the
