@@ -300,7 +300,7 @@ def test_what_concerns_the_verdict_stands_beside_it(short, monkeypatch):
     monkeypatch.setattr("ffsm_drake.plugins.report.page.run_remarks", lambda _: ["wheel_x: stuck"])
     text = render_report([dataclasses.replace(short, parts=(part,))])
     first, _, rest = text.partition('id="results"')
-    for line in ("Supervisor: nominal 0.6 s, damping 0.4 s.", "Wheel_x: stuck."):
+    for line in ("Supervisor: nominal 0.6 s, damping 0.4 s.", "wheel_x: stuck."):
         assert f"<li>{line}</li>" in first
         assert line not in rest
 
