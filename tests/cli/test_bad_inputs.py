@@ -1178,7 +1178,7 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     monkeypatch.setattr(
         run_figures,
         "save_figures",
-        lambda records, directory, formats: [Path(directory) / str(len(records))],
+        lambda records, directory, formats, **how: [Path(directory) / str(len(records))],
     )
     result = CliRunner().invoke(main, ["plot", *names])
     assert result.stdout == f"Written to {names[1]}: 1\n"

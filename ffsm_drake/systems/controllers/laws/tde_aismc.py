@@ -4,6 +4,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,6 +29,8 @@ class TdeAismc(Aismc):
     """u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e (equation (6)):
     AISMC with a switching term, and another rate of K_s. Gains are diagonals (nv).
     """
+
+    wide: ClassVar[bool] = True
 
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
