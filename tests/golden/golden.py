@@ -320,6 +320,8 @@ def main(arguments: Sequence[str] = ()) -> None:
     if "--moves" in arguments:
         print_moves()
         return
+    if arguments:
+        sys.exit(f"unknown: {' '.join(arguments)}; without arguments the record is rewritten")
     RUNS.mkdir(exist_ok=True)
     wanted = files()
     for path in {*RUNS.glob("*.json")} - set(wanted):
