@@ -211,11 +211,8 @@ class _Making:
         self._owns = [section_parts(scenario, given) for scenario in scenarios]
         if len({tuple(own) for own in self._owns}) > 1:
             raise NotAlike("the sections of the copies' scenarios differ")
-        if len(scenarios) > 1:
-            if "supervisor" in self._owns[0]:
-                raise NotAlike("a restart of the law affects all copies")
-            if any(each.faults or len(each.contacts) > 1 for each in scenarios):
-                raise NotAlike("a spacecraft with faults or a closed chain runs alone")
+        if len(scenarios) > 1 and any(each.faults or len(each.contacts) > 1 for each in scenarios):
+            raise NotAlike("a spacecraft with faults or a closed chain runs alone")
         self._setups = [
             BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
             for scenario, nominal in zip(scenarios, nominals, strict=True)
@@ -242,7 +239,8 @@ class _Making:
         if len(each) > 1:
             join_models = functools.partial(self._dynamics.models, scenario=self._scenarios[0])
             joined = join_controllers(each, self._nominals, join_models)
-            made = joined or SideBySide(each, fed)
+            restarts = ("restart",) if "supervisor" in self.names else ()
+            made = joined or SideBySide(each, {*fed, *restarts})
         self._add("controller", made, place=f"controller '{named}'")
 
     def make_block(self, name: str) -> None:

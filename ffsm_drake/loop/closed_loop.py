@@ -57,7 +57,7 @@ from ffsm_drake.systems.part import EFFORT, Parts, Signal
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.sensing import wire_stages
-from ffsm_drake.systems.side_by_side import SideBySide
+from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 # Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
 # outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external
@@ -313,7 +313,8 @@ def add_closed_loop(
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: the plant, if already in the diagram (``add_combined_plant``, for display); default: a
         new plant without geometry.
-      joint_force: (joints), constant force of the joints' actuators in place of the command.
+      joint_force: (joints), constant force of the joints' actuators in place of the command; with
+        several copies a row for each.
       dynamics: what computes several copies of the spacecraft; default: Drake's plant.
 
     Raises:
@@ -494,7 +495,8 @@ class _Wiring:
             self._builder.Connect(_port(applied), driven.get_input_port())
             applied = (driven, driven.get_output_port().get_name())
         if joint_force is not None:
-            whole = np.concatenate([np.zeros(NUM_BASE_VELOCITIES), joint_force])
+            each = np.atleast_2d(joint_force)
+            whole = np.pad(each, ((0, 0), (NUM_BASE_VELOCITIES, 0))).ravel()
             held = self._builder.AddNamedSystem("joint_force", ConstantVectorSource(whole))
             applied = self._sum("applied", [applied, (held, held.get_output_port().get_name())])
         self.sources[name] = applied
@@ -525,6 +527,8 @@ class _Wiring:
         self._connect("estimated_state", supervisor.GetInputPort("estimated_state"))
         self._connect("generalized_force", supervisor.GetInputPort("generalized_force"))
         asking = [each for each in self._blocks.values() if each.HasOutputPort(ABORT)]
+        if asking and self._copies:
+            raise NotAlike("a request to the supervisor is for one copy")
         if asking and supervisor.HasInputPort(ABORT):
             self.sources[ABORT] = self._sum(ABORT, [(each, ABORT) for each in asking])
             self._connect(ABORT, supervisor.GetInputPort(ABORT))

@@ -3,8 +3,9 @@
 Side by side go runs with the same model, blocks, controller, integrator and number of control
 samples; they may differ in the sections ``_FREE``, in numbers of those ``_OF_ONE_KIND``, in the
 payload's mass properties, and in frequency and damping of panels and pendulums. Those with a
-capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise.
-Alone go runs with error control, an implicit scheme or a paced clock, and with flexible joints.
+capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise,
+of a gripper that closes over a time the friction. Alone go runs with error control, an implicit
+scheme or a paced clock, with flexible joints, and with a measured target.
 """
 
 import dataclasses
@@ -60,18 +61,18 @@ _MEMORY, _OF_A_SAMPLE = 400 * 2**20, 3 * 2**10  # bytes of the logs of a batch, 
 
 def usual_batch(dynamics: Dynamics | None = None, *, samples: int = 1) -> int:
     """How many runs go side by side by default: as many as the second-level cache holds, 4 to
-    24; 16 where its size is not known.
-
-    Other dynamics than Drake's may say a number; runs of so many samples then log at most
-    ``_MEMORY``.
+    24; 16 where its size is not known. Other dynamics than Drake's may say a number. Runs of so
+    many samples log at most ``_MEMORY``.
     """
+    logged = max(_FEWEST, _MEMORY // (_OF_A_SAMPLE * samples))
     if dynamics is not None and dynamics.batch is not None:
-        return min(dynamics.batch, max(_FEWEST, _MEMORY // (_OF_A_SAMPLE * samples)))
+        return min(dynamics.batch, logged)
     try:
         size = os.sysconf("SC_LEVEL2_CACHE_SIZE")
     except (AttributeError, ValueError, OSError):
         size = 0
-    return min(max(size // _CACHE_OF_A_RUN, _FEWEST), _MOST) if size > 0 else _USUAL
+    usual = min(max(size // _CACHE_OF_A_RUN, _FEWEST), _MOST) if size > 0 else _USUAL
+    return min(usual, logged)
 
 
 def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[list[int]]:
@@ -214,7 +215,7 @@ def _group(scenario: Scenario) -> str | None:
         or config.integration_scheme not in _EXPLICIT
         or config.target_realtime_rate > 0.0
         or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
-        or scenario.closing is not None
+        or scenario.measured is not None
     ):
         return None
     neutral = Scenario()
@@ -224,7 +225,10 @@ def _group(scenario: Scenario) -> str | None:
     capture = scenario.capture
     if capture is not None:
         approach = None if capture.approach is None else Approach(scenario.grasp_time)
-        capture = Capture(approach=approach)
+        closing, compliance = scenario.closing, None
+        if closing is not None:
+            closing, compliance = dataclasses.replace(closing, friction=1.0), capture.compliance
+        capture = Capture(approach=approach, closing=closing, compliance=compliance)
     common = dataclasses.replace(
         scenario,
         payload=payload,

@@ -45,7 +45,8 @@ class Phase:
     # end of the run
     names: tuple[tuple[str, int | None], ...] = ()
     holds: bool = False  # whether the target is in the gripper
-    scenario: Scenario | None = None  # its plan; None: the mission's
+    # its plan, or that of each run; None: the mission's
+    scenario: Scenario | Sequence[Scenario] | None = None
     motion: PlannedMotion | None = None  # desired, by the run's time; None: that of the plan
     # in place of the mission's: block -> factory
     blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
@@ -132,7 +133,8 @@ class Mission:
         phase.begin(loop, root_context)
 
     def _through(self, phase: Phase) -> Sequence[RunLog | None]:
-        plans = self._scenarios if phase.scenario is None else [phase.scenario]
+        plans = phase.scenario or self._scenarios
+        plans = [plans] if isinstance(plans, Scenario) else plans
         scenarios = [dataclasses.replace(each, holds=phase.holds) for each in plans]
         loop = self._loop_of(phase, scenarios)
         self.loop = loop.loop

@@ -46,6 +46,7 @@ from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.side_by_side import SideBySide
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
@@ -61,6 +62,7 @@ class ClosingRun(Captures):
     ``scenario`` and ``handover`` are those of the last try.
     """
 
+    copy = 0  # of the spacecraft in its loops
     _across: Move  # from where a retreat ends to where the next try begins
 
     def __init__(
@@ -81,7 +83,7 @@ class ClosingRun(Captures):
             scenario.approach,
             scenario.closing,
         )
-        self._samples = round(self._closing.duration / scenario.sample_time)  # the closing takes
+        self.samples = round(self._closing.duration / scenario.sample_time)  # the closing takes
         self._tries = 1
         # motion of the target (n, 13) at the samples of the run, as far as is known
         last = handover.sample - 1
@@ -104,7 +106,7 @@ class ClosingRun(Captures):
     def first(self) -> Phase:
         """The first phase."""
         blocks = self._followed(None) if self._measured else {}
-        return self.approach(self.handover.sample - self._samples, self._close, blocks)
+        return self.approach(self.handover.sample - self.samples, self._close, blocks)
 
     def _phase(
         self, *, follows: bool = True, sees: bool = True, afresh: Sequence[str] = (), **how: Any
@@ -128,9 +130,9 @@ class ClosingRun(Captures):
             **how,
         )
 
-    def _stop(self) -> Phase:
-        """The stop with the target in the gripper, at rest there, planned from the state that the
-        servicer measures.
+    def held(self) -> Handover:
+        """Handover to the stop with the target in the gripper, at rest there, planned from the
+        state that the servicer measures.
         """
         scenario, model = self.scenario, make_nominal_plant(self.scenario)
         q, v = np.split(self._estimated, [model.plant.num_positions()])
@@ -156,10 +158,20 @@ class ClosingRun(Captures):
         handover.sample, handover.path = self.sample, self._motion[: self.sample]
         handover.find_target(self._motion[self.sample])
         self.handovers, self.scenario = [handover], scenario
+        return handover
+
+    def _stop(self) -> Phase:
+        """The stop with the target in the gripper."""
+        self.held()
         self.meet()
         return self._phase(
             names=(("stop", None),), holds=True, follows=False, sees=False, afresh=("controller",)
         )
+
+    @property
+    def path(self) -> np.ndarray:
+        """Motion of the target (n, 13) at the samples of the run, as far as is known."""
+        return self._motion
 
     def _path(self, copy: int) -> np.ndarray:
         return self._motion
@@ -167,59 +179,82 @@ class ClosingRun(Captures):
     def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
         first = self.sample
         super()._note(phase, logs)
-        gripper: Any = self.loop.blocks[GRIPPER]
-        if gripper.motions:  # it moved the target
-            count = self.logs[0][-1].time.size
-            self._motion = np.vstack([self._motion[:first], *gripper.motions[:count]])
+        self.moved(self.loop, first, self.logs[0][-1])
+
+    def moved(self, loop: ClosedLoop, first: int, log: RunLog) -> None:
+        """A loop ran from a sample on: the target is where its gripper, if it closed, moved it."""
+        gripper: Any = loop.blocks[GRIPPER]
+        if isinstance(gripper, SideBySide):
+            gripper = gripper.systems[self.copy]
+        if gripper.motions:
+            self._motion = np.vstack([self._motion[:first], *gripper.motions[: log.time.size]])
+
+    def find_target(self) -> None:
+        """The target is where it has moved to at the present sample."""
+        self.handover.find_target(self._motion[self.sample])
 
     def _close(self) -> Phase | None:
         """Close the gripper, unless it misses."""
         first, handover = self.sample, self.handover
         if since := given_up(self.logs[0][-1]):
             return self._retreat(MISSED, f"is not met: {since}")
-        handover.find_target(self._motion[first])
+        self.find_target()
         self.meet()
         if beyond := handover.beyond_envelope():
             return self._retreat(MISSED, f"is missed: {beyond}")
-        part = Gripper(self._capture.compliance or Compliance())
-        limp = self._closing.joints == "limp"
-        applied = self.logs[0][-1].series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
-
-        def begin(loop: ClosedLoop, root_context: Context) -> None:
-            force, context = _gripper(loop, root_context)
-            force.begin(
-                context,
-                payload=self._chosen.payload.truth,
-                target=self._motion[first],
-                state=loop.whole_states(root_context)[0],
-            )
-
-        last = first + self._samples
+        last = first + self.samples
         return self._phase(
             names=((self._numbered("closing"), last),),
-            blocks={GRIPPER: part, **self._supervised(waits=True)},
-            joint_force=applied.mean(axis=0) if limp else None,
+            blocks=self.closing_blocks(),
+            joint_force=lately(self.logs[0][-1]) if self.is_limp else None,
             sees=False,
-            begin=begin,
+            begin=self.begin_to_close,
             next=lambda: self._judge(first),
+        )
+
+    @property
+    def is_limp(self) -> bool:
+        """Whether the arm is limp while the gripper closes."""
+        return self._closing.joints == "limp"
+
+    def closing_blocks(self) -> dict[str, Factory]:
+        """Blocks of the phase in which the gripper closes."""
+        part = Gripper(self._capture.compliance or Compliance())
+        return {GRIPPER: part, **self._supervised(waits=True)}
+
+    def begin_to_close(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Begin to close the gripper at the present sample."""
+        force, context = _gripper(loop, root_context, self.copy)
+        force.begin(
+            context,
+            payload=self._chosen.payload.truth,
+            target=self._motion[self.sample],
+            state=loop.whole_states(root_context)[self.copy],
         )
 
     def _judge(self, first: int) -> Phase | None:
         """Go on with the target, if the gripper that began to close at a sample holds it."""
-        force, context = _gripper(self.before, self.context)
-        met = force.met(context, self.before.whole_states(self.context)[0])
+        lost = self.lost(first)
+        return self._retreat(*lost) if lost else self._stop()
+
+    def lost(self, first: int) -> tuple[str, str] | None:
+        """Status and text of a target that the gripper, which began to close at a sample, does not
+        hold; None: it does.
+        """
+        force, context = _gripper(self.before, self.context, self.copy)
+        met = force.met(context, self.before.whole_states(self.context)[self.copy])
         pose = [*met.X_WP.rotation().ToQuaternion().wxyz(), *met.X_WP.translation()]
         onward = self._onward(np.concatenate([pose, met.twist]), self.sample)
         self._motion = np.vstack([self._motion, onward])
         turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
         if math.isinf(met.left) and max(turning, moving) <= self._closing.rest:
-            return self._stop()
+            return None
         away = float(np.linalg.norm(met.offset[3:]))
         closed_at = first * self._chosen.sample_time + self._closing.time
         status = BOUNCED if met.left < closed_at else SLIPPED
         how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
         motion = f"{number(moving)} m/s and {number(turning)} rad/s"
-        return self._retreat(status, f"{how}: {number(away)} m away, moving at {motion} from it")
+        return status, f"{how}: {number(away)} m away, moving at {motion} from it"
 
     def _numbered(self, name: str) -> str:
         return name if self._tries == 1 else f"{name}_{self._tries}"
@@ -264,7 +299,7 @@ class ClosingRun(Captures):
             if left and self._meet_again(away.goal, end):
                 self._tries += 1
                 begin = self.handover.sample - round(self._approach.duration / period)
-                closes = self.handover.sample - self._samples
+                closes = self.handover.sample - self.samples
                 names = ((name[0], begin), (self._numbered("approach"), closes))
                 moves = (away, self._across)
                 return self._along(
@@ -313,7 +348,7 @@ class ClosingRun(Captures):
     def _estimated(self) -> np.ndarray:
         """The state [q; v] that the servicer measures."""
         found: np.ndarray = self.before.diagram.GetOutputPort("estimated_state").Eval(self.context)
-        return found
+        return found.reshape(len(self.before.scenarios) or 1, -1)[self.copy]
 
     def _away(self, retreat: Retreat) -> Move:
         """Motion from the measured state to rest away from the target, within the limits and the
@@ -374,7 +409,7 @@ class ClosingRun(Captures):
         begin = meets - round(self._approach.duration / period)
         approached = Approached(
             begin=begin * period,
-            contact=(meets - self._samples) * period,
+            contact=(meets - self.samples) * period,
             meets=meets * period,
             motion=self.handover.expected,
         )
@@ -435,7 +470,7 @@ class ClosingRun(Captures):
             begin = sample - lasts
             if self._leads_to(start, scenario, first, begin) and self._is_clear(
                 make_motion(dataclasses.replace(scenario, holds=False), self.before.coordinates),
-                np.linspace(begin, sample - self._samples, _INSTANTS),
+                np.linspace(begin, sample - self.samples, _INSTANTS),
                 begin,
                 margin=self._approach.margin,
             ):
@@ -500,10 +535,18 @@ def _nothing(loop: ClosedLoop, root_context: Context) -> None:
     pass
 
 
-def _gripper(loop: ClosedLoop, root_context: Context) -> tuple[Any, Context]:
-    """The gripper's block of a loop, and its context."""
+def _gripper(loop: ClosedLoop, root_context: Context, copy: int) -> tuple[Any, Context]:
+    """The gripper's block of a copy in a loop, and its context."""
     block = loop.blocks[GRIPPER]
-    return block, block.GetMyMutableContextFromRoot(root_context)
+    context = block.GetMyMutableContextFromRoot(root_context)
+    return block.each(context)[copy] if isinstance(block, SideBySide) else (block, context)
+
+
+def lately(log: RunLog) -> np.ndarray:
+    """The mean force (joints) of the joints' actuators over the last samples of a log."""
+    applied = log.series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
+    found: np.ndarray = applied.mean(axis=0)
+    return found
 
 
 def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:

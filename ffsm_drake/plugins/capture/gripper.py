@@ -28,6 +28,7 @@ from ffsm_drake.systems.part import Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 STEP = 1e-3  # s; of the contact, at most
+_UNIT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])  # mass, centre, inertia
 AXES = ("rotation_x", "rotation_y", "rotation_z", "position_x", "position_y", "position_z")
 # Discrete state of the contact: its groups and their sizes.
 _MEMORY = {
@@ -135,6 +136,7 @@ class GripperForce(LeafSystem):
     Inputs: state, hidden_state. Outputs: generalized_force, hidden_force, and the signals of
     ``Gripper``. The discrete state is updated every STEP in the leg in which the gripper closes;
     the force is held between. Parameter: the target's mass properties (10).
+    One that was never begun holds nothing.
     """
 
     def __init__(self, setup: BlockSetup, *, closes: Compliance | None) -> None:
@@ -156,14 +158,14 @@ class GripperForce(LeafSystem):
             "state", model.plant.num_multibody_states() - 2 * hidden
         )
         self._hidden = self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
-        self._groups = {
-            name: self.DeclareDiscreteState(np.zeros(size)) for name, size in _MEMORY.items()
-        }
+        first = {name: np.zeros(size) for name, size in _MEMORY.items()}
+        first["target"][0] = 1.0  # a unit quaternion
+        self._groups = {name: self.DeclareDiscreteState(each) for name, each in first.items()}
         self._acting = self.DeclareDiscreteState(np.zeros(whole))  # on all coordinates
         known = split.known if hidden else np.arange(whole)
         self._joints = known[NUM_BASE_VELOCITIES:]  # in v of the plant
         self._rates = self.DeclareDiscreteState(np.zeros(self._joints.size))  # at the contact
-        self._payload = self.DeclareNumericParameter(BasicVector(np.ones(10)))
+        self._payload = self.DeclareNumericParameter(BasicVector(_UNIT))
         ports = {
             name: (self._groups[name], np.arange(_MEMORY[name]))
             for name in ("gripper_offset", "contact_force")

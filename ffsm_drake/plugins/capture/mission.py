@@ -15,6 +15,7 @@ from pydrake.geometry import Meshcat
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.closing import ClosingRun
+from ffsm_drake.plugins.capture.first_tries import FirstTries
 from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
 from ffsm_drake.plugins.capture.phases import Captures
 from ffsm_drake.plugins.capture.pictures import show_apart
@@ -101,7 +102,8 @@ class MissionRollout:
     ) -> list[RunLog | None]:
         """Run scenarios, None: the built ones, through their phases."""
         scenarios = given or self._scenarios
-        kind = Captures if scenarios[0].closing is None else ClosingRun
+        closes = ClosingRun if len(scenarios) == 1 else FirstTries
+        kind = Captures if scenarios[0].closing is None else closes
         mission = kind(
             [Handover(each) for each in scenarios],
             progress,

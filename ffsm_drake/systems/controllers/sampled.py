@@ -42,7 +42,7 @@ SIGNALS = (
     ),
 )  # fmt: skip
 OPTIONAL_OUTPUTS = tuple(each.name for each in SIGNALS if each.dimension)
-_ONE = np.ones(1)
+_ONE, _NONE = np.ones(1), np.zeros(1, dtype=bool)
 
 
 class SampledController(LeafSystem):
@@ -90,7 +90,7 @@ class SampledController(LeafSystem):
           place: name of the law in errors; default: the system's name.
           copies: the laws of several copies of the spacecraft, joined in ``law``; all arrays and
             the memory then have a row for each copy.
-          restarts: whether there is a port ``restart``, for one spacecraft only.
+          restarts: whether there is a port ``restart``, a number for each copy.
 
         Raises BlockError: a user-supplied law breaks its contract.
         """
@@ -109,7 +109,7 @@ class SampledController(LeafSystem):
         self._copies = len(self._laws)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
-        self._restart = self.DeclareVectorInputPort("restart", 1) if restarts else None
+        self._restart = self.DeclareVectorInputPort("restart", self._copies) if restarts else None
         self._declare_inputs(len(coordinates.names))
         self._declare_state(len(coordinates.names), self._first_memory(len(coordinates.names)))
         self.DeclareStateOutputPort("generalized_force", self._force)
@@ -313,12 +313,19 @@ class SampledController(LeafSystem):
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, before = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
-        if self._restart is not None and self._restart.Eval(context)[0] > 0.5:
+        alone = self._copies == 1
+        afresh = _NONE if self._restart is None else self._restart.Eval(context) > 0.5
+        if afresh.all():
             is_first, before = True, self._first
         force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        alone = self._copies == 1
+        elif afresh.any():  # some of the copies
+            other, anew = self.step(inputs, self._first, is_first=True, time=context.get_time)
+            force = np.where(afresh[:, None], other, force)
+            memory = {name: values.copy() for name, values in memory.items()}
+            for name, values in memory.items():
+                values[afresh] = anew[name][afresh]
         if not alone and (parked := context.get_discrete_state().value(self._parked) > 0.0).any():
             force = np.where(parked[:, None], 0.0, force)
             memory = {name: values.copy() for name, values in memory.items()}

@@ -15,7 +15,6 @@ from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.gripper import GripperForce
 from ffsm_drake.plugins.capture.supervisor import Mode
-from ffsm_drake.runs.batches import batches_of
 from ffsm_drake.runs.metrics import phases_of
 
 # From a posture near that at the grasp, so that two seconds are enough.
@@ -115,11 +114,6 @@ def test_the_second_try_captures_what_a_push_made_the_first_one_miss():
     stop = modes.pop("stop")
     assert set.union(*modes.values()) == {Mode.APPROACH}
     assert stop == {Mode.GRASP, Mode.STOP, Mode.HOLD}
-
-
-def test_it_runs_alone_among_many():
-    scenario = load_scenario("tumbling_capture", CLOSING)
-    assert all(len(batch) == 1 for batch in batches_of([scenario, scenario], 8))
 
 
 @pytest.mark.parametrize(
