@@ -25,7 +25,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from scipy.stats import beta
 
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_vector_motion, turned_by
-from ffsm_drake.plugins.capture.approach import Backwards, force_share, margins_of
+from ffsm_drake.plugins.capture.approach import Backwards, margins_of, shares_of
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Posture, Scenario, load_scenario
@@ -162,7 +162,7 @@ class Planner:
             tried = [self._meeting(drawn, end, grip) for grip in _GRIPS]
             turn_of = [np.linalg.norm(motion._ends[2][:3]) for _, motion in tried]
             for scenario, motion in (tried[k] for k in np.argsort(turn_of)[:4]):
-                share = force_share(scenario, motion.rows(np.linspace(0.0, end, 40)))
+                share = shares_of(scenario)(motion.rows(np.linspace(0.0, end, 40)))
                 least = min(least, share)
                 if share > SHARE:
                     continue

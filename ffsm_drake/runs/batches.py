@@ -238,7 +238,10 @@ def _group(scenario: Scenario) -> str | None:
         **{name: getattr(neutral, name) for name in _FREE},
     )
     data = scenario_to_dict(common)
-    return json.dumps(data | {name: _kind(data[name]) for name in _OF_ONE_KIND}, sort_keys=True)
+    kinds = {name: _kind(data[name]) for name in _OF_ONE_KIND}
+    # one phase for all: its settings may change anything of the loop
+    phases = data["blocks"]["phases"]
+    return json.dumps(data | kinds | {"phases": phases}, sort_keys=True)
 
 
 def _without_springs(model: Model) -> Model:

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate, simulate_many
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
+from ffsm_drake.runs.batches import batches_of
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion
@@ -172,3 +173,12 @@ def test_its_loop_is_linearised_with_the_approach():
     assert [leg.leg for leg in legs] == ["approach", "stop"]
     assert all(leg.status == "stable" for leg in legs)
     assert legs[1].time >= 3.0
+
+
+def test_runs_whose_phases_differ_do_not_share_them():
+    """Side by side go only runs with equal phases, settings and durations included."""
+    scenarios = [
+        phases(f"come={{system: own_phases:come, settings: {{by: [0, 0, {by}]}}}}", duration=7)
+        for by in (0.1, 0.1, 0.3)
+    ]
+    assert batches_of(scenarios) == [[0, 1], [2]]
