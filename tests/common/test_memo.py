@@ -18,7 +18,8 @@ SECTIONS = [
     kind
     for module in pkgutil.iter_modules(scenario.__path__, "ffsm_drake.scenario.")
     for kind in vars(importlib.import_module(module.name)).values()
-    if dataclasses.is_dataclass(kind) and kind.__module__ == module.name
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    if kind.__module__ == module.name
     if not module.name.endswith(".layers")  # what a scenario is made of, no part of one
 ]
 
