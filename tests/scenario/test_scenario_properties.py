@@ -183,6 +183,7 @@ SPECIAL = {
         },
     )
     | st.fixed_dictionaries({"servicer": NAME}, optional={"debris": NAME, "grasp": TEXT}),
+    "phases": st.dictionaries(NAME, st.fixed_dictionaries({"system": NAME}), max_size=2),
     "harmonics": st.dictionaries(
         COORDINATES,
         st.fixed_dictionaries({}, optional={"amplitude": SIGNED, "frequency": SIGNED}),
@@ -239,8 +240,13 @@ def values(kind, key=""):
 
 def consistent(data):
     """With a capture the base turns about an eigenaxis; a supervisor plans postures; faults are of
-    the scenario's own blocks.
+    the scenario's own blocks; phases take whole samples and come before an approach.
     """
+    phases = (data.get("blocks") or {}).get("phases", {})
+    if (data.get("capture") or {}).get("approach") is None:
+        phases.clear()
+    for phase in phases.values():
+        phase["duration"] = 3.0 * data.get("sample_time", Scenario().sample_time)
     if data.get("capture") is not None:
         data.setdefault("reference", {})["base_rotation"] = "eigenaxis"
     if data.get("supervisor") is not None:
