@@ -175,7 +175,6 @@ def test_a_force_that_fails_leaves_the_others_alone(faulty, monkeypatch):
 REFUSED = {
     "error control": ("simulator_config.use_error_control=true",),
     "scheme": ("simulator_config.integration_scheme=semi_explicit_euler",),
-    "supervisor": ("supervisor={}", "actuation.limit={all: 1000}"),
 }
 
 
@@ -192,6 +191,15 @@ def test_what_is_not_covered_is_refused_or_left_to_drake(kind):
     np.testing.assert_array_equal(
         record.dataset["velocity"].values, drake.dataset["velocity"].values
     )
+
+
+def test_a_run_with_a_supervisor_is_that_of_drake_but_for_rounding():
+    supervised = ["duration=0.3", "supervisor={}", "actuation.limit={all: 1000}"]
+    scenario = load_scenario("postcapture", supervised)
+    (record,) = simulate_many([scenario], dynamics="generated")
+    (drake,) = simulate_many([scenario])
+    velocity = record.dataset["velocity"].values
+    np.testing.assert_allclose(velocity, drake.dataset["velocity"].values, rtol=0, atol=1e-9)
 
 
 def test_code_that_differs_from_drake_is_refused(monkeypatch):
