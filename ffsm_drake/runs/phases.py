@@ -65,7 +65,7 @@ class Mission:
 
     before: ClosedLoop
     context: Context
-    loop: ClosedLoop  # of the present phase
+    loop: ClosedLoop  # loop of the present phase
 
     def __init__(
         self,

@@ -257,7 +257,7 @@ def tracking_errors(
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
     ew, *vector = times_conjugate(q_d[:, :4].T, q[:, :4].T)
-    axis = np.stack(vector, axis=1)  # of the shorter rotation
+    axis = np.stack(vector, axis=1)  # axis of the shorter rotation
     sine = np.sqrt((axis * axis).sum(axis=1))
     angle = np.where(ew < 0.0, -2.0, 2.0) * np.arctan2(sine, np.abs(ew))
     factor = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)

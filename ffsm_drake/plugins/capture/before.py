@@ -15,7 +15,7 @@ from ffsm_drake.systems.registry import call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
 _OF_A_CAPTURE = re.compile(r"(approach|closing|retreat)(_\d+)?|stop")
-_INSTANTS = 100  # of a motion that are looked at
+_INSTANTS = 100  # instants of a motion, checked
 _JUMP = 1e-6  # rad, m, and per s; a motion may miss the begin of the next by this
 
 

@@ -62,7 +62,7 @@ class ClosingRun(Captures):
     ``scenario`` and ``handover`` are those of the last try.
     """
 
-    copy = 0  # of the spacecraft in its loops
+    copy = 0  # number of the spacecraft in its loops
     _across: Move  # from where a retreat ends to where the next try begins
 
     def __init__(
@@ -72,7 +72,7 @@ class ClosingRun(Captures):
         super().__init__(handovers, progress, **how)
         handover = self.handover
         self._chosen = self.scenario = scenario = handover.scenario
-        self._moves: tuple[Move, ...] = ()  # of the last retreat
+        self._moves: tuple[Move, ...] = ()  # moves of the last retreat
         self._again: float | None = None  # s; begin of the approach after it
         self._supervises: dict[str, Factory] = {}  # the supervisor's block after a retreat
         assert scenario.capture is not None

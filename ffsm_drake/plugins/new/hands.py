@@ -27,20 +27,20 @@ from ffsm_drake.systems.reference import make_motion
 
 _CONTACTS = ("first", "second")  # their names
 _DRAWN, _HELD = 300, 4  # postures of the first arm; ways to hold, of which the best is taken
-_TRIALS = 12  # of the inverse kinematics for each of these postures, at least
-_STEPS, _LONGEST = 25, 0.3  # of the inverse kinematics; rad or m
+_TRIALS = 12  # trials of the inverse kinematics for each of these postures, at least
+_STEPS, _LONGEST = 25, 0.3  # steps of the inverse kinematics; rad or m
 _REACHED, _ALIGNED = 1e-11, 1e-6  # rad and m
 _DEXTROUS = 0.08  # least singular value of an arm, with its reach as the unit of length
-_SHARES = (1.0, 0.7, 0.45, 0.3, 0.2)  # of the step to an initial posture
+_SHARES = (1.0, 0.7, 0.45, 0.3, 0.2)  # shares of the step to an initial posture
 _STEP, _WAYS, _INSTANTS = 0.4, 6, 61  # rad or m; initial postures for each share; of a motion
 _SLACK = 1e-6  # rad or m, of a joint's limit
-_BESIDE = 0.4  # of the side, from the middle of the first hand's face
+_BESIDE = 0.4  # shares of the side, from the middle of the first hand's face
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Hold:
     joints: np.ndarray  # rad or m
-    place: RigidTransform  # of the second hand in the target's frame
+    place: RigidTransform  # pose of the second hand in the target's frame
     dexterity: float
     distance: float = np.inf  # m, of the parts
 

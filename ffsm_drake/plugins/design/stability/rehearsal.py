@@ -277,7 +277,7 @@ class _Runs:
         )
 
     def go(self) -> list[tuple[np.ndarray, ...]]:
-        """Of each case, with each seed: the time of divergence or NaN (seeds,), the share of
+        """For each case and seed: the time of divergence or NaN (seeds,), the share of
         saturated samples by actuator (seeds, k), the largest errors at the end and the mean square
         deviations once settled (seeds, nv).
         """

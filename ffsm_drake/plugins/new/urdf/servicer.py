@@ -51,7 +51,7 @@ class Servicer:
     total_mass: float  # kg
     joints: tuple[Joint, ...]  # the moving ones, in the file's order
     tip: Tip
-    second: Tip | None  # of a second hand on the target
+    second: Tip | None  # tip of a second hand on the target
     other_tips: tuple[Tip, ...]
     remarks: tuple[str, ...]  # about the model itself, one line each
     root: Element  # the parsed file
