@@ -65,13 +65,16 @@ class Moves(NamedTuple):
 
 
 _INTEGRATED = Moves(1e-7, 1e-4, "SciPy's steps along the planned motion of an undriven base")
+_TWO_HANDS = Moves(1e-8, why="the hands' force has no inertia that would smooth it")
 _MOVES = {
     "ets_vii": _INTEGRATED,
     "free_floating": _INTEGRATED,
     "reaction_null": _INTEGRATED,
     "paper": Moves(1e-9, why="gains so high that the loop diverges"),
     "thrusters_only": Moves(1e-9, why="the errors at the end are what many pulses leave"),
-    "two_arms_capture": Moves(1e-8, why="the hands' force has no inertia that would smooth it"),
+    "tumbling_capture": Moves(1e-8, why="TVLQR's finite differences, whose step is 1e-6"),
+    "two_arms_capture": _TWO_HANDS,
+    "tohoku_arms": _TWO_HANDS,
     "planar_detumble": Moves(1e-9, why="the planned motion is where an optimizer stopped"),
 }
 
