@@ -13,7 +13,7 @@ from ffsm_drake.show.chart import DASHES, Band, Chart, Curve, Level
 from ffsm_drake.show.results import Result, values_of
 from ffsm_drake.show.style import GROUP_STYLES, GROUP_TITLES, NEUTRAL, Style
 
-_MAP_ETA = (0.2, 1.4, 25)  # range and points: the curve is smooth
+_MAP_ETA = (0.2, 1.4)  # least range; a larger eta met widens it
 
 
 def eta_chart(margins: Margins, title: str) -> Chart:
@@ -31,7 +31,11 @@ def eta_chart(margins: Margins, title: str) -> Chart:
 
 def radius_chart(curves: Sequence[Curve], title: str) -> Chart:
     """Spectral radii of the loop, below 1 where it is stable."""
-    return Chart(title=title, y="1", curves=curves, levels=[Level(1.0, "limit 1")])
+    largest = max(float(curve.y.max()) for curve in curves)
+    return Chart(
+        title=title, y="1", curves=curves, levels=[Level(1.0, "limit 1")],
+        range=None if largest < 2.0 else (0.0, 2.0),
+    )  # fmt: skip
 
 
 def radii_of(margins: Margins) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -83,7 +87,7 @@ def forecast_chart(
 def weakest(axes: AxisMargins) -> int:
     """The coordinate with the least margin."""
     if not axes.has_k_s:
-        return int(np.nanargmin(axes.sample_time_limit))
+        return int(np.argmin(axes.sample_time_limit))
     return int(np.nanargmin(axes.k_s_limit / np.maximum(axes.forecast_k_s.max(axis=0), 1e-9)))
 
 
@@ -91,8 +95,9 @@ def map_chart(margins: Margins, axes: AxisMargins, style: Style) -> Chart:
     """Stable region of the coordinate with the least margin: K_s, or without K_s the sample time,
     against eta.
     """
-    axis, eta = weakest(axes), np.linspace(*_MAP_ETA)
     low, high = float(margins.eta.min()), float(margins.eta.max())
+    axis = weakest(axes)
+    eta = np.linspace(_MAP_ETA[0], max(_MAP_ETA[1], 1.1 * high), 25)  # the curve is smooth
     if axes.has_k_s:
         limit = largest_stable_k_s(axes.law, axis, eta=eta, euler=axes.euler)
         used = {

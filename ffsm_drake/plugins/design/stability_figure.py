@@ -63,8 +63,10 @@ def plot_margins(margins: Margins) -> Figure:
 
 
 def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins) -> None:
-    draw(axes, map_chart(margins, limits, Style(BLACK)))
-    eta, (_, top) = np.linspace(0.2, 1.4, 90), axes.get_ylim()
+    chart = map_chart(margins, limits, Style(BLACK))
+    draw(axes, chart)
+    ends, (_, top) = chart.curves[0].x, axes.get_ylim()
+    eta = np.linspace(ends[0], ends[-1], 90)
     vertical = np.linspace(top / 200, top, 90)
     law, each = of_axes(limits.law, [weakest(limits)]), vertical[:, None, None]
     law = law.with_reaching_gain(each) if limits.has_k_s else with_sample_time(law, 1e-3 * each)
@@ -76,13 +78,17 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
     )
     axes.contourf(eta, vertical, largest, levels=[1.0, np.inf], colors=[UNSTABLE])
     figure.colorbar(shades, ax=axes, label="ringing: minus the most negative pole")
-    axes.text(1.22, 0.93 * top, "unstable", fontsize=10)
+    axes.text(0.97, 0.93, "unstable", fontsize=10, ha="right", transform=axes.transAxes)
 
 
 def _draw_eta(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
     draw(axes, eta_chart(margins, "Eigenvalues of H⁻¹Ĥ"), what="η")
     low, high = limits.eta_tolerated[:, 0].max(), limits.eta_tolerated[:, 1].min()
-    label = f"tolerated at the starting gains: {low:.2f} to {high:.2f}"
+    label = "no η is tolerated by every coordinate at the starting gains"
+    if low < high:
+        label = f"tolerated at the starting gains: {low:.2f} to {high:.2f}"
+    else:
+        low = high = 1.0
     band = axes.axhspan(low, high, color=BLUE, alpha=0.12, label=label)
     axes.set_xlabel(_TIME)
     axes.legend(handles=[band], fontsize=8, loc="lower left")

@@ -152,9 +152,8 @@ def _axis_lines(axes: AxisMargins, data: Mapping[str, Any]) -> list[str]:
                 f"{limit / max(expected, 1e-9):.2f}",
             ]
         low, high = item["eta_tolerated"]
-        rows.append(
-            [name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", f"{low:.2f} .. {high:.2f}"]
-        )
+        tolerated = "none" if math.isnan(low) else f"{low:.2f} .. {high:.2f}"
+        rows.append([name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", tolerated])
     return aligned(rows)
 
 

@@ -386,3 +386,58 @@ def test_picture_of_a_controller_without_reaching_gain():
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     assert np.asarray(canvas.buffer_rgba())[..., :3].std() > 10
+
+
+# A payload taken for four times too heavy, or gains far beyond 2 / L
+HOPELESS = {"payload": "payload.nominal.mass=400", "gains": "controllers.{law}.k_d.all=2000"}
+SLOW = pytest.mark.slow
+
+
+def hopeless(law, cause):
+    changes = [f"controller={law}", "duration=1", HOPELESS[cause].format(law=law)]
+    return load_scenario("postcapture", changes)
+
+
+@pytest.mark.parametrize(
+    ("law", "cause"),
+    [
+        ("asmc", "payload"),
+        ("tdc", "gains"),
+        pytest.param("tdc", "payload", marks=SLOW),
+        pytest.param("tde_aismc", "payload", marks=SLOW),
+        pytest.param("asmc", "gains", marks=SLOW),
+        pytest.param("aismc", "gains", marks=SLOW),
+    ],
+)
+def test_margins_where_nothing_is_stable(law, cause):
+    """No K_s, no sample time, or no eta: limits of 0, in table and figure."""
+    from ffsm_drake.plugins.design.stability_figure import plot_margins
+    from ffsm_drake.plugins.design.tables import margins_table
+
+    margins = stability(hopeless(law, cause), postures=3)
+    assert not margins.is_stable
+    axes = margins.axes
+    assert axes.has_k_s == (law != "tdc")
+    if cause == "payload":
+        assert not axes.sample_time_limit.any()
+    if axes.has_k_s:
+        assert not axes.k_s_limit.any()
+        assert axes.may_leave.all()
+    table = margins_table(margins)
+    assert "nan" not in table
+    assert (" none" in table) == np.isnan(axes.eta_tolerated).any()
+    assert len(plot_margins(margins).axes) >= 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "cause"), [("tde_aismc", "payload"), ("tdc", "gains")])
+def test_a_report_where_nothing_is_stable(law, cause):
+    from ffsm_drake.plugins.design.panels import stability_section
+    from ffsm_drake.show.panels import Thinning
+    from ffsm_drake.show.results import results_of
+
+    with pytest.warns(StabilityWarning):
+        record = simulate(hopeless(law, cause))
+    section = stability_section(results_of([record]), Thinning(50))
+    assert "unstable" in str(section.html)
+    assert len(section.views[0].panels) == 3 + (law != "tdc")

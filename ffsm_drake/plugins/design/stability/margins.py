@@ -47,8 +47,9 @@ class AxisMargins:
     euler: bool  # whether the plant steps with explicit Euler at the control period
     k_s: np.ndarray  # (nv,) 1/s, at the start; zero for a law without K_s
     k_s_max: np.ndarray  # (nv,) 1/s, ``ReachingGain.largest``
-    k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s, and of undriven coordinates
-    sample_time_limit: np.ndarray  # (nv,) s
+    # (nv,) 1/s, 0 where no K_s is stable, NaN for a law without K_s and of undriven coordinates
+    k_s_limit: np.ndarray
+    sample_time_limit: np.ndarray  # (nv,) s, 0 where no sample time is stable
     eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
     forecast_times: np.ndarray  # (p,) s
     forecast_k_s: np.ndarray  # (p, nv) 1/s, expected K_s under adaptation
@@ -56,7 +57,7 @@ class AxisMargins:
     @property
     def has_k_s(self) -> bool:
         """Whether the law has a reaching gain K_s."""
-        return bool(np.isfinite(self.k_s_limit).any())
+        return self.law.reaching_gain is not None
 
     @property
     def forecast_leaves(self) -> np.ndarray:
@@ -283,14 +284,16 @@ def _axis_margins(
 
     table = np.array([limits(maps.index(each)) for each in maps])
     times, k_s = forecast_reaching_gain(law, planned, loop)
-    gain, zero = reaching_gain_of(law), np.zeros(len(maps))
+    gain, zero, has_gain = reaching_gain_of(law), np.zeros(len(maps)), law.reaching_gain is not None
     return AxisMargins(
         law=law,
         euler=euler,
         k_s=zero if gain is None else gain.start,
         k_s_max=zero if gain is None else gain.largest,
-        k_s_limit=np.where(planned.coordinates.is_driven, table[:, 0], np.nan),
-        sample_time_limit=table[:, 1],
+        k_s_limit=np.where(
+            planned.coordinates.is_driven & has_gain, np.nan_to_num(table[:, 0]), np.nan
+        ),
+        sample_time_limit=np.nan_to_num(table[:, 1]),
         eta_tolerated=table[:, 2:],
         forecast_times=times,
         forecast_k_s=k_s,
