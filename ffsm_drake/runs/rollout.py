@@ -29,6 +29,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.part import signals_of
@@ -554,4 +555,6 @@ def make_rollout(
     """
     first = scenario if isinstance(scenario, Scenario) else scenario[0]
     kind = service("capture_rollout", "capture") if first.grasps else Rollout
+    if first.closed is None and len(closing_times(first)) > 1:
+        kind = service("later_hands_rollout", "contacts.closes")
     return kind(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ffsm_drake.common.settings import Problems, setting
-from ffsm_drake.scenario.fields import ORIGIN, choice_of, unitless, vector_in
+from ffsm_drake.scenario.fields import (
+    ORIGIN,
+    choice_of,
+    sample_problems,
+    unitless,
+    vector_in,
+)
 
 CONTACT_KINDS = ("rigid", "compliant")
 CHAIN_LAWS = ("minimal", "plain")
@@ -28,6 +34,13 @@ class Contact:
         "rigid",
         '"rigid": six constraints; "compliant": a spring and a damper between the frames',
         *CONTACT_KINDS,
+    )
+    closes: float = setting(
+        0.0,
+        "s",
+        "time after the start, or the grasp, at which the hand grasps, a whole number of control "
+        "samples; 0: with the first one",
+        least=0,
     )
     stabilization: float = setting(
         10.0,
@@ -129,6 +142,27 @@ def _contact_problems(scenario: Any) -> Problems:
         yield f"contacts.{carrying}.kind", "must be rigid: it is the weld of the model"
     elif scenario.model.servicer and contacts[carrying].frame != scenario.model.grasp:
         yield f"contacts.{carrying}.frame", f"must be model.grasp ({scenario.model.grasp})"
+    late = [each for each in contacts.items() if each[1].closes]
+    for name, contact in late:
+        key = f"contacts.{name}"
+        yield from sample_problems(contact.closes, scenario.sample_time, f"{key}.closes")
+        if name == carrying:
+            yield f"{key}.closes", "must be 0: it is the weld of the model"
+        if scenario.grasp_time + contact.closes > scenario.duration - scenario.sample_time:
+            yield (
+                f"{key}.closes",
+                f"must be within the duration of the run, {scenario.duration:g} s",
+            )
+        for error in ("position_error", "rotation_error"):
+            if any(getattr(contact, error)):
+                yield f"{key}.{error}", "follows from where the hand closes; leave it out"
+    for key, problem, change in (
+        ("blocks.reference", scenario.blocks.reference, "leave it out"),
+        ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),
+        ("reference.duration", scenario.reference.duration is None, "give seconds"),
+    ):
+        if late and problem:
+            yield key, f"does not go with contacts.{late[0][0]}.closes; {change}"
     for key, problem in (
         ("capture.approach", scenario.approach is not None),
         ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
@@ -142,10 +176,17 @@ def _contact_problems(scenario: Any) -> Problems:
             yield key, "is not supported with more than one contact; leave it out"
 
 
+def closing_times(scenario: Any) -> list[float]:
+    """Times after the start or the grasp at which hands grasp, s, in their order; 0 first."""
+    return sorted({0.0, *(each.closes for each in scenario.contacts.values())})
+
+
 def closing_contacts(scenario: Any) -> dict[str, Contact]:
-    """The contacts that close a loop: those beside the model's weld."""
+    """The contacts that close a loop in the scenario's phase: those beside the model's weld."""
     return {
         name: contact
         for name, contact in scenario.contacts.items()
         if contact.effector != scenario.model.end_effector
+        and scenario.holds
+        and contact.closes <= (scenario.closed or 0.0)
     }

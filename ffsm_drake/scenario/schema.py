@@ -139,8 +139,10 @@ class Scenario:
         None, "rate damping and replanning if the plan cannot be followed; null: none"
     )
     faults: Faults | None = unitless(None, "faults of units and their times; null: none")
-    # No setting: a mission's own, False in its phases with an empty gripper.
+    # No settings: a mission's own. False in its phases with an empty gripper; time after the grasp
+    # (s) up to which hands have closed in a phase, None: the whole mission
     holds: bool = True
+    closed: float | None = None
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """Check for at least one sample, and not too many samples and steps."""

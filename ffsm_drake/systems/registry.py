@@ -18,6 +18,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_y
 from ffsm_drake.common.guard import passes, where
 from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
 from ffsm_drake.scenario import Scenario, kind_of, policy_parts
+from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -55,7 +56,7 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "sensing.faults": lambda scenario: scenario.faults,
     "sensing.detection": lambda scenario: scenario.faults,
     "forces.disturbance": lambda _: True,
-    "forces.contacts": lambda scenario: len(scenario.contacts) > 1,
+    "forces.contacts": closing_contacts,
     "forces.environment": lambda scenario: scenario.environment,
     "forces.gripper": lambda scenario: scenario.closing,
     "forces.jam": lambda scenario: scenario.faults,

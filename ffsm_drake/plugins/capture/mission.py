@@ -21,7 +21,7 @@ from ffsm_drake.plugins.capture.phases import Captures
 from ffsm_drake.plugins.capture.pictures import show_apart
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Progress
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.systems.registry import Factory
@@ -82,10 +82,13 @@ class MissionRollout:
         scenario: Scenario | None = None,
         *,
         progress: Progress | None = None,
+        leg: Leg | None = None,
     ) -> RunLog:
-        """As ``Rollout.run``; at the sample of the grasp the log holds the velocity after it."""
+        """As ``Rollout.run``; at the sample of the grasp the log holds the velocity after it. A
+        leg begins at the first sample.
+        """
         if self._approach is None:
-            return grasped_at_start(self._stop.run(scenario, progress=progress))
+            return grasped_at_start(self._stop.run(scenario, progress=progress, leg=leg))
         (log,) = self._through(None if scenario is None else [scenario], progress)
         assert log is not None  # failures of a run alone are raised
         return log

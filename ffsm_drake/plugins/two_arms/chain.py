@@ -67,7 +67,8 @@ class ClosedChain:
             for name, contact in scenario.contacts.items()
         }
         _check_apart(scenario, paths)
-        (first,) = set(paths) - set(closing)
+        weld = scenario.model.end_effector
+        first = next(name for name, each in scenario.contacts.items() if each.effector == weld)
         self.carrying = paths[first]  # indices in v of the joints of the arm with the weld
         self.loops = tuple(
             self._loop(name, contact, np.setdiff1d(paths[name], self.carrying), true=true)
@@ -146,9 +147,20 @@ class ClosedChain:
         gap = np.array([*_rotation_vector(turn.tolist()), x - a, y - b, z - c])
         return gap if len(loop.rows) == 6 else loop.rows @ gap
 
+    def meet(self, context: Context) -> None:
+        """Let the loops of contacts that close later hold the hands where they are."""
+        loops = list[Loop]()
+        for loop in self.loops:
+            X = self.plant.CalcRelativeTransform(context, loop.grasp, loop.hand)
+            turn, place = X.rotation().matrix(), tuple(X.translation().tolist())
+            late = loop.contact.closes > 0.0
+            loops.append(dataclasses.replace(loop, turn=turn, place=place) if late else loop)
+        self.loops = tuple(loops)
+
     def jacobian(self, context: Context) -> np.ndarray:
         """A (m, nv) of all loops."""
-        return _stacked([self.jacobian_of(loop, context) for loop in self.loops])
+        none = np.empty((0, self.plant.num_velocities()))
+        return _stacked([self.jacobian_of(loop, context) for loop in self.loops] or [none])
 
     def bias(self, context: Context) -> np.ndarray:
         """dA/dt v (m) of all loops."""
@@ -156,7 +168,7 @@ class ClosedChain:
 
     def gap(self, context: Context) -> np.ndarray:
         """The gaps (m) of all loops."""
-        return _stacked([self.gap_of(loop, context) for loop in self.loops])
+        return _stacked([self.gap_of(loop, context) for loop in self.loops] or [np.empty(0)])
 
     @functools.cached_property
     def size(self) -> int:
@@ -178,12 +190,14 @@ class ClosedChain:
             column += len(loop.rows)
         return found
 
-    def closed(self, q: np.ndarray, context: Context) -> np.ndarray:
-        """The configuration q (nq) with the joints of the closing arms moved until the loops are
-        closed. Raises ScenarioError: they are out of reach.
+    def closed(
+        self, q: np.ndarray, context: Context, loops: Sequence[Loop] | None = None
+    ) -> np.ndarray:
+        """The configuration q (nq) with the joints of the closing arms moved until the loops, all
+        or some, are closed. Raises ScenarioError: they are out of reach.
         """
         q = q.copy()
-        for loop in self.loops:
+        for loop in self.loops if loops is None else loops:
             places = _positions(self.plant, loop.joints)
 
             def gap(at: np.ndarray = q, loop: Loop = loop) -> np.ndarray:

@@ -1,13 +1,19 @@
 """Contacts that close a loop: their force on the plant, and its internal part."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import Adder, Demultiplexer, Gain, RandomSource
+from pydrake.systems.primitives import (
+    Adder,
+    ConstantVectorSource,
+    Demultiplexer,
+    Gain,
+    RandomSource,
+)
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dposv
 
@@ -19,10 +25,28 @@ from ffsm_drake.scenario.contacts import WRENCH, Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import change_payload, damping_of, make_flexible_plant
-from ffsm_drake.systems.part import Metric, Part, Signal, View
+from ffsm_drake.systems.part import INTERNAL_WORK, Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 WRENCHES, GAP = "contact_wrench", "contact_gap"
+CLOSING, LOSS = "contact_closing", "contact_loss"  # of hands that grasp later than the first
+_CLOSING = {
+    "linear_impulse": "N s",
+    "angular_impulse": "N m s",
+    "linear_momentum_change": "N s",
+    "angular_momentum_change": "N m s",
+    "angle": "rad",
+    "distance": "m",
+    "rate": "rad/s",
+    "speed": "m/s",
+}
+_FIGURES = {
+    "linear_impulse": "impulse",
+    "angular_impulse": "angular impulse",
+    "angle": "angular miss",
+    "distance": "miss",
+}
+_ORIGIN = np.zeros(3)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,6 +71,25 @@ class Contacts(Part):
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Wrench on the target and gap of each contact."""
         names, units = self._components, self._units
+        late = (
+            Signal(
+                name=CLOSING,
+                unit="see component",
+                meaning="the last closing: sizes of the hand's impulse on the target, of the "
+                "change of the whole momentum, and of the miss before it; 0 before the first",
+                components=tuple(_CLOSING),
+                held=False,
+                heading="",
+            ),
+            Signal(
+                name=LOSS,
+                unit="J",
+                meaning="work of the closings since the start",
+                held=False,
+                role=INTERNAL_WORK,
+                heading="",
+            ),
+        )
         return (
             Signal(
                 name=WRENCHES,
@@ -69,6 +112,7 @@ class Contacts(Part):
                 held=False,
                 heading="",
             ),
+            *(late if self._is_late else ()),
         )
 
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
@@ -126,6 +170,29 @@ class Contacts(Part):
                 label="Largest gap of the contacts",
                 of=lambda run: np.abs(run[GAP]).max(),
             ),
+            *(self._of_closings() if self._is_late else ()),
+        )
+
+    @property
+    def _is_late(self) -> bool:
+        return any(each.closes for each in self.contacts.values())
+
+    @staticmethod
+    def _of_closings() -> Iterator[Metric]:
+        """Of hands that grasp later: largest over the closings, and the energy that all lost."""
+        for k, (name, unit) in enumerate(_CLOSING.items()):
+            if name in _FIGURES:
+                yield Metric(
+                    key=f"contacts.closing.{name}",
+                    unit=unit,
+                    label=f"Largest {_FIGURES[name]} at a closing",
+                    of=lambda run, k=k: run[CLOSING][:, k].max(),
+                )
+        yield Metric(
+            key="contacts.closing.energy_lost",
+            unit="J",
+            label="Energy lost at closings",
+            of=lambda run: -run[LOSS][-1],
         )
 
     @property
@@ -173,6 +240,11 @@ class ContactForce(Diagram):
         builder.Connect(self._contact.get_output_port(), parts.get_input_port())
         for index, name in enumerate(("generalized_force", WRENCHES, GAP)):
             builder.ExportOutput(parts.get_output_port(index), name)
+        self._made = list[ConstantVectorSource]()
+        if any(each.closes for each in closing_contacts(setup.scenario).values()):
+            for name, values in ((CLOSING, np.zeros(len(_CLOSING))), (LOSS, np.zeros(1))):
+                self._made.append(builder.AddSystem(ConstantVectorSource(values)))
+                builder.ExportOutput(self._made[-1].get_output_port(), name)
         measured, noise = parts.get_output_port(1), _noise(setup.scenario)
         if noise.any():
             period = setup.scenario.sample_time
@@ -188,6 +260,27 @@ class ContactForce(Diagram):
     def set_payload(self, context: Context, properties: MassProperties) -> None:
         """Give the payload other mass properties."""
         self._contact.set_payload(properties)
+
+    def miss(self, state: np.ndarray) -> dict[str, float]:
+        """How far the hands that close later are from their places, and how fast they move there,
+        at most, at the plant's own [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s),
+        ``speed`` (m/s).
+        """
+        return self._contact.miss(state)
+
+    def close(self, root_context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
+        """The plant's own [q; v] after the hands that close later have closed where they are; rigid
+        ones by a plastic impact.
+
+        Args: a context of the diagram; the state before; work of the closings before, J.
+        """
+        after, ledger = self._contact.close(state)
+        for source, values in zip(
+            self._made, ([ledger[name] for name in _CLOSING], [work - ledger["loss"]]), strict=True
+        ):
+            own = source.GetMyMutableContextFromRoot(root_context)
+            source.get_mutable_source_value(own).set_value(np.array(values))
+        return after
 
 
 def _noise(scenario: Scenario) -> np.ndarray:
@@ -244,6 +337,40 @@ class _Contact(LeafSystem):
         """Give the payload other mass properties."""
         change_payload(self._model.plant, self._model.context, self._scenario, properties)
         self._kept = b"", None
+
+    def miss(self, state: np.ndarray) -> dict[str, float]:
+        """See ``ContactForce``."""
+        plant, own, chain = self._model.plant, self._model.context, self._chain
+        plant.SetPositionsAndVelocities(own, state)
+        late = np.repeat([loop.contact.closes > 0.0 for loop in chain.loops], 2)
+        sizes = [
+            np.linalg.norm((chain.wrench_map @ each).reshape(-1, 3), axis=1)[late].reshape(-1, 2)
+            for each in (chain.gap(own), chain.jacobian(own) @ state[plant.num_positions() :])
+        ]
+        largest = np.concatenate([each.max(axis=0) for each in sizes]).tolist()
+        return dict(zip(("angle", "distance", "rate", "speed"), largest, strict=True))
+
+    def close(self, state: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+        """See ``ContactForce``; ledger of ``_CLOSING``, and the energy lost, J."""
+        ledger = self.miss(state)  # sets the state
+        plant, own, chain = self._model.plant, self._model.context, self._chain
+        chain.meet(own)
+        self._kept = b"", None
+        q, v = np.split(state, [plant.num_positions()])
+        rows, H = chain.jacobian(own)[self._rigid], plant.CalcMassMatrix(own)
+        inverse, multipliers = np.linalg.solve(H, rows.T), np.zeros(chain.size)
+        multipliers[self._rigid] = np.linalg.solve(rows @ inverse, -rows @ v)
+        after = v + inverse @ multipliers[self._rigid]
+        momenta = list[np.ndarray]()
+        for each in (v, after):
+            plant.SetVelocities(own, each)
+            momenta.append(plant.CalcSpatialMomentumInWorldAboutPoint(own, _ORIGIN).get_coeffs())
+        sizes = np.linalg.norm(self._wrench(multipliers).reshape(-1, 3), axis=1).reshape(-1, 2)
+        change = np.linalg.norm((momenta[1] - momenta[0]).reshape(2, 3), axis=1).tolist()
+        ledger |= {"angular_impulse": sizes[:, 0].max(), "linear_impulse": sizes[:, 1].max()}
+        ledger |= {"angular_momentum_change": change[0], "linear_momentum_change": change[1]}
+        ledger["loss"] = 0.5 * float((v - after) @ H @ (v + after))
+        return np.concatenate([q, after]), ledger
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         state, force = self._state.Eval(context), self._other.Eval(context)

@@ -25,6 +25,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 
 _INTERNAL = "internal_force"
@@ -357,10 +358,14 @@ def _internal_control(given: InternalForce, scenario: Scenario, tree: TreeModel)
 
 
 def _minimal_model(scenario: Scenario, tree: TreeModel) -> ChainModel:
-    """The minimal velocities: all but joints of the closing arms, chosen in the initial posture so
+    """The minimal velocities: all but joints of the closing arms, chosen where the hands grasp so
     that the others move them the least.
     """
-    q = configuration(tree.plant, scenario.initial_posture, key="initial_posture")
+    if scenario.closed:  # where the last hand grasps
+        time = scenario.grasp_time + scenario.closed
+        q = make_motion(scenario, tree.coordinates).evaluate(time)[0]
+    else:
+        q = configuration(tree.plant, scenario.initial_posture, key="initial_posture")
     tree.plant.SetPositions(tree.context, tree.chain.closed(q, tree.context))
     following = list[int]()
     for loop in tree.chain.loops:

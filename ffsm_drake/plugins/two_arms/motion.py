@@ -5,9 +5,14 @@ The target moves in the base's frame on a line and about an eigenaxis, from its 
 posture to that in the target posture, with the motion's own path parameter; the base moves as
 without the chain. The joints are splines in the path parameter, through the solutions of the
 inverse kinematics at nodes; each begins at the one before it and changes the joints least.
+
+A hand that grasps later than the first one is brought to its place by a polynomial of fifth order
+in its arm's joints, with the position, velocity and acceleration of the chain's motion there.
 """
 
 import dataclasses
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +20,14 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import Context
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
-from ffsm_drake.plugins.two_arms.chain import LONGEST_STEP, ClosedChain
+from ffsm_drake.plugins.two_arms.chain import LONGEST_STEP, ClosedChain, Loop
 from ffsm_drake.scenario import Reference, Scenario
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_body, model_files
@@ -46,9 +52,12 @@ class ChainMotion(PlannedMotion):
 
         Raises ScenarioError: a hand does not reach, or an arm is singular.
         """
-        velocity = None
+        velocity, nominal = None, make_nominal_plant(scenario)
+        closings = closing_times(scenario)
         if scenario.starts_moving:
-            velocity = velocity_at_start(scenario, make_nominal_plant(scenario))
+            velocity = velocity_at_start(scenario, nominal)
+        elif len(closings) > 1:
+            velocity = np.zeros(len(nominal.coordinates.names))
         self._in_time = velocity is not None
         part = dataclasses.replace(
             Scenario(),
@@ -61,19 +70,27 @@ class ChainMotion(PlannedMotion):
             reference=scenario.reference if self._in_time else Reference(),
         )
         end = motion.end if self._in_time else 1.0
-        knots, values = _path(part, model_files(scenario.model), velocity, end)
+        (knots, values), *reaching = _path(part, model_files(scenario.model), velocity, end)
         self._joints = BSpline(knots, values, k=5)
         self._rates = self._joints.derivative(), self._joints.derivative(2)
+        self._reaching = [
+            _Reach(*each, velocity[each[0]]) for each in reaching if velocity is not None
+        ]
         self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
+        # of the phase
+        begin, end, closed = 0.0, motion.end, scenario.closed
+        if closed is not None:
+            begin = closed
+            end = min([each for each in closings if each > closed], default=max(end, closed))
         period = scenario.sample_time
-        super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
+        super().__init__(coordinates=motion.coordinates, sample_time=period, begin=begin, end=end)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         rows = self._motion.rows(times)
         if self._in_time:
-            s = np.clip(times, 0.0, self.end)
-            ds, dds = np.where(times < self.end, 1.0, 0.0), np.zeros(times.size)
+            s = np.clip(times, 0.0, self._motion.end)
+            ds, dds = np.where(times < self._motion.end, 1.0, 0.0), np.zeros(times.size)
         else:
             s, ds, dds = self._blend.blend(times)
         by_s, by_ss = (rate(s) for rate in self._rates)
@@ -82,34 +99,86 @@ class ChainMotion(PlannedMotion):
         rows[:, nq - n : nq] = self._joints(s)
         rows[:, nq + nv - n : nq + nv] = ds[:, None] * by_s
         rows[:, -n:] = dds[:, None] * by_s + (ds**2)[:, None] * by_ss
+        for each in self._reaching:
+            columns = np.add.outer((nq - nv, nq, nq + nv), each.joints)
+            for column, values in zip(columns, each.at(times), strict=True):
+                rows[:, column] = values
         return rows
+
+
+class _Reach:
+    """Motion of the arm (joints: indices in v) of a hand that grasps at a time."""
+
+    def __init__(
+        self,
+        joints: np.ndarray,
+        first: np.ndarray,
+        knots: np.ndarray,
+        values: np.ndarray,
+        velocity: np.ndarray,
+    ) -> None:
+        """Args: positions at the start; a spline from the grasp on; velocities at the start."""
+        self.joints, spline = joints, BSpline(knots, values, k=5)
+        self._closed = spline, spline.derivative(), spline.derivative(2)
+        self._closes, self._end = knots[0], knots[-1]
+        ends = [first, velocity, 0.0 * first], [each(knots[0]) for each in self._closed]
+        open_ = BPoly.from_derivatives([0.0, self._closes], ends)
+        self._open = open_, open_.derivative(), open_.derivative(2)
+
+    def at(self, times: np.ndarray) -> list[np.ndarray]:
+        """Positions, velocities and accelerations (n, joints each) at times (n)."""
+        is_open, over = (times < self._closes)[:, None], (times > self._end)[:, None]
+        before, after = np.clip(times, 0.0, self._closes), np.clip(times, self._closes, self._end)
+        found = []
+        for order, (open_, closed) in enumerate(zip(self._open, self._closed, strict=True)):
+            values = np.where(is_open, open_(before), closed(after))
+            found.append(np.where(over, 0.0, values) if order else values)
+        return found
 
 
 @memoized(maxsize=8)
 def _path(
     scenario: Scenario, files: tuple[Path, ...], velocity: np.ndarray | None, end: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> list[tuple[np.ndarray, ...]]:
     """Knots and coefficients of the joints (n), a spline of fifth order: by the path parameter, or
-    with a velocity (nv) at the start by time (s), to ``end``.
+    with a velocity (nv) at the start by time (s), to ``end``. For each hand that grasps later:
+    joints of its arm, their positions at the start, and knots and coefficients from there on.
     """
-    follower, nodes = _Follower(scenario, velocity, end), _NODES
-    while True:
-        s = np.linspace(0.0, end, nodes + 1)
-        spline = make_interp_spline(s, follower.solve(s), k=5)
-        between = 0.5 * (s[1:] + s[:-1])
-        if nodes >= _MOST_NODES or follower.error(between, spline(between)) < _ACCURATE:
-            return spline.t, spline.c
-        nodes *= 2
+    follower = _Follower(scenario, velocity, end)
+
+    def spline(begin: float, end: float, solve: Callable, error: Callable) -> BSpline:
+        nodes = _NODES
+        while True:
+            s = np.linspace(begin, end, nodes + 1)
+            found = make_interp_spline(s, solve(s), k=5)
+            between = 0.5 * (s[1:] + s[:-1])
+            if nodes >= _MOST_NODES or error(between, found(between)) < _ACCURATE:
+                return found
+            nodes *= 2
+
+    whole = spline(0.0, end, follower.solve, follower.error)
+    found = [(whole.t, whole.c)]
+    for loop in follower.later:
+        begin = loop.contact.closes
+        arm = _Arm(follower, loop, lambda s: whole(np.minimum(s, end)))
+        own = spline(begin, max(end, begin + 1.0), arm.solve, arm.error)
+        found.append((loop.joints, arm.first, own.t, own.c))
+    return found
 
 
 class _Follower:
     """The joints for poses of the target in the base's frame, base at the origin."""
 
     def __init__(self, scenario: Scenario, velocity: np.ndarray | None, end: float) -> None:
-        self._model = model = make_nominal_plant(scenario)
+        self.model = model = make_nominal_plant(scenario)
+        every = dataclasses.replace(scenario, closed=math.inf)
+        self.whole_chain = ClosedChain(model.plant, every, true=False)
+        self.later = [loop for loop in self.whole_chain.loops if loop.contact.closes]
         self._chain = ClosedChain(model.plant, scenario, true=False)
         self._target = find_body(model.plant, scenario.payload.body, key="payload.body")
-        self._start = self._chain.closed(self._posture(scenario, "initial_posture"), model.context)
+        postures = [self._posture(scenario, each) for each in ("initial_posture", "target_posture")]
+        self.guesses = postures  # of the arms of hands that grasp later
+        self._start = self._chain.closed(postures[0], model.context)
         model.plant.SetPositions(model.context, self._start)
         self._first = self._target.EvalPoseInWorld(model.context)
         self._blend, self._end = None, end
@@ -123,21 +192,21 @@ class _Follower:
             time = 0.0 if self._blend is None else self._blend.stopping_time
             self._turns[0], self._ways[0] = time * self._turns[1], time * self._ways[1]
         else:
-            model.plant.SetPositions(model.context, self._posture(scenario, "target_posture"))
+            model.plant.SetPositions(model.context, postures[1])
             last = self._target.EvalPoseInWorld(model.context)
             self._turns[0] = rotation_error(_quaternion(last), _quaternion(self._first))
             self._ways[0] = last.translation() - self._first.translation()
 
     def _posture(self, scenario: Scenario, key: str) -> np.ndarray:
         """A configuration with the base at the origin."""
-        return self._rooted(configuration(self._model.plant, getattr(scenario, key), key=key))
+        return self._rooted(configuration(self.model.plant, getattr(scenario, key), key=key))
 
     def _jacobian(self) -> np.ndarray:
         """The Jacobian (6, nv) of the target's frame."""
-        plant, frame = self._model.plant, self._target.body_frame()
+        plant, frame = self.model.plant, self._target.body_frame()
         world = plant.world_frame()
         found: np.ndarray = plant.CalcJacobianSpatialVelocity(
-            self._model.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+            self.model.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
         )
         return found
 
@@ -157,8 +226,8 @@ class _Follower:
 
     def _off(self, s: float, q: np.ndarray) -> np.ndarray:
         """Rotation vector and position (6) from the target's pose to that at s."""
-        self._model.plant.SetPositions(self._model.context, q)
-        X, wanted = self._target.EvalPoseInWorld(self._model.context), self._pose(s)
+        self.model.plant.SetPositions(self.model.context, q)
+        X, wanted = self._target.EvalPoseInWorld(self.model.context), self._pose(s)
         turn = rotation_error(_quaternion(wanted), _quaternion(X))
         return np.concatenate([turn, wanted.translation() - X.translation()])
 
@@ -168,7 +237,7 @@ class _Follower:
         for each, q in zip(s, joints, strict=True):
             off = self._off(each, self._rooted(np.concatenate([np.zeros(7), q])))
             worst = max(worst, np.abs(off).max())
-            worst = max(worst, np.abs(self._chain.gap(self._model.context)).max())
+            worst = max(worst, np.abs(self._chain.gap(self.model.context)).max(initial=0.0))
         return worst
 
     def solve(self, s: np.ndarray) -> np.ndarray:
@@ -181,8 +250,8 @@ class _Follower:
 
     def _follow(self, s: float, q: np.ndarray) -> np.ndarray:
         """The configuration at a path parameter, from one nearby."""
-        model, chain, q = self._model, self._chain, q.copy()
-        plant, arm = model.plant, chain.carrying
+        chain, q = self._chain, q.copy()
+        arm = chain.carrying
         off = self._off(s, q)
         for _ in range(_STEPS):
             if np.abs(off).max() < _REACHED:
@@ -194,14 +263,19 @@ class _Follower:
             off = self._off(s, q)
         if not np.abs(off).max() < 1e-9:
             raise self._refused(s, "the hand that carries the target does not reach")
+        return self.close(s, q, chain.loops)
+
+    def close(self, s: float, q: np.ndarray, loops: Sequence[Loop]) -> np.ndarray:
+        """The configuration with loops closed, at a path parameter."""
+        model, chain = self.model, self.whole_chain
         try:
-            q = chain.closed(q, model.context)
+            q = chain.closed(q, model.context, loops)
         except ScenarioError as error:
             raise self._refused(s, str(error).partition(": ")[2].partition(";")[0]) from None
-        plant.SetPositions(model.context, q)
-        for loop in chain.loops:
+        model.plant.SetPositions(model.context, q)
+        for loop in loops:
             jacobian = chain.jacobian_of(loop, model.context)
-            for joints in (arm, loop.joints):
+            for joints in (chain.carrying, loop.joints):
                 least = np.linalg.svd(jacobian[:, joints], compute_uv=False)[len(loop.rows) - 1]
                 if least < SINGULAR:
                     names = model.coordinates.names
@@ -220,6 +294,50 @@ class _Follower:
         )
 
 
+class _Arm:
+    """The arm of a hand that grasps later, beside the joints (m, n) of the rest at times (m)."""
+
+    def __init__(self, follower: _Follower, loop: Loop, rest: Callable) -> None:
+        self._follower, self._loop, self._rest = follower, loop, rest
+        self._places = loop.joints + 1
+        self.first = follower.guesses[0][self._places]
+
+    def solve(self, s: np.ndarray) -> np.ndarray:
+        """Its joints (m, k) with the loop closed, near those of the initial posture where it
+        closes, or of the target posture.
+        """
+        starts, failed = list[np.ndarray](), list[ScenarioError]()
+        for guess in self._follower.guesses:
+            try:
+                starts.append(self._closed(s[0], guess[self._places]))
+            except ScenarioError as error:
+                failed.append(error)
+        if not starts:
+            raise failed[0]
+        found = [min(starts, key=lambda each: np.abs(each - self.first).max())]
+        for each in s[1:]:
+            found.append(self._closed(each, found[-1]))
+        return np.array(found)
+
+    def _closed(self, s: float, joints: np.ndarray) -> np.ndarray:
+        q = self._follower.close(s, self._whole(s, joints), [self._loop])
+        return q[self._places]
+
+    def _whole(self, s: float, joints: np.ndarray) -> np.ndarray:
+        q = np.concatenate([[1.0], np.zeros(6), self._rest(s)])
+        q[self._places] = joints
+        return q
+
+    def error(self, s: np.ndarray, joints: np.ndarray) -> float:
+        """The largest gap (m, rad) for its joints (m, k)."""
+        model, chain = self._follower.model, self._follower.whole_chain
+        worst = 0.0
+        for each, own in zip(s, joints, strict=True):
+            model.plant.SetPositions(model.context, self._whole(each, own))
+            worst = max(worst, np.abs(chain.gap_of(self._loop, model.context)).max())
+        return worst
+
+
 def _quaternion(pose: RigidTransform) -> np.ndarray:
     found: np.ndarray = pose.rotation().ToQuaternion().wxyz()
     return found
@@ -228,8 +346,10 @@ def _quaternion(pose: RigidTransform) -> np.ndarray:
 def closed_chain(
     scenario: Scenario, plant: MultibodyPlant, context: Context, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The plant's own q (nq) with the loops of the true contacts closed, and their A (m, nv)."""
-    chain = ClosedChain(plant, scenario, true=True)
+    """The plant's own q (nq) with the loops of the true contacts closed, but for those of hands
+    that grasp later, and their A (m, nv).
+    """
+    chain = ClosedChain(plant, dataclasses.replace(scenario, closed=0.0), true=True)
     q = chain.closed(q, context)
     plant.SetPositions(context, q)
     return q, chain.jacobian(context)

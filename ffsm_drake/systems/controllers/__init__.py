@@ -8,6 +8,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.common.plugins import service
 from ffsm_drake.scenario import CommandFilter, Scenario, controller_key
+from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -84,7 +85,7 @@ def make_controller(
         )
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
-    if len(scenario.contacts) > 1 and scenario.chain.law != "plain":
+    if closing_contacts(scenario) and scenario.chain.law != "plain":
         in_chain = service("closed_chain_law", "chain.law")
         made = in_chain(setup, lambda own: _make(own, factory))
     else:

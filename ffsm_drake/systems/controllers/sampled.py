@@ -213,10 +213,11 @@ class SampledController(LeafSystem):
           references: [q_d; v_d] at that instant, of each copy: (B, nq + nv).
         """
         one = {name: shape[self._copies > 1 :] for name, shape in self._shapes.items()}
-        memory = {
-            name: before.state(context_before, name).reshape(self._copies, *one[name])
-            for name in self._memory
-        }
+        memory = {}
+        for name, shape in one.items():  # afresh where the other has nothing alike
+            alike = name in before._memory and before._shapes[name] == self._shapes[name]
+            value = before.state(context_before, name) if alike else self._first[name]
+            memory[name] = value.reshape(self._copies, *shape)
         resumed = []
         for copy, (law, other) in enumerate(zip(self._laws, before._laws, strict=True)):
             own = {name: rows[copy] for name, rows in memory.items()}

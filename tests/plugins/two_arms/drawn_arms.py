@@ -8,6 +8,15 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import Scenario, load_scenario
 
+# number of joints -> axes, lengths and joints of the left arm, its place on the base
+ARMS = {
+    3: ("zzz", (0.25, 0.18, 0.137), (np.pi / 3, -np.pi / 2, -np.pi / 3), (-0.16, 0.08, 0.0)),
+    6: ("zyyxyx", (0.18, 0.62, 0.62, 0.12, 0.12, 0.12), (0.6, -0.6, 1.8, 0.5, 1.2, 0.2),
+        (-0.6, 0.0, 1.0)),
+    7: ("zyzyxyx", (0.18, 0.4, 0.4, 0.4, 0.12, 0.12, 0.12), (0.4, -1.2, 0.3, 1.9, 0.3, 1.0, 0.2),
+        (-0.6, 0.0, 1.0)),
+}  # fmt: skip
+
 
 def two_arms(
     folder: Path,

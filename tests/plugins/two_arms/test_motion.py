@@ -5,20 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_arms import two_arms
+from drawn_arms import ARMS, two_arms
 from numpy.testing import assert_allclose
 
 from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.systems.reference import make_motion
-
-ARMS = {
-    3: ("zzz", (0.25, 0.18, 0.137), (np.pi / 3, -np.pi / 2, -np.pi / 3), (-0.16, 0.08, 0.0)),
-    6: ("zyyxyx", (0.18, 0.62, 0.62, 0.12, 0.12, 0.12), (0.6, -0.6, 1.8, 0.5, 1.2, 0.2),
-        (-0.6, 0.0, 1.0)),
-    7: ("zyzyxyx", (0.18, 0.4, 0.4, 0.4, 0.12, 0.12, 0.12), (0.4, -1.2, 0.3, 1.9, 0.3, 1.0, 0.2),
-        (-0.6, 0.0, 1.0)),
-}  # fmt: skip
 
 
 @pytest.fixture(params=ARMS, ids="{}_joints".format)

@@ -8,6 +8,7 @@ it is unstable there, with the largest K_s expected.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Literal
@@ -26,6 +27,7 @@ from ffsm_drake.plugins.design.stability.moving import (
     motion_stability,
 )
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import closing_contacts, closing_times
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 
 Leg = Literal["approach", "stop", "motion"]
@@ -99,10 +101,14 @@ def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> 
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
-    if not scenario.grasps:
-        return LinearVerdict(legs=(_leg(scenario, "motion", linearizer),))
+    leg: Leg = "stop" if scenario.grasps else "motion"
     approach = (_leg(scenario, "approach", None),) if scenario.grasp_time > 0.0 else ()
-    return LinearVerdict(legs=(*approach, _leg(scenario, "stop", linearizer)))
+    open_ = []
+    for time, end in itertools.pairwise(closing_times(scenario)):
+        found = _leg(dataclasses.replace(scenario, closed=time), leg, None)
+        told = f"{found.sentence}, up to the closing at {end:g} s"
+        open_.append(dataclasses.replace(found, sentence=told))
+    return LinearVerdict(legs=(*approach, *open_, _leg(scenario, leg, linearizer)))
 
 
 def _leg(scenario: Scenario, leg: Leg, linearizer: Linearizer | None) -> LegVerdict:
@@ -153,7 +159,7 @@ def chain_growth(linearizer: Linearizer) -> str:
     or there is no chain.
     """
     scenario, loop = linearizer.given, linearizer.at(linearizer.end)
-    if len(scenario.contacts) < 2 or linearizer.law is None or not loop.unit_poles:
+    if not closing_contacts(scenario) or linearizer.law is None or not loop.unit_poles:
         return ""
     end = linearizer.motion.evaluate(linearizer.end)[0]
     told: str = service("closed_chain_growth", "contacts")(

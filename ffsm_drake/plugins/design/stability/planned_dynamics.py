@@ -9,6 +9,7 @@ import numpy as np
 
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.inertia import inertia_ratios
@@ -26,8 +27,10 @@ _POINTS = 101  # instants at which the lightest coordinates are sought
 
 def from_grasp(scenario: Scenario) -> Scenario:
     """The mission that begins with a scenario's grasp, as a user would write it: without approach
-    and phases before it. Unchanged without them.
+    and phases before it, and with all hands on the target. Unchanged without them.
     """
+    if scenario.closed is None and (closings := closing_times(scenario))[1:]:
+        scenario = dataclasses.replace(scenario, closed=closings[-1])
     if scenario.capture is None or scenario.approach is None:
         return scenario
     held = dataclasses.replace(

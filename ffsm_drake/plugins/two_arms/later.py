@@ -1,0 +1,165 @@
+"""Runs in which hands grasp later than the first one (``contacts.NAME.closes``).
+
+The loop before a closing has no force of the contact, and the law works in the tree. The closing is
+a plastic impact on the moving stack,
+
+    A H^-1 A' lambda = -A v,    v+ = v + H^-1 A' lambda,
+
+of all rigid hands that hold the target from then on; the new one holds where it is. The law goes on
+with its memory, in the velocities that the chain has.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Context
+
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.two_arms.contact import CLOSING, GAP, LOSS, WRENCHES
+from ffsm_drake.runs.ending import MISSED
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import Mission, Phase, Progress
+from ffsm_drake.runs.rollout import Rollout, make_rollout
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.capture import Envelope
+from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.spacecraft.dynamics import Dynamics
+from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.side_by_side import NotAlike
+
+_BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
+# miss of a hand -> its bound, a key of ``capture.envelope``, and its unit
+_BOUNDS = {
+    "distance": ("position", "m"),
+    "angle": ("angle", "rad"),
+    "speed": ("velocity", "m/s"),
+    "rate": ("angular_velocity", "rad/s"),
+}
+
+
+class LaterHandsRollout:
+    """A ``Rollout`` of a scenario whose hands grasp one after the other; it runs alone."""
+
+    def __init__(
+        self,
+        scenario: Scenario | Sequence[Scenario],
+        *,
+        blocks: Mapping[str, Factory] | None = None,
+        meshcat: Meshcat | None = None,
+        dynamics: Dynamics | None = None,
+    ) -> None:
+        """Arguments and errors: see ``Rollout``."""
+        first, *others = [scenario] if isinstance(scenario, Scenario) else scenario
+        if others:
+            raise NotAlike("a spacecraft with a closed chain runs alone")
+        self._scenario = first
+        how: Any = {"blocks": blocks, "meshcat": meshcat, "dynamics": dynamics}
+        self._rollouts: dict[float, Any] = {}
+        for time in closing_times(first):
+            kind = Rollout if self._rollouts else make_rollout
+            self._rollouts[time] = kind(dataclasses.replace(first, closed=time), **how)
+
+    @property
+    def loop(self) -> ClosedLoop:
+        """The closed loop with all hands on the target."""
+        loop: ClosedLoop = list(self._rollouts.values())[-1].loop
+        return loop
+
+    def release(self) -> None:
+        """As ``Rollout.release``."""
+        for rollout in self._rollouts.values():
+            rollout.release()
+
+    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
+        """As ``Rollout.accepts``."""
+        return all(rollout.accepts(scenario) for rollout in self._rollouts.values())
+
+    def check(self) -> None:
+        """As ``Rollout.check``."""
+        for rollout in self._rollouts.values():
+            rollout.check()
+
+    def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
+        """As ``Rollout.run``; at the sample of a closing the log holds the velocity after it."""
+        mission = _LaterHands(scenario or self._scenario, self._rollouts, progress)
+        (log,) = mission.run(mission.after(0.0))
+        assert log is not None  # failures of a run alone are raised
+        return log
+
+    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
+        """As ``Rollout.run_all``."""
+        return [self.run(each) for each in scenarios or [self._scenario]]
+
+
+class _LaterHands(Mission):
+    """One run, with a phase from each closing to the next."""
+
+    def __init__(
+        self, scenario: Scenario, rollouts: Mapping[float, Any], progress: Progress | None
+    ) -> None:
+        super().__init__([scenario], progress)
+        self._rollouts = rollouts
+
+    def after(self, time: float) -> Phase:
+        """The phase from a closing on, by its time after the grasp (s)."""
+        (scenario,) = self._scenarios
+        nexts, last = [each for each in self._rollouts if each > time], None
+        if nexts:
+            last = round((scenario.grasp_time + nexts[0]) / scenario.sample_time)
+
+        def next_() -> Phase | None:
+            return self._met(nexts[0]) if nexts else None
+
+        plan = dataclasses.replace(scenario, closed=time)
+        return Phase(names=(("stop", last),), holds=True, scenario=plan, next=next_)
+
+    def _met(self, time: float) -> Phase | None:
+        """The next phase, unless a hand is too far from its place."""
+        (scenario,) = self._scenarios
+        state = self.before.whole_states(self.context)[0]
+        miss = self._rollouts[time].loop.blocks[_BLOCK].miss(state)
+        envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
+        bounds = {name: getattr(envelope, bound) for name, (bound, _) in _BOUNDS.items()}
+        beyond = ", ".join(
+            f"{key} {miss[name]:.3g} {unit} (capture.envelope.{key}: {bounds[name]:g})"
+            for name, (key, unit) in _BOUNDS.items()
+            if bounds[name] is not None and not miss[name] <= bounds[name]
+        )
+        if not beyond:
+            return self.after(time)
+        names = [name for name, each in scenario.contacts.items() if each.closes == time]
+        at = f"t = {self.sample * scenario.sample_time:g} s"
+        self._fail(0, MISSED, f"the hand of contacts.{names[0]} misses its place at {at}: {beyond}")
+        return None
+
+    def _loop_of(self, phase: Phase, scenarios: list[Scenario]) -> Any:
+        return self._rollouts[scenarios[0].closed or 0.0]
+
+    def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
+        """Close the hands of a phase on the target."""
+        if self.sample == 0:
+            return
+        log, block = self.logs[0][-1], loop.blocks[_BLOCK]
+        if log.grasp is not None:
+            loop.set_payload(root_context, log.grasp.payload)
+        state = self.before.whole_states(self.context)[0]
+        work = log.series[LOSS][-1].item() if LOSS in log.series else 0.0
+        state = block.close(root_context, state, work=work)
+        loop.set_whole_states(root_context, state[None])
+        reference = loop.diagram.GetOutputPort("desired_state").Eval(root_context)
+        loop.resume(root_context, self.before, self.context, reference[None], afresh=(_BLOCK,))
+
+    def _joined(self, copy: int) -> RunLog:
+        last, first = self.logs[copy][-1], self.logs[copy][0]
+        for k, log in enumerate(self.logs[copy]):  # zero for an open hand
+            series = dict(log.series)
+            for name in (WRENCHES, GAP, CLOSING, LOSS, _FORCE):
+                if name in last.series and name not in series:
+                    series[name] = np.zeros((log.time.size, last.series[name].shape[1]))
+            if _OTHER in last.series and _OTHER not in series:
+                series[_OTHER] = series["disturbance_force"]
+            self.logs[copy][k] = dataclasses.replace(log, series=series)
+        return dataclasses.replace(super()._joined(copy), grasp=first.grasp)
