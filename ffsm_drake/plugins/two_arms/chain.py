@@ -148,7 +148,7 @@ class ClosedChain:
         return gap if len(loop.rows) == 6 else loop.rows @ gap
 
     def meet(self, context: Context) -> None:
-        """Let the loops of contacts that close later hold the hands where they are."""
+        """Let the loops of late hands hold them where they are."""
         loops = list[Loop]()
         for loop in self.loops:
             X = self.plant.CalcRelativeTransform(context, loop.grasp, loop.hand)

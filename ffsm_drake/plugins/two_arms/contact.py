@@ -1,6 +1,7 @@
 """Contacts that close a loop: their force on the plant, and its internal part."""
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from ffsm_drake.systems.part import INTERNAL_WORK, Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 WRENCHES, GAP = "contact_wrench", "contact_gap"
-CLOSING, LOSS = "contact_closing", "contact_loss"  # of hands that grasp later than the first
+CLOSING, LOSS = "contact_closing", "contact_loss"  # where late hands grasp
 _CLOSING = {
     "linear_impulse": "N s",
     "angular_impulse": "N m s",
@@ -179,14 +180,14 @@ class Contacts(Part):
 
     @staticmethod
     def _of_closings() -> Iterator[Metric]:
-        """Of hands that grasp later: largest over the closings, and the energy that all lost."""
+        """Largest figures over the closings of late hands, and the energy lost in all of them."""
         for k, (name, unit) in enumerate(_CLOSING.items()):
             if name in _FIGURES:
                 yield Metric(
                     key=f"contacts.closing.{name}",
                     unit=unit,
                     label=f"Largest {_FIGURES[name]} at a closing",
-                    of=lambda run, k=k: run[CLOSING][:, k].max(),
+                    of=functools.partial(_largest, k),
                 )
         yield Metric(
             key="contacts.closing.energy_lost",
@@ -204,6 +205,11 @@ class Contacts(Part):
     @property
     def _units(self) -> dict[str, str]:
         return {name: "N" if "force" in name else "N m" for name in self._components}
+
+
+def _largest(component: int, run: View) -> float:
+    """The largest of a component of ``contact_closing``."""
+    return float(run[CLOSING][:, component].max())
 
 
 def _sizes(run: View) -> np.ndarray:
@@ -262,15 +268,14 @@ class ContactForce(Diagram):
         self._contact.set_payload(properties)
 
     def miss(self, state: np.ndarray) -> dict[str, float]:
-        """How far the hands that close later are from their places, and how fast they move there,
-        at most, at the plant's own [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s),
-        ``speed`` (m/s).
+        """The largest distance of a late hand from its place, and its motion there, at the plant's
+        own [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
         """
         return self._contact.miss(state)
 
     def close(self, root_context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
-        """The plant's own [q; v] after the hands that close later have closed where they are; rigid
-        ones by a plastic impact.
+        """The plant's own [q; v] after late hands have closed where they are; rigid ones by a
+        plastic impact.
 
         Args: a context of the diagram; the state before; work of the closings before, J.
         """

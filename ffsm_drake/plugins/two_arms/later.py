@@ -1,12 +1,12 @@
-"""Runs in which hands grasp later than the first one (``contacts.NAME.closes``).
+"""Runs with late hands, which grasp after the first one (``contacts.NAME.closes``).
 
 The loop before a closing has no force of the contact, and the law works in the tree. The closing is
 a plastic impact on the moving stack,
 
     A H^-1 A' lambda = -A v,    v+ = v + H^-1 A' lambda,
 
-of all rigid hands that hold the target from then on; the new one holds where it is. The law goes on
-with its memory, in the velocities that the chain has.
+of all rigid hands on the target from then on; the new one holds where it is. The law goes on with
+its memory, in the velocities of the chain.
 """
 
 import dataclasses
@@ -41,7 +41,7 @@ _BOUNDS = {
 
 
 class LaterHandsRollout:
-    """A ``Rollout`` of a scenario whose hands grasp one after the other; it runs alone."""
+    """A ``Rollout`` of a scenario with late hands; it runs alone."""
 
     def __init__(
         self,

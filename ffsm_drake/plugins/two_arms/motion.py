@@ -6,14 +6,15 @@ posture to that in the target posture, with the motion's own path parameter; the
 without the chain. The joints are splines in the path parameter, through the solutions of the
 inverse kinematics at nodes; each begins at the one before it and changes the joints least.
 
-A hand that grasps later than the first one is brought to its place by a polynomial of fifth order
-in its arm's joints, with the position, velocity and acceleration of the chain's motion there.
+A late hand (``contacts.NAME.closes``) comes to its place by a polynomial of fifth order in its
+arm's joints, with the position, velocity and acceleration of the chain's motion there.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
@@ -28,7 +29,7 @@ from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
 from ffsm_drake.plugins.two_arms.chain import LONGEST_STEP, ClosedChain, Loop
 from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.scenario.contacts import closing_times
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_body, model_files
 from ffsm_drake.spacecraft.start import velocity_at_start
@@ -70,14 +71,15 @@ class ChainMotion(PlannedMotion):
             reference=scenario.reference if self._in_time else Reference(),
         )
         end = motion.end if self._in_time else 1.0
-        (knots, values), *reaching = _path(part, model_files(scenario.model), velocity, end)
+        paths = _path(part, model_files(scenario.model), velocity, end)
+        (_, _, knots, values), *reaching = paths
         self._joints = BSpline(knots, values, k=5)
         self._rates = self._joints.derivative(), self._joints.derivative(2)
         self._reaching = [
             _Reach(*each, velocity[each[0]]) for each in reaching if velocity is not None
         ]
         self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
-        # of the phase
+        # begin and end in the phase
         begin, end, closed = 0.0, motion.end, scenario.closed
         if closed is not None:
             begin = closed
@@ -107,7 +109,7 @@ class ChainMotion(PlannedMotion):
 
 
 class _Reach:
-    """Motion of the arm (joints: indices in v) of a hand that grasps at a time."""
+    """Motion of the arm of a late hand."""
 
     def __init__(
         self,
@@ -117,7 +119,9 @@ class _Reach:
         values: np.ndarray,
         velocity: np.ndarray,
     ) -> None:
-        """Args: positions at the start; a spline from the grasp on; velocities at the start."""
+        """Args: indices in v; positions at the start; a spline from the grasp on; velocities at the
+        start.
+        """
         self.joints, spline = joints, BSpline(knots, values, k=5)
         self._closed = spline, spline.derivative(), spline.derivative(2)
         self._closes, self._end = knots[0], knots[-1]
@@ -139,14 +143,16 @@ class _Reach:
 @memoized(maxsize=8)
 def _path(
     scenario: Scenario, files: tuple[Path, ...], velocity: np.ndarray | None, end: float
-) -> list[tuple[np.ndarray, ...]]:
-    """Knots and coefficients of the joints (n), a spline of fifth order: by the path parameter, or
-    with a velocity (nv) at the start by time (s), to ``end``. For each hand that grasps later:
-    joints of its arm, their positions at the start, and knots and coefficients from there on.
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Splines of fifth order, each as joints (indices in v), their positions at the start, knots
+    and coefficients: of all joints, by the path parameter or with a velocity (nv) at the start by
+    time (s), to ``end``; then of the arm of each late hand, from its grasp on.
     """
     follower = _Follower(scenario, velocity, end)
 
-    def spline(begin: float, end: float, solve: Callable, error: Callable) -> BSpline:
+    def spline(
+        begin: float, end: float, solve: Callable[..., Any], error: Callable[..., Any]
+    ) -> BSpline:
         nodes = _NODES
         while True:
             s = np.linspace(begin, end, nodes + 1)
@@ -157,7 +163,8 @@ def _path(
             nodes *= 2
 
     whole = spline(0.0, end, follower.solve, follower.error)
-    found = [(whole.t, whole.c)]
+    every = np.arange(whole.c.shape[1]) + NUM_BASE_VELOCITIES
+    found = [(every, whole.c[0], whole.t, whole.c)]
     for loop in follower.later:
         begin = loop.contact.closes
         arm = _Arm(follower, loop, lambda s: whole(np.minimum(s, end)))
@@ -177,7 +184,7 @@ class _Follower:
         self._chain = ClosedChain(model.plant, scenario, true=False)
         self._target = find_body(model.plant, scenario.payload.body, key="payload.body")
         postures = [self._posture(scenario, each) for each in ("initial_posture", "target_posture")]
-        self.guesses = postures  # of the arms of hands that grasp later
+        self.guesses = postures  # for the arms of late hands
         self._start = self._chain.closed(postures[0], model.context)
         model.plant.SetPositions(model.context, self._start)
         self._first = self._target.EvalPoseInWorld(model.context)
@@ -295,9 +302,9 @@ class _Follower:
 
 
 class _Arm:
-    """The arm of a hand that grasps later, beside the joints (m, n) of the rest at times (m)."""
+    """The arm of a late hand, beside the joints (m, n) of the rest at times (m)."""
 
-    def __init__(self, follower: _Follower, loop: Loop, rest: Callable) -> None:
+    def __init__(self, follower: _Follower, loop: Loop, rest: Callable[..., Any]) -> None:
         self._follower, self._loop, self._rest = follower, loop, rest
         self._places = loop.joints + 1
         self.first = follower.guesses[0][self._places]
@@ -346,8 +353,8 @@ def _quaternion(pose: RigidTransform) -> np.ndarray:
 def closed_chain(
     scenario: Scenario, plant: MultibodyPlant, context: Context, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The plant's own q (nq) with the loops of the true contacts closed, but for those of hands
-    that grasp later, and their A (m, nv).
+    """The plant's own q (nq) with the loops of the true contacts closed, without those of late
+    hands, and their A (m, nv).
     """
     chain = ClosedChain(plant, dataclasses.replace(scenario, closed=0.0), true=True)
     q = chain.closed(q, context)
