@@ -316,15 +316,16 @@ _OF_THE_RUN = (
 )
 
 
-def planned_part(scenario: Scenario) -> Scenario:
-    """The scenario with defaults for all settings without influence on its planned motion.
+def planned_part(scenario: Scenario, *, with_target: bool = False) -> Scenario:
+    """The scenario with defaults for all settings without influence on its planned motion, or on
+    the target's before a grasp (``with_target``), which a clear start depends on.
 
     Runs that differ in nothing else, such as those of several controllers, share the results
     computed from it.
     """
-    plain, truth = Scenario(), MassProperties()
-    # the target turns about its true centre of mass before the grasp, which a clear start looks at
-    if scenario.approach is not None and scenario.approach.start == "clear":
+    plain, truth, approach = Scenario(), MassProperties(), scenario.approach
+    with_target = approach is not None and (with_target or approach.start == "clear")
+    if with_target:
         truth = scenario.payload.truth
     elif scenario.grasps:
         truth.center_of_mass = scenario.payload.truth.center_of_mass
@@ -332,6 +333,8 @@ def planned_part(scenario: Scenario) -> Scenario:
     changes = {name: getattr(plain, name) for name in _OF_THE_RUN}
     if scenario.stops_from_start:
         del changes["initial_velocity"]
+    if with_target:
+        del changes["environment"]
     return replace(scenario, payload=payload, **changes)
 
 

@@ -15,19 +15,27 @@ resets a copy's memory. All that a run changes is in its context, the source for
 grasp. The system around control laws is as wide as the laws (``ControlLaw.wide``).
 
 Any other block, a user's Drake system among them, stands there once for each copy, between
-demultiplexers and multiplexers: ``SideBySide``.
+cut and joined ports: ``SideBySide``.
 """
 
 import functools
+import itertools
 from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.common import RandomGenerator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import Demultiplexer, Multiplexer
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    LeafSystem,
+    System,
+)
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import MassProperties
 
 
@@ -56,13 +64,15 @@ class SideBySide(Diagram):
         for kind, port, size in _sizes(systems[0]):
             if kind == "input" and port in inputs:
                 parts = builder.AddNamedSystem(
-                    f"{port}_of_each", Demultiplexer([size] * len(systems))
+                    f"{port}_of_each", _Rearranged([size * len(systems)], [size] * len(systems))
                 )
                 builder.ExportInput(parts.get_input_port(), port)
                 for copy, system in enumerate(systems):
                     builder.Connect(parts.get_output_port(copy), system.GetInputPort(port))
             elif kind == "output":
-                whole = builder.AddNamedSystem(f"{port}_of_all", Multiplexer([size] * len(systems)))
+                whole = builder.AddNamedSystem(
+                    f"{port}_of_all", _Rearranged([size] * len(systems), [size * len(systems)])
+                )
                 builder.ExportOutput(whole.get_output_port(), port)
                 for copy, system in enumerate(systems):
                     builder.Connect(system.GetOutputPort(port), whole.get_input_port(copy))
@@ -102,6 +112,27 @@ class SideBySide(Diagram):
 
     def _of(self, system: System, context: Context) -> Context:
         return self.GetMutableSubsystemContext(system, context)
+
+
+class _Rearranged(LeafSystem):
+    """Vectors cut or joined: as outputs, the entries of the inputs in turn. What is held stays so
+    within a step, while Drake's own depend on time and would compute actuators again at its stages.
+    """
+
+    def __init__(self, inputs: Sequence[int], outputs: Sequence[int]) -> None:
+        super().__init__()
+        self._inputs = [self.DeclareVectorInputPort(f"u{i}", n) for i, n in enumerate(inputs)]
+        read = {self.input_port_ticket(port.get_index()) for port in self._inputs}
+        ends = np.cumsum([0, *outputs]).tolist()
+        for index, ends_of in enumerate(itertools.pairwise(ends)):
+            calc = functools.partial(weak_callback(self._calc), slice(*ends_of))
+            self.DeclareVectorOutputPort(f"y{index}", outputs[index], calc, read)
+        untie(self)
+
+    def _calc(self, within: slice, context: Context, output: BasicVector) -> None:
+        parts = [port.Eval(context) for port in self._inputs]
+        whole = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        output.SetFromVector(whole[within])
 
 
 def _sizes(system: Any) -> list[tuple[str, str, int]]:

@@ -169,7 +169,7 @@ def plan_clearance(scenario: Scenario) -> list[Closest]:
     """
     if scenario.blocks.reference is not None:
         return []
-    return _plan_clearance_of(planned_part(scenario), files_read(scenario))
+    return _plan_clearance_of(planned_part(scenario, with_target=True), files_read(scenario))
 
 
 @memoized(maxsize=64)  # a run, its report and the next run of the same plan ask for the same

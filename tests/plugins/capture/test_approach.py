@@ -7,10 +7,12 @@ import pytest
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.plugins.capture.approach import approach_posture, given_approach
-from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.handover import Handover
-from ffsm_drake.runs.limits import CLEARANCE, closest_of, distances_in, limits_left
+from ffsm_drake.plugins.design.remarks import plan_clearance
+from ffsm_drake.runs.limits import CLEARANCE, INSTANTS, closest_of, distances_in, limits_left
 from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.scenario import planned_part
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
@@ -70,6 +72,36 @@ def test_the_start_does_not_depend_on_the_target_that_is_left_out_or_the_law():
     assert approach_posture(dataclasses.replace(scenario, holds=False)) == posture
     assert approach_posture(scenario.replace(controller="tdc")) == posture
     assert given_approach(dataclasses.replace(scenario, holds=False)).start == "given"
+
+
+@pytest.mark.parametrize("start", ["clear", "given"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_planned_part_moves_the_target_as_the_run_does(start, seed):
+    rng = np.random.default_rng(seed)
+    scenario = load_scenario(
+        "tumbling_capture",
+        [
+            f"capture.rate={rng.uniform(-0.1, 0.1, 3).tolist()}",
+            f"capture.approach.start={start}",
+            f"payload.truth.inertia={rng.uniform(15, 25, 3).tolist()}",
+            f"environment={{altitude: null, mean_motion: {rng.uniform(0.005, 0.01)}}}",
+        ],
+    )
+    model = make_nominal_plant(scenario)
+    contact = planned_contact(scenario, model)
+    part = planned_part(scenario, with_target=start == "given")
+    _, path = target_path(scenario, model, contact)
+    assert np.array_equal(target_path(part, model, contact)[1], path)
+    calm = dataclasses.replace(scenario, environment=None)
+    assert not np.array_equal(target_path(calm, model, contact)[1], path)
+
+
+def test_the_planned_clearance_is_that_from_the_turning_target():
+    given = "capture.rate=[0.1, 0.1, 0.1]", "payload.truth.inertia=[10, 22, 30]"
+    scenario = load_scenario("tumbling_capture", given)
+    _, times, (q, *_), path = planned(scenario, INSTANTS)
+    here = list(closest_of(scenario, times, q, target=path))
+    assert plan_clearance(scenario)[: len(here)] == here
 
 
 @draws

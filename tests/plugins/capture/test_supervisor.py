@@ -7,6 +7,7 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.capture.supervisor import Cause, Mode, NewPlan
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
@@ -38,6 +39,22 @@ def test_what_has_nothing_to_do_changes_no_bit():
     watched = make_rollout(scenario.replace(supervisor={})).run()
     for name, values in alone.series.items():
         assert np.array_equal(values, watched.series[name]), name
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_stages_of_the_integrator_do_not_ask_the_actuators_again(monkeypatch, copies):
+    scenario = load_scenario("thrusters_and_wheels", ["duration=0.2", "supervisor={}"])
+    calls, give = [], BaseActuators.give
+
+    def counted(self, *args, **how):
+        calls.append(how["begins"])
+        return give(self, *args, **how)
+
+    monkeypatch.setattr(BaseActuators, "give", counted)
+    rollout = make_rollout([scenario] * copies if copies > 1 else scenario)
+    log = rollout.run_all()[0] if copies > 1 else rollout.run()
+    rollout.release()
+    assert 0 < len(calls) <= log.time.size + 1
 
 
 def test_saturation_is_damped_and_planned_anew(damped):
