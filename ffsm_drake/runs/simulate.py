@@ -110,14 +110,20 @@ def prepare(
         if check_stability and (plan_remarks := optional(SERVICES, "plan_remarks")) is not None:
             for remark in plan_remarks(scenario):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
-        if (
-            check_stability
-            and not user_supplied(scenario, blocks)
-            and (verdict := optional(SERVICES, "verdict")) is not None
-        ):
-            for remark in verdict(scenario, rehearsal=False).warnings:
-                warnings.warn(remark, StabilityWarning, stacklevel=3)
-        return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
+        # before the verdict, which takes longer: a wrong name shows at once
+        rollout = make_rollout(scenario, blocks=blocks, meshcat=meshcat)
+        try:
+            if (
+                check_stability
+                and not user_supplied(scenario, blocks)
+                and (verdict := optional(SERVICES, "verdict")) is not None
+            ):
+                for remark in verdict(scenario, rehearsal=False).warnings:
+                    warnings.warn(remark, StabilityWarning, stacklevel=3)
+        except BaseException:
+            rollout.release()
+            raise
+        return rollout
 
 
 @step("making the record")

@@ -10,8 +10,17 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake import ScenarioError, load_scenario, simulate, simulate_many
+from ffsm_drake import (
+    ScenarioError,
+    design,
+    load_scenario,
+    simulate,
+    simulate_many,
+    stability,
+)
 from ffsm_drake.loop.blocks import settle_faults
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.limits import run_remarks
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, Faults, thrusters_of
@@ -187,6 +196,18 @@ def test_what_cannot_break(coordinates, given_, said):
     scenario = LOADED.replace(faults={"events": {"it": given_}})
     with pytest.raises(ScenarioError, match=said):
         settle_faults(scenario, coordinates)
+
+
+@pytest.mark.parametrize("ask", [simulate, stability, verdict, design])
+@pytest.mark.parametrize("unit", ["thrusters.a_q", "wheels.wheel_9", "sensing.joint_9", "joint_1"])
+def test_a_wrong_name_shows_before_anything_takes_time(monkeypatch, ask, unit):
+    def refused(*arguments, **more):
+        raise AssertionError("linearised")
+
+    for method in ("at", "along", "follow"):
+        monkeypatch.setattr(Linearizer, method, refused)
+    with pytest.raises(ScenarioError, match=f"no '{unit}' breaks here"):
+        ask(LOADED.replace(faults={"events": {"it": {"unit": unit}}}))
 
 
 @pytest.mark.parametrize(

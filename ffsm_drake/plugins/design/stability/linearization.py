@@ -30,7 +30,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.loop.blocks import FROM_ACTUATORS, is_rehearsed, parts_of
+from ffsm_drake.loop.blocks import FROM_ACTUATORS, is_rehearsed, parts_of, settle_faults
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.plugins.actuators.drives import FRICTION
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
@@ -96,6 +96,7 @@ class Linearizer:
             factories[name] = part.linear()
         self._choices = self.given.blocks.choices()
         self.loop = make_closed_loop(self.scenario, blocks=factories)
+        settle_faults(self.given, self.loop.coordinates)  # the loop has none; names are checked
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self.begin, self.end = self.motion.begin, self.motion.end  # s
         if approach:  # its last instant is before the grasp
