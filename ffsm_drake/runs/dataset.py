@@ -31,6 +31,8 @@ def make_table(log: RunLog) -> Table:
     states = log.whole_states
     values = _values(log, model, states)
     signals = {name: signal for name, signal in SIGNALS.items() if name in values}
+    if (sliding := signals.get("sliding_variable")) is not None:
+        signals["sliding_variable"] = dataclasses.replace(sliding, unit=log.sliding_unit)
     for name in values:
         # several external forces act, and disturbance_force is their sum
         if name.startswith("force_"):

@@ -16,6 +16,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_
 from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.part import (
     Figure,
     PartRecord,
@@ -78,6 +79,7 @@ class RunLog:
     parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
     # whether the controller tracks a frame, and coordinates only in its null space
     tracks_frame: bool = False
+    sliding_unit: str = ControlLaw.sliding_unit
     dynamics: str = DRAKE  # name of what computed the spacecraft's motion
 
     def __getitem__(self, name: str) -> np.ndarray:

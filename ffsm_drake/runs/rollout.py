@@ -32,6 +32,7 @@ from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dic
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.part import signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
@@ -446,12 +447,14 @@ def _make_log(
     wall_time: dict[str, float],
 ) -> RunLog:
     """Log of a run of the loop's scenario."""
+    law = getattr(loop.blocks["controller"], "law", None)
     return RunLog(
         scenario=loop.scenario,
         outcome=outcome,
         coordinates=loop.coordinates,
         split=loop.split,
         tracks_frame=loop.tracks_frame,
+        sliding_unit=str(getattr(law, "sliding_unit", ControlLaw.sliding_unit)),
         dynamics=loop.dynamics,
         parts=loop.parts,
         time=times,

@@ -23,6 +23,7 @@ import numpy as np
 from ffsm_drake.plugins.baselines.powers import signed_power
 from ffsm_drake.systems.controllers.law import State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
+from ffsm_drake.systems.part import UNIT
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,7 @@ class TerminalSlidingMode(InjectedDynamics):
     """
 
     wide: ClassVar[bool] = True
+    sliding_unit: ClassVar[str] = UNIT
     sample_time: float
     power: float = gain(1.5, "", "power p of the rate, between 1 and 2", scalar=True, positive=True)
     slope: np.ndarray = gain(3.0, "rad^(p-1)/s^p or m^(p-1)/s^p", "slope B", positive=True)

@@ -75,6 +75,9 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
     }
     for signal in SIGNALS:
         heading, _, unit = (signal.heading or "").rstrip("]").partition(" [")
+        if heading == "Sliding variable s":
+            found = {_sliding_unit(result) for result in results} - {""}
+            unit = " or ".join(sorted(found))
         if heading:
             sections["sliding"][heading] = each(signal.name, unit)
     views = {
@@ -82,6 +85,14 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
         for key, section in sections.items()
     }
     return {key: shown for key, shown in views.items() if shown}
+
+
+def _sliding_unit(result: Result) -> str:
+    """Unit of the sliding variable in a panel, which depends on the law; empty without one."""
+    data = result.record.dataset
+    if "sliding_variable" not in data:
+        return ""
+    return "{unit}/s" if data["sliding_variable"].attrs["units"].endswith("per s") else "{unit}"
 
 
 def _end_effector_panels(results: Sequence[Result], thin: Thinning) -> list[Panel]:

@@ -190,6 +190,11 @@ class MinimalLaw(ControlLaw):
         """See ControlLaw."""
         return self.law.random_walks
 
+    @property
+    def sliding_unit(self) -> str:  # type: ignore[override]
+        """See ControlLaw."""
+        return self.law.sliding_unit
+
     def initial_state(self) -> State:
         """The law's, and the force of the internal control."""
         internal = {_INTERNAL: np.zeros(self.tree.chain.size)} if self.internal else {}

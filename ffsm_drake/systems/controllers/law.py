@@ -29,6 +29,7 @@ from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
+from ffsm_drake.systems.part import UNIT
 from ffsm_drake.systems.setup import BlockSetup
 
 State = Mapping[str, np.ndarray]
@@ -180,6 +181,8 @@ class ControlLaw(abc.ABC):
     # The least change of its inputs (rad, m, per s) that a linearisation looks at: less would be
     # rounding to a law that computes in single precision.
     least_change: ClassVar[float] = 0.0
+    # Unit of ``sliding_variable`` in its memory.
+    sliding_unit: ClassVar[str] = f"{UNIT} per s"
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the law's memory."""

@@ -25,16 +25,16 @@ SMALLEST = "smallest_singular_value"
 # Memory of a law that becomes an output and is recorded: (nv), or one number without a dimension.
 SIGNALS = (
     Signal(
-        name="sliding_variable", unit=UNIT, meaning="sliding variable s of this sample",
-        dimension="coordinate", heading="Sliding variable s [{unit}/s]",
+        name="sliding_variable", unit=ControlLaw.sliding_unit, dimension="coordinate",
+        meaning="sliding variable s of this sample", heading="Sliding variable s [{unit}/s]",
     ),
     Signal(
         name="reaching_gain", unit="1/s", meaning="K_s used by this sample, 1/s",
         dimension="coordinate", held=False, heading="Gain Kₛ [1/s]",
     ),
     Signal(
-        name="switching_gain", unit=UNIT, meaning="G used by this sample", dimension="coordinate",
-        held=False, heading="Gain G [{unit}/s²]",
+        name="switching_gain", unit=f"{UNIT} per s^2", meaning="G used by this sample",
+        dimension="coordinate", held=False, heading="Gain G [{unit}/s²]",
     ),
     Signal(
         name=SMALLEST, unit="1", heading="",

@@ -57,6 +57,8 @@ class InjectedDynamics(abc.ABC):
         """Name -> initial value of each piece of the dynamics' memory."""
         return {}
 
+    sliding_unit: ClassVar[str] = ControlLaw.sliding_unit
+
     def held(self) -> Mapping[str, float | None]:
         """Memory that a linearisation holds constant; see ControlLaw."""
         return {}
@@ -158,6 +160,10 @@ class TimeDelayControl(ControlLaw):
     @property
     def reaching_gain(self) -> ReachingGain | None:
         return self.dynamics.reaching_gain
+
+    @property
+    def sliding_unit(self) -> str:  # type: ignore[override]
+        return self.dynamics.sliding_unit
 
     @property
     def random_walks(self) -> tuple[str, ...]:

@@ -1,5 +1,7 @@
 """Super-twisting, terminal and fixed-time laws keep what their theory says of e'' = d - u."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,10 @@ from ffsm_drake.plugins.baselines.powers import signed_power, slope
 from ffsm_drake.plugins.baselines.super_twisting import SuperTwisting
 from ffsm_drake.plugins.baselines.terminal_sliding_mode import TerminalSlidingMode
 from ffsm_drake.systems.controllers import gain_vectors, make_law
+from ffsm_drake.systems.controllers.laws.aismc import Aismc
+from ffsm_drake.systems.controllers.laws.asmc import Asmc
+from ffsm_drake.systems.controllers.laws.tde_aismc import TdeAismc
+from ffsm_drake.systems.part import UNIT
 
 STEP = 1e-4  # s
 
@@ -147,3 +153,55 @@ def test_powers_out_of_range_are_refused(override, said):
     scenario = load_scenario("postcapture", [f"controller={controller}", f"controllers.{override}"])
     with pytest.raises(BlockError, match=said):
         make_law(scenario, make_nominal_plant(scenario))
+
+
+def exponent(unit, base, law):
+    """The power of s or rad in a unit such as "rad^(1-p)/s^(2-p) or m^..."."""
+    p, g = (float(np.mean(getattr(law, name, 0.0))) for name in ("power", "far_power"))
+    powers = {"": 1.0, "p": p, "g": g, "(p-1)": p - 1.0}
+    powers |= {f"({n}-{name})": n - x for n in (1, 2) for name, x in (("p", p), ("g", g))}
+    found = 0.0
+    for sign, part in zip((1.0, -1.0), unit.partition(" or ")[0].split("/"), strict=False):
+        whole = part[1:-1] if part.startswith("(") else part
+        for name, _, power in (token.partition("^") for token in whole.split()):
+            if name == base:
+                found += sign * (powers[power] if power in powers else float(power))
+    return found
+
+
+@pytest.mark.parametrize(
+    "law", [Asmc, Aismc, TdeAismc, SuperTwisting, TerminalSlidingMode, FixedTime]
+)
+@pytest.mark.parametrize(("base", "factor"), [("s", 2.5), ("rad", 0.3)])
+def test_units_that_a_law_declares(law, base, factor):
+    """Numbers in other units of time or angle change as the units of s, G, K_s and u say."""
+    units = {"sample_time": "s", "sliding_variable": law.sliding_unit}
+    units |= {"switching_gain": "rad/s^2", "reaching_gain": "1/s", "u": "rad/s^2"}
+    units["sliding_variable"] = {UNIT: "rad", f"{UNIT} per s": "rad/s"}[law.sliding_unit]
+    gains = {"sample_time": 0.01}
+    for field in dataclasses.fields(law):
+        if (declared := field.metadata.get("setting")) is not None:
+            default = 0.3 if declared.default is None else declared.default
+            value = min(default.values()) if isinstance(default, dict) else default
+            units[field.name] = declared.unit
+            gains[field.name] = value if declared.scalar else np.array([1.0, 2.0]) * value
+    gains = {field.name: gains[field.name] for field in dataclasses.fields(law)}
+
+    def last(factor):
+        own = law(**gains)
+
+        def of(value, unit):
+            return np.asarray(value) * factor ** exponent(unit, base, own)
+
+        own = law(**{name: of(value, units[name]) for name, value in gains.items()})
+        state = own.initial_state()
+        for _ in range(3):
+            signals = of([0.02, -0.03], "rad"), of([0.5, 0.4], "rad/s"), of([0.1, 0.2], "rad/s^2")
+            u, state = own.step(*signals, state)
+        return {name: state[name] for name in units if name in state} | {"u": u}
+
+    before, after = last(1.0), last(factor)
+    assert before["sliding_variable"].all()
+    for name, value in before.items():
+        unit = factor ** exponent(units[name], base, law(**gains))
+        assert after[name] == pytest.approx(unit * value, rel=1e-9), name
