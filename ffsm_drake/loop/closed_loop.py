@@ -261,7 +261,7 @@ class ClosedLoop:
           afresh: the blocks that keep their own states.
         """
         for name, block in self.blocks.items():
-            if name not in afresh:
+            if name not in afresh and name in before.blocks:
                 other, context = (
                     before.blocks[name],
                     block.GetMyMutableContextFromRoot(root_context),

@@ -143,6 +143,11 @@ def _contact_problems(scenario: Any) -> Problems:
     elif scenario.model.servicer and contacts[carrying].frame != scenario.model.grasp:
         yield f"contacts.{carrying}.frame", f"must be model.grasp ({scenario.model.grasp})"
     late = [each for each in contacts.items() if each[1].closes]
+    for name, contact in contacts.items() if scenario.approach else late:
+        for error in ("position_error", "rotation_error"):
+            if any(getattr(contact, error)):
+                key = f"contacts.{name}.{error}"
+                yield key, "follows from where the hand grasps; leave it out"
     for name, contact in late:
         key = f"contacts.{name}"
         yield from sample_problems(contact.closes, scenario.sample_time, f"{key}.closes")
@@ -153,9 +158,6 @@ def _contact_problems(scenario: Any) -> Problems:
                 f"{key}.closes",
                 f"must be within the duration of the run, {scenario.duration:g} s",
             )
-        for error in ("position_error", "rotation_error"):
-            if any(getattr(contact, error)):
-                yield f"{key}.{error}", "follows from where the hand closes; leave it out"
     for key, problem, change in (
         ("blocks.reference", scenario.blocks.reference, "leave it out"),
         ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),
@@ -164,7 +166,7 @@ def _contact_problems(scenario: Any) -> Problems:
         if late and problem:
             yield key, f"does not go with contacts.{late[0][0]}.closes; {change}"
     for key, problem in (
-        ("capture.approach", scenario.approach is not None),
+        ("capture.closing", scenario.closing is not None),
         ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
         ("reference.frame", scenario.reference.frame is not None),
         ("reference.kind", scenario.reference.kind == "optimal"),

@@ -323,11 +323,14 @@ class ApproachClearance(Clearance):
     Configurations are the servicer's, then the target's pose (quaternion, position).
     """
 
-    def __init__(self, model: Model, target: str, *, flexible: bool = False) -> None:
+    def __init__(
+        self, model: Model, target: str, *, flexible: bool = False, hands: tuple[str, ...] = ()
+    ) -> None:
         """Args:
           model: the model.
           target: scoped name of the target.
           flexible: whether flexible parts are included.
+          hands: see ``Clearance``; they may touch it near the grasp.
 
         Raises the errors of ``Clearance``.
         """
@@ -342,7 +345,7 @@ class ApproachClearance(Clearance):
         # links always near it.
         apart = {
             each.scoped_name().get_full()
-            for pair in Clearance(model).pairs
+            for pair in Clearance(model, hands=hands).pairs
             if target in (names := [body.scoped_name().get_full() for body in pair])
             for each, name in zip(pair, names, strict=True)
             if name != target
@@ -376,4 +379,4 @@ def _loaded(
     """The shapes of a model; ``files`` are part of the key."""
     if apart is None:
         return Clearance(model, flexible=True, hands=hands)
-    return ApproachClearance(model, apart, flexible=True)
+    return ApproachClearance(model, apart, flexible=True, hands=hands)

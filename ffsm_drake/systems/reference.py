@@ -167,8 +167,9 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
                 shaped_by=make_impulses(reference.shaper).length,
             )
         stop = polynomial(Blend(reference, duration), target, velocity)
+    stop = _follow(scenario, nominal, stop)
     if approach is None:
-        return _follow(scenario, nominal, stop)
+        return stop
     grasp, end = approach.end, approach.end + stop.end
     return InTurn([(0.0, approach), (grasp, stop)], begin=grasp, end=end, sample_time=period)
 

@@ -18,6 +18,7 @@ from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import DIRECTIONS, actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -62,6 +63,7 @@ def given_approach(scenario: Scenario) -> Approach:
             payload=scenario.payload,
             capture=scenario.capture,
             reference=scenario.reference,
+            contacts=scenario.contacts,
             initial_posture=scenario.initial_posture,
             sample_time=scenario.sample_time,
             actuation=scenario.actuation,
@@ -129,9 +131,12 @@ def approach_motion(
 ) -> PolynomialMotion:
     """The way from the grasp back to a posture, as a function of the time before the grasp."""
     duration = scenario.approach.duration if scenario.approach else 0.0
+    start = scenario.initial_posture
+    if len(scenario.contacts) > 1:  # with all hands at their places
+        start = posture_of(contact.q, model.coordinates)
     return PolynomialMotion(
         coordinates=model.coordinates,
-        start=scenario.initial_posture,
+        start=start,
         target=posture,
         blend=Blend(scenario.reference, duration, backwards=True),
         base_rotation=scenario.reference.base_rotation,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.tree import Frame, RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.plugins import service
@@ -15,6 +15,7 @@ from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.capture import Compliance
+from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.grasp import (
@@ -25,7 +26,7 @@ from ffsm_drake.spacecraft.grasp import (
 )
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.spacecraft.plant import configuration, find_body, hand_frame
+from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame, hand_frame
 
 
 def payload_body(scenario: Scenario, model: PlantModel) -> RigidBody:
@@ -81,19 +82,23 @@ def servicer_velocity(
     Raises:
       ScenarioError: a value is given for an unknown coordinate.
     """
-    coordinates, plant, context = model.coordinates, model.plant, model.context
+    coordinates, context = model.coordinates, model.context
     v = coordinates.vector(capture.servicer_velocity, key="capture.servicer_velocity", default=0.0)
     cost = coordinates.vector(capture.tracking_cost, key="capture.tracking_cost", default=1.0)
     if capture.servicer in ("rest", "given"):
         return v
-    twist = target_twist(scenario, capture, model, q)
-    hand = hand_frame(plant, scenario.model)
+    at_target = target_twist(scenario, capture, model, q)
     p_WP = payload_body(scenario, model).EvalPoseInWorld(context).translation()
-    twist[3:] += np.cross(twist[:3], hand.CalcPoseInWorld(context).translation() - p_WP)
-    jacobian = model.calc_jacobian(model.split.whole_positions(q), hand)
-    jacobian = model.split.known_velocities(jacobian)
+    twists, jacobians = list[np.ndarray](), list[np.ndarray]()
+    for hand in _hands(scenario, model):
+        twists.append(at_target.copy())
+        arm = hand.CalcPoseInWorld(context).translation() - p_WP
+        twists[-1][3:] += np.cross(at_target[:3], arm)
+        jacobian = model.calc_jacobian(model.split.whole_positions(q), hand)
+        jacobians.append(model.split.known_velocities(jacobian))
+    twist, jacobian = np.concatenate(twists), np.concatenate(jacobians)
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
-    weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
+    weight = np.tile([capture.tracking_length] * 3 + [1.0] * 3, len(twists))
     if capture.servicer == "detumble":
         return _without_spin(
             free_floating(model, q), weight[:, None] * jacobian, weight * twist, cost
@@ -101,6 +106,13 @@ def servicer_velocity(
     scaled = weight[:, None] * jacobian[:, moving] / cost[moving]
     v[moving] = np.linalg.lstsq(scaled, weight * twist, rcond=None)[0] / cost[moving]
     return v
+
+
+def _hands(scenario: Scenario, model: PlantModel) -> list[Frame]:
+    """The frames of the hands that grasp at once."""
+    others = closing_contacts(dataclasses.replace(scenario, closed=0.0, holds=True)).values()
+    frames = [find_frame(model.plant, each.effector, key="contacts") for each in others]
+    return [hand_frame(model.plant, scenario.model), *frames]
 
 
 def _without_spin(
@@ -152,7 +164,9 @@ def contact_at(
         velocity=velocity,
         target_velocity=target_velocity,
         braked=known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else (),
-        constraints=closed_chain(scenario, model, q)[1] if len(scenario.contacts) > 1 else None,
+        constraints=closed_chain(scenario, model, q, stays=True)[1]
+        if len(scenario.contacts) > 1
+        else None,
     )
     grasp = plastic_grasp(**vars(situation))
     hand = hand_frame(plant, scenario.model)
@@ -235,11 +249,13 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
 
 
 def closed_chain(
-    scenario: Scenario, model: PlantModel, q: np.ndarray
+    scenario: Scenario, model: PlantModel, q: np.ndarray, **how: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The configuration q (nq) with all hands on the target, and A (m, nv) of the closed loops."""
+    """The configuration q (nq) with all hands on the target, or as it is (``stays``), and A (m, nv)
+    of the closed loops.
+    """
     found: tuple[np.ndarray, np.ndarray]
-    found = service("closed_chain", "contacts")(scenario, model.plant, model.context, q)
+    found = service("closed_chain", "contacts")(scenario, model.plant, model.context, q, **how)
     return found
 
 

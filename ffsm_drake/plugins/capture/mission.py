@@ -89,7 +89,7 @@ class MissionRollout:
         """
         if self._approach is None:
             return grasped_at_start(self._stop.run(scenario, progress=progress, leg=leg))
-        (log,) = self._through(None if scenario is None else [scenario], progress)
+        (log,) = self._through(None if scenario is None else [scenario], progress, leg)
         assert log is not None  # failures of a run alone are raised
         return log
 
@@ -101,7 +101,10 @@ class MissionRollout:
         return self._through(scenarios, None)
 
     def _through(
-        self, given: Sequence[Scenario] | None, progress: Progress | None
+        self,
+        given: Sequence[Scenario] | None,
+        progress: Progress | None,
+        leg: Leg | None = None,
     ) -> list[RunLog | None]:
         """Run scenarios, None: the built ones, through their phases."""
         scenarios = given or self._scenarios
@@ -114,7 +117,11 @@ class MissionRollout:
             blocks=self._blocks,
             kept={True: self._stop, False: self._approach},
         )
-        return mission.run(mission.first())
+        mission.last, end = (None, None) if leg is None else (leg.last, leg.end)
+        logs = mission.run(mission.first())
+        if end is not None and not mission.ended:
+            end(mission.before, mission.context)
+        return logs
 
 
 def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:

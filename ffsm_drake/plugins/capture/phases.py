@@ -18,9 +18,13 @@ from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.phases import Mission, Phase, Progress
 from ffsm_drake.systems.registry import Factory
 
+CONTACTS = "forces.contacts"
+
 
 class Captures(Mission):
     """Runs through the phases of a capture with grippers that close at once."""
+
+    last: int | None = None  # sample at which the stop ends; None: the end of the run
 
     def __init__(
         self, handovers: Sequence[Handover], progress: Progress | None = None, **how: Any
@@ -86,6 +90,9 @@ class Captures(Mission):
         loop.resume(root_context, self.before, self.context, references, afresh=phase.afresh)
         # to the blocks, which resume with nothing in the gripper
         loop.set_payloads(root_context, [each.payload for each in self.handovers])
+        if CONTACTS in loop.blocks:
+            hands: Any = loop.blocks[CONTACTS]
+            hands.hold(rows[0])
 
     def _hold(self) -> Phase | None:
         """The stop, of those whose grippers hold."""
@@ -93,13 +100,23 @@ class Captures(Mission):
         for copy in {*range(len(self.logs))} - self.ended:
             handover = self.handovers[copy]
             message, beyond = given_up(self.logs[copy][-1]), handover.beyond_envelope()
+            beyond = beyond or self._others_beyond(copy)
             at = f"t = {handover.scenario.grasp_time:g} s"
             if message or beyond:
                 self._fail(copy, MISSED, message or f"the target is missed at {at}: {beyond}")
         self.ended |= set(self.failed)
         if len(self.ended) == len(self.logs):
             return None
-        return Phase(names=(("stop", None),), holds=True)
+        return Phase(names=(("stop", self.last),), holds=True)
+
+    def _others_beyond(self, copy: int) -> str:
+        """As ``Handover.beyond_envelope``, of further hands."""
+        stop, capture = self._kept.get(True), self._scenarios[copy].capture
+        if stop is None or capture is None or CONTACTS not in stop.loop.blocks:
+            return ""
+        hands: Any = stop.loop.blocks[CONTACTS]
+        beyond: str = hands.beyond(self.before.whole_states(self.context)[copy], capture.envelope)
+        return beyond
 
     def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
         super()._note(phase, [None if log is None else _without_contact(log) for log in logs])

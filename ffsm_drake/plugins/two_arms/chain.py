@@ -148,13 +148,12 @@ class ClosedChain:
         return gap if len(loop.rows) == 6 else loop.rows @ gap
 
     def meet(self, context: Context) -> None:
-        """Let the loops of late hands hold them where they are."""
+        """Let the loops hold the hands where they are."""
         loops = list[Loop]()
         for loop in self.loops:
             X = self.plant.CalcRelativeTransform(context, loop.grasp, loop.hand)
             turn, place = X.rotation().matrix(), tuple(X.translation().tolist())
-            late = loop.contact.closes > 0.0
-            loops.append(dataclasses.replace(loop, turn=turn, place=place) if late else loop)
+            loops.append(dataclasses.replace(loop, turn=turn, place=place))
         self.loops = tuple(loops)
 
     def jacobian(self, context: Context) -> np.ndarray:

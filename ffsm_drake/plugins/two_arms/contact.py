@@ -22,6 +22,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.loop import blocks
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import WRENCH, Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
@@ -46,6 +47,13 @@ _FIGURES = {
     "angular_impulse": "angular impulse",
     "angle": "angular miss",
     "distance": "miss",
+}
+# miss of a hand -> its bound, a key of ``capture.envelope``, and its unit
+_BOUNDS = {
+    "distance": ("position", "m"),
+    "angle": ("angle", "rad"),
+    "speed": ("velocity", "m/s"),
+    "rate": ("angular_velocity", "rad/s"),
 }
 _ORIGIN = np.zeros(3)
 
@@ -144,14 +152,14 @@ class Contacts(Part):
                 unit="N",
                 label="Largest force at the contacts",
                 ranked=True,
-                of=lambda run: _sizes(run)[..., 1].max(),
+                of=lambda run: np.nanmax(_sizes(run)[..., 1]),
             ),
             Metric(
                 key="contacts.moment",
                 unit="N m",
                 label="Largest moment at the contacts",
                 ranked=True,
-                of=lambda run: _sizes(run)[..., 0].max(),
+                of=lambda run: np.nanmax(_sizes(run)[..., 0]),
             ),
             Metric(
                 key="contacts.force_at_end",
@@ -169,7 +177,7 @@ class Contacts(Part):
                 key="contacts.gap",
                 unit="rad or m",
                 label="Largest gap of the contacts",
-                of=lambda run: np.abs(run[GAP]).max(),
+                of=lambda run: np.nanmax(np.abs(run[GAP])),
             ),
             *(self._of_closings() if self._is_late else ()),
         )
@@ -267,11 +275,21 @@ class ContactForce(Diagram):
         """Give the payload other mass properties."""
         self._contact.set_payload(properties)
 
-    def miss(self, state: np.ndarray) -> dict[str, float]:
-        """The largest distance of a late hand from its place, and its motion there, at the plant's
-        own [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
+    def beyond(self, state: np.ndarray, envelope: Envelope) -> str:
+        """The part of a hand's miss beyond an envelope, in words, at the plant's own [q; v]; empty
+        where it holds.
         """
-        return self._contact.miss(state)
+        miss = self._contact.miss(state)
+        bounds = {name: getattr(envelope, bound) for name, (bound, _) in _BOUNDS.items()}
+        return ", ".join(
+            f"{key} {miss[name]:.3g} {unit} (capture.envelope.{key}: {bounds[name]:g})"
+            for name, (key, unit) in _BOUNDS.items()
+            if bounds[name] is not None and not miss[name] <= bounds[name]
+        )
+
+    def hold(self, state: np.ndarray) -> None:
+        """Hold the hands where they are at the plant's own [q; v]."""
+        self._contact.hold(state)
 
     def close(self, root_context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
         """The plant's own [q; v] after late hands have closed where they are; rigid ones by a
@@ -344,23 +362,29 @@ class _Contact(LeafSystem):
         self._kept = b"", None
 
     def miss(self, state: np.ndarray) -> dict[str, float]:
-        """See ``ContactForce``."""
+        """The largest distance of a hand from its place, and its motion there, at the plant's own
+        [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
+        """
         plant, own, chain = self._model.plant, self._model.context, self._chain
         plant.SetPositionsAndVelocities(own, state)
-        late = np.repeat([loop.contact.closes > 0.0 for loop in chain.loops], 2)
         sizes = [
-            np.linalg.norm((chain.wrench_map @ each).reshape(-1, 3), axis=1)[late].reshape(-1, 2)
+            np.linalg.norm((chain.wrench_map @ each).reshape(-1, 3), axis=1).reshape(-1, 2)
             for each in (chain.gap(own), chain.jacobian(own) @ state[plant.num_positions() :])
         ]
         largest = np.concatenate([each.max(axis=0) for each in sizes]).tolist()
         return dict(zip(("angle", "distance", "rate", "speed"), largest, strict=True))
 
+    def hold(self, state: np.ndarray) -> None:
+        """See ``ContactForce``."""
+        self._model.plant.SetPositionsAndVelocities(self._model.context, state)
+        self._chain.meet(self._model.context)
+        self._kept = b"", None
+
     def close(self, state: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
         """See ``ContactForce``; ledger of ``_CLOSING``, and the energy lost, J."""
         ledger = self.miss(state)  # sets the state
         plant, own, chain = self._model.plant, self._model.context, self._chain
-        chain.meet(own)
-        self._kept = b"", None
+        self.hold(state)
         q, v = np.split(state, [plant.num_positions()])
         rows, H = chain.jacobian(own)[self._rigid], plant.CalcMassMatrix(own)
         inverse, multipliers = np.linalg.solve(H, rows.T), np.zeros(chain.size)

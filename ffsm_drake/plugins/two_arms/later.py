@@ -31,13 +31,6 @@ from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.side_by_side import NotAlike
 
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
-# miss of a hand -> its bound, a key of ``capture.envelope``, and its unit
-_BOUNDS = {
-    "distance": ("position", "m"),
-    "angle": ("angle", "rad"),
-    "speed": ("velocity", "m/s"),
-    "rate": ("angular_velocity", "rad/s"),
-}
 
 
 class LaterHandsRollout:
@@ -120,14 +113,8 @@ class _LaterHands(Mission):
         """The next phase, unless a hand is too far from its place."""
         (scenario,) = self._scenarios
         state = self.before.whole_states(self.context)[0]
-        miss = self._rollouts[time].loop.blocks[_BLOCK].miss(state)
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
-        bounds = {name: getattr(envelope, bound) for name, (bound, _) in _BOUNDS.items()}
-        beyond = ", ".join(
-            f"{key} {miss[name]:.3g} {unit} (capture.envelope.{key}: {bounds[name]:g})"
-            for name, (key, unit) in _BOUNDS.items()
-            if bounds[name] is not None and not miss[name] <= bounds[name]
-        )
+        beyond = self._rollouts[time].loop.blocks[_BLOCK].beyond(state, envelope)
         if not beyond:
             return self.after(time)
         names = [name for name, each in scenario.contacts.items() if each.closes == time]

@@ -351,13 +351,19 @@ def _quaternion(pose: RigidTransform) -> np.ndarray:
 
 
 def closed_chain(
-    scenario: Scenario, plant: MultibodyPlant, context: Context, q: np.ndarray
+    scenario: Scenario,
+    plant: MultibodyPlant,
+    context: Context,
+    q: np.ndarray,
+    *,
+    stays: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The plant's own q (nq) with the loops of the true contacts closed, without those of late
-    hands, and their A (m, nv).
+    hands, and their A (m, nv). ``stays``: with q as it is.
     """
-    chain = ClosedChain(plant, dataclasses.replace(scenario, closed=0.0), true=True)
-    q = chain.closed(q, context)
+    at_once = dataclasses.replace(scenario, closed=0.0, holds=True)
+    chain = ClosedChain(plant, at_once, true=True)
+    q = q if stays else chain.closed(q, context)
     plant.SetPositions(context, q)
     return q, chain.jacobian(context)
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from ffsm_drake import load_scenario, make_true_plant, simulate
+from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact
 from ffsm_drake.plugins.two_arms.motion import closed_chain
+from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 TURN = np.deg2rad(3.0)
 
@@ -66,3 +68,126 @@ def test_no_drawn_capture_is_lost() -> None:
         assert run.outcome.status == "completed"
         assert max(run.metrics["final_error"].values()) < 1e-3
         assert run.metrics["contacts"]["gap"] < 1e-8
+
+
+APPROACH = (
+    "capture.approach={duration: 3}",
+    "reference.duration=4",
+    "duration=8",
+    {
+        "capture": {
+            "servicer": "track_all",
+            "approach": {
+                "posture": {
+                    "base_position": [0.02, -0.02, -0.05],
+                    "joints": {"left_1": 1.5, "left_2": 1.55, "left_3": -1.7, "left_4": 0.05}
+                    | {"left_5": 1.6, "left_6": 1.5, "right_1": 1.45, "right_2": 1.55}
+                    | {"right_3": -1.4, "right_4": 0.05, "right_5": -1.6, "right_6": -1.45},
+                }
+            },
+        }
+    },
+)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("servicer", ["track_all", "track_joints", "detumble"])
+def test_an_approach_ends_with_both_hands_moving_with_the_target(seed: int, servicer: str) -> None:
+    generator = np.random.default_rng(seed)
+    given = load_scenario(
+        "two_arms_capture",
+        [
+            *APPROACH,
+            f"capture.rate={(TURN * generator.uniform(-1, 1, 3)).tolist()}",
+            f"capture.velocity={(0.01 * generator.uniform(-1, 1, 3)).tolist()}",
+            f"capture.servicer={servicer}",
+        ],
+    )
+    model = make_nominal_plant(given)
+    contact = planned_contact(given, model)
+    q, v, _ = planned_approach(given).evaluate(given.grasp_time)
+    assert_allclose(q, contact.q, atol=1e-12)
+    plant, context = model.plant, model.context
+    plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+    p_WP = (
+        find_body(plant, "debris::debris", key="payload.body")
+        .EvalPoseInWorld(context)
+        .translation()
+    )
+    w, v_P = np.split(contact.target_velocity, 2)
+    for side in ("left", "right"):
+        hand = find_frame(plant, f"servicer::{side}_hand", key="hand")
+        grasp = find_frame(plant, f"debris::{side}_grasp", key="grasp")
+        X = grasp.CalcPose(context, hand)
+        assert_allclose(X.GetAsMatrix4(), np.eye(4), atol=1e-10)
+        arm = hand.CalcPoseInWorld(context).translation() - p_WP
+        moving = hand.CalcSpatialVelocityInWorld(context)
+        assert_allclose(moving.rotational(), w, atol=1e-9)
+        assert_allclose(moving.translational(), v_P + np.cross(w, arm), atol=1e-9)
+    assert_allclose(contact.grasp.velocity, v, atol=1e-8)  # no impact
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closes", [0, 1.5])
+def test_an_approach_to_a_tumbling_target(closes: float) -> None:
+    run = simulate(
+        load_scenario("two_arms_capture", [*APPROACH, f"contacts.right.closes={closes}"]),
+        check_stability=False,
+    )
+    assert run.ending.is_settled
+    assert run.grasp is not None
+    sides = [run.grasp[side] for side in ("before", "after")]
+    for name in ("linear_momentum", "angular_momentum"):
+        assert_allclose(sides[0][name], sides[1][name], atol=1e-12)
+    assert max(run.grasp["miss"].values()) < 1e-3
+    assert run.metrics["contacts"]["gap"] < 1e-9
+    begins = round((run.scenario.grasp_time + closes) / run.scenario.sample_time)
+    wrench = run.dataset["contact_wrench"].values
+    assert not np.nan_to_num(wrench[:begins]).any()
+    assert np.isfinite(wrench[begins:]).all()
+    assert run.dataset["phase"].values.tolist().count("approach") == 300
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(8))
+def test_no_drawn_approach_is_lost(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    closes = round(generator.uniform(0.5, 2.0), 2) * (seed % 2)
+    given = load_scenario(
+        "two_arms_capture",
+        [
+            *APPROACH,
+            f"capture.rate={(TURN * generator.uniform(-1, 1, 3)).tolist()}",
+            f"capture.velocity={(0.01 * generator.uniform(-1, 1, 3)).tolist()}",
+            f"capture.servicer={('rest', 'track_joints', 'track_all', 'detumble')[seed % 4]}",
+            f"contacts.right.closes={closes}",
+            f"random_seed={seed}",
+        ],
+    )
+    run = simulate(given, check_stability=False)
+    assert run.outcome.status == "completed"
+    assert max(run.metrics["final_error"].values()) < 1e-3
+    assert run.metrics["contacts"]["gap"] < 5e-9
+
+
+def test_the_second_hand_may_miss() -> None:
+    given = load_scenario(
+        "two_arms_capture", [*APPROACH, "sensing.position_bias={right_1: 0.1}", "duration=8"]
+    )
+    run = simulate(given, check_stability=False)
+    assert run.outcome.status == "missed"
+    assert "missed at t = 3 s: angle 0.1 rad" in run.outcome.message
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("contacts.right.position_error=[1e-3, 0, 0]", "follows from where the hand grasps"),
+        ("capture.closing={time: 0.5}", "capture.closing: is not supported with more than one"),
+        ("capture.joints=braked", "capture.joints: is not supported with more than one"),
+    ],
+)
+def test_refusals_of_an_approach_are_one_line(override: str, words: str) -> None:
+    with pytest.raises(ScenarioError, match=words) as caught:
+        simulate(load_scenario("two_arms_capture", [*APPROACH, override]), check_stability=False)
+    assert "\n" not in str(caught.value)
