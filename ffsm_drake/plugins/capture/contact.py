@@ -251,8 +251,8 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
 def closed_chain(
     scenario: Scenario, model: PlantModel, q: np.ndarray, **how: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The configuration q (nq) with all hands on the target, or as it is (``stays``), and A (m, nv)
-    of the closed loops.
+    """The configuration q (nq) with all hands on the target, or the given one (``stays``), and A
+    (m, nv) of the closed loops.
     """
     found: tuple[np.ndarray, np.ndarray]
     found = service("closed_chain", "contacts")(scenario, model.plant, model.context, q, **how)

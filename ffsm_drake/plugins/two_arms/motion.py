@@ -359,7 +359,7 @@ def closed_chain(
     stays: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The plant's own q (nq) with the loops of the true contacts closed, without those of late
-    hands, and their A (m, nv). ``stays``: with q as it is.
+    hands, and their A (m, nv). ``stays``: q does not change.
     """
     at_once = dataclasses.replace(scenario, closed=0.0, holds=True)
     chain = ClosedChain(plant, at_once, true=True)
