@@ -183,11 +183,12 @@ class ClosingRun(Captures):
 
     def moved(self, loop: ClosedLoop, first: int, log: RunLog) -> None:
         """A loop ran from a sample on: the target is where its gripper, if it closed, moved it."""
-        gripper: Any = loop.blocks[GRIPPER]
-        if isinstance(gripper, SideBySide):
-            gripper = gripper.systems[self.copy]
-        if gripper.motions:
-            self._motion = np.vstack([self._motion[:first], *gripper.motions[: log.time.size]])
+        block: Any = loop.blocks[GRIPPER]
+        alone = isinstance(block, SideBySide)
+        motions = block.systems[self.copy].motions if alone else block.motions
+        if motions:
+            own = [each[0 if alone else self.copy] for each in motions[: log.time.size]]
+            self._motion = np.vstack([self._motion[:first], *own])
 
     def find_target(self) -> None:
         """The target is where it has moved to at the present sample."""
@@ -224,9 +225,10 @@ class ClosingRun(Captures):
 
     def begin_to_close(self, loop: ClosedLoop, root_context: Context) -> None:
         """Begin to close the gripper at the present sample."""
-        force, context = _gripper(loop, root_context, self.copy)
+        force, context, copy = _gripper(loop, root_context, self.copy)
         force.begin(
             context,
+            copy=copy,
             payload=self._chosen.payload.truth,
             target=self._motion[self.sample],
             state=loop.whole_states(root_context)[self.copy],
@@ -241,10 +243,10 @@ class ClosingRun(Captures):
         """Status and text of a target that the gripper, which began to close at a sample, does not
         hold; None: it does.
         """
-        force, context = _gripper(self.before, self.context, self.copy)
-        met = force.met(context, self.before.whole_states(self.context)[self.copy])
-        pose = [*met.X_WP.rotation().ToQuaternion().wxyz(), *met.X_WP.translation()]
-        onward = self._onward(np.concatenate([pose, met.twist]), self.sample)
+        force, context, copy = _gripper(self.before, self.context, self.copy)
+        state = self.before.whole_states(self.context)[self.copy]
+        met = force.met(context, state, copy=copy)
+        onward = self._onward(met.motion, self.sample)
         self._motion = np.vstack([self._motion, onward])
         turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
         if math.isinf(met.left) and max(turning, moving) <= self._closing.rest:
@@ -535,11 +537,13 @@ def _nothing(loop: ClosedLoop, root_context: Context) -> None:
     pass
 
 
-def _gripper(loop: ClosedLoop, root_context: Context, copy: int) -> tuple[Any, Context]:
-    """The gripper's block of a copy in a loop, and its context."""
+def _gripper(loop: ClosedLoop, root_context: Context, copy: int) -> tuple[Any, Context, int]:
+    """The gripper's system of a copy in a loop, its context, and the copy's number in it."""
     block = loop.blocks[GRIPPER]
     context = block.GetMyMutableContextFromRoot(root_context)
-    return block.each(context)[copy] if isinstance(block, SideBySide) else (block, context)
+    if isinstance(block, SideBySide):
+        return *block.each(context)[copy], 0
+    return block, context, copy
 
 
 def lately(log: RunLog) -> np.ndarray:

@@ -29,11 +29,12 @@ _LEAST = 1e-6  # N m, N; of a limit
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Jaws:
-    """A gripper from its first contact on."""
+    """A gripper from its first contact on, or several in rows."""
 
     closing: Closing
     compliance: Compliance
-    start: np.ndarray  # (6) offset at the first contact
+    start: np.ndarray  # (..., 6) offset at the first contact
+    friction: np.ndarray | None = None  # (...) coefficient of each; None: that of ``closing``
 
     def __post_init__(self) -> None:
         gripper, axis = self.compliance, np.array(self.closing.axis, dtype=float)
@@ -46,21 +47,22 @@ class Jaws:
     _D: np.ndarray = dataclasses.field(init=False, repr=False)
     _palm: np.ndarray = dataclasses.field(init=False, repr=False)
 
-    def closed(self, time: float) -> tuple[float, float]:
-        """The share (0 to 1) to which the jaws are closed at a time (s) since the first contact,
-        and its rate.
+    def closed(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The share (0 to 1) to which the jaws are closed at times (...; s) since the first
+        contact, and its rate.
         """
-        x = min(max(time / self.closing.time, 0.0), 1.0)
+        x = np.clip(np.asarray(time) / self.closing.time, 0.0, 1.0)
         return x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / self.closing.time
 
-    def limits(self, time: float) -> np.ndarray:
-        """The largest torque (N m) and force (N) that friction bears (2)."""
-        force = 2.0 * self.closing.friction * self.closing.preload * self.closed(time)[0]
-        return np.maximum([force * self.closing.radius, force], _LEAST)
+    def limits(self, time: float | np.ndarray) -> np.ndarray:
+        """The largest torque (N m) and force (N) that friction bears (..., 2)."""
+        friction = self.closing.friction if self.friction is None else self.friction
+        force = 2.0 * friction * self.closing.preload * self.closed(time)[0]
+        return np.maximum(np.stack([force * self.closing.radius, force], axis=-1), _LEAST)
 
     def act(
         self,
-        time: float,
+        time: float | np.ndarray,
         step: float,
         *,
         offset: np.ndarray,
@@ -71,59 +73,82 @@ class Jaws:
         """Force on the target over a step, and s at its end.
 
         Args:
-          time: of the step's end since the first contact, s.
+          time: of the step's end since the first contact (...), s.
           step: s.
-          offset, rate: x and x' (6) at its start, gripper axes.
-          slid: s (6) at its start.
-          mobility: (6, 6) from an impulse between gripper and target to a change of rate.
+          offset, rate: x and x' (..., 6) at its start, gripper axes.
+          slid: s (..., 6) at its start.
+          mobility: (..., 6, 6) from an impulse between gripper and target to a change of rate.
 
-        Returns: (6) torque and force, gripper axes, N m and N; s (6).
+        Returns: (..., 6) torque and force, gripper axes, N m and N; s (..., 6).
         """
-        closed, closing = self.closed(time)
-        center, center_rate = (1.0 - closed) * self.start, -closing * self.start
+        closed, closing = (np.atleast_1d(each)[:, None] for each in self.closed(time))
+        start, offset, rate, slid_by = (
+            np.atleast_2d(each) for each in (self.start, offset, rate, slid)
+        )
+        center, center_rate = (1.0 - closed) * start, -closing * start
         K, D, palm = self._K, self._D, self._palm
-        implicit = (step * D + step * step * K)[:, None] * mobility
-        free = -K * (offset + step * rate - center - slid) - D * (rate - center_rate)
+        implicit = (step * D + step * step * K)[:, None] * mobility.reshape(-1, 6, 6)
+        free = -K * (offset + step * rate - center - slid_by) - D * (rate - center_rate)
+
+        def along(vectors: np.ndarray) -> np.ndarray:
+            """Components (..., 1) along the palm's axis."""
+            found: np.ndarray = (vectors * palm).sum(axis=-1, keepdims=True)
+            return found
+
         # The palm first retracts with the initial penetration.
-        depth, sinks = palm @ self.start, palm @ (offset + step * rate)
-        face, face_rate = ((1.0 - closed) * depth, -closing * depth) if depth < 0.0 else (0.0, 0.0)
-        pushed = -K[3] * (sinks - face) - D[3] * (palm @ rate - face_rate)
-        on_palm = (step * D[3] + step * step * K[3]) * (palm @ mobility)
-        limits = np.repeat(self.limits(time), 3)
+        depth, sinks = np.minimum(along(start), 0.0), along(offset + step * rate)
+        face = (1.0 - closed) * depth
+        pushed = -K[3] * (sinks - face) - D[3] * (along(rate) + closing * depth)
+        stiff = step * D[3] + step * step * K[3]
+        limits = np.repeat(np.atleast_2d(self.limits(time)), 3, axis=-1)
         yields = (K + D / step) / (limits * limits)  # slip by force, along the normal
-        touches = pushed > 0.0 and sinks < face
+        # for each, equations of the jaws' force and the palm's
+        matrix, wanted = np.zeros((len(offset), 7, 7)), np.hstack([free, pushed])
+        matrix[:, :6, :6] = implicit + np.eye(6)
+        matrix[:, :6, 6] = along(implicit)[..., 0]
+        on_palm = stiff * (mobility.reshape(-1, 6, 6) * palm[:, None]).sum(axis=-2)
+        matrix[:, 6, :6], matrix[:, 6, 6] = on_palm, 1.0 + along(on_palm)[:, 0]
 
-        def solve(slip: float) -> tuple[np.ndarray, float, float]:
-            """The jaws' force, the palm's, and the share of the limit, for a slip's size."""
-            a, b = np.eye(7), np.append(free, pushed * touches)
-            a[:6, :6] = implicit + np.diag(1.0 + slip * yields)
-            a[:6, 6] = implicit @ palm
-            if touches:
-                a[6, :6], a[6, 6] = on_palm, 1.0 + on_palm @ palm
-            solved = np.linalg.solve(a, b)
-            return solved[:6], float(solved[6]), float(np.linalg.norm(solved[:6] / limits))
+        def without_palm(rows: np.ndarray) -> None:
+            matrix[rows, 6, :6], matrix[rows, 6, 6], wanted[rows, 6] = 0.0, 1.0, 0.0
 
-        slip, (force, push, _) = _slip(solve)
-        if push < 0.0:  # the palm does not hold
-            touches = False
-            slip, (force, push, _) = _slip(solve)
-        return force + push * palm, slid - slip * yields * force / (K + D / step)
+        def solve(slip: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """The jaws' force and the palm's (n, 7), and the share of the limit (n), for sizes of
+            slips (n) in rows.
+            """
+            a = matrix[rows]
+            a[:, range(6), range(6)] += slip[:, None] * yields[rows]
+            solved = np.linalg.solve(a, wanted[rows][..., None])[..., 0]
+            return solved, np.sqrt(((solved[:, :6] / limits[rows]) ** 2).sum(axis=-1))
+
+        without_palm(np.flatnonzero((pushed <= 0.0) | (sinks >= face)))
+        slip, forces = _slip(solve, np.arange(len(offset)))
+        if (pulls := np.flatnonzero(forces[:, 6] < 0.0)).size:  # the palm does not hold
+            without_palm(pulls)
+            slip[pulls], forces[pulls] = _slip(solve, pulls)
+        force = forces[:, :6]
+        slid_by = slid_by - slip[:, None] * yields * force / (K + D / step)
+        return (force + forces[:, 6:] * palm).reshape(slid.shape), slid_by.reshape(slid.shape)
 
 
 def _slip(
-    solve: Callable[[float], tuple[np.ndarray, float, float]],
-) -> tuple[float, tuple[np.ndarray, float, float]]:
-    """The size of the slip on the limit surface, and the resulting state. The search uses that the
-    inverse of the share is nearly linear in the size.
+    solve: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]], rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The sizes of the slips (n) on the limit surface, and the resulting forces (n, 7), of rows.
+    The search uses that the inverse of the share is nearly linear in the size.
     """
-    before, at_rest = 0.0, solve(0.0)
-    if at_rest[2] <= 1.0:
-        return before, at_rest
-    excess, now = 1.0 / at_rest[2] - 1.0, 1.0
+    now = np.zeros(len(rows))
+    forces, shares = solve(now, rows)
+    going = np.flatnonzero(shares > 1.0)
+    now[going], before, excess = 1.0, now.copy(), 1.0 / shares - 1.0
     for _ in range(_ROUNDS):
-        found = solve(now)
-        left = 1.0 / found[2] - 1.0
-        if abs(left) < 1e-9 or left == excess:
+        if not going.size:
             break
-        before, now, excess = now, max(now - left * (now - before) / (left - excess), 0.0), left
-    return now, found
+        forces[going], shares = solve(now[going], rows[going])
+        left = 1.0 / shares - 1.0
+        goes_on = (np.abs(left) >= 1e-9) & (left != excess[going])
+        going, left = going[goes_on], left[goes_on]
+        last, way = now[going], now[going] - before[going]
+        now[going] = np.maximum(last - left * way / (left - excess[going]), 0.0)
+        before[going], excess[going] = last, left
+    return now, forces

@@ -145,21 +145,23 @@ class Target:
         time: float | np.ndarray = 0.0,
         orbit: Orbit | None = None,
         pushed: np.ndarray | None = None,
+        *,
+        G: np.ndarray | None = None,
     ) -> "Target":
         """After a step (s) from a time (..., s) on, by ``runge_kutta4``.
 
         Args: ``pushed`` (..., 6): torque about C times a third of the trace of the inverse inertia,
-        rad/s^2, and force over mass, m/s^2; held, in world axes.
+        rad/s^2, and force over mass, m/s^2; held, in world axes. G of the shape, if it is known.
         """
-        G = inverse_inertia(self.shape)
+        G = inverse_inertia(self.shape) if G is None else G
         J = np.linalg.inv(G)
         row = np.concatenate([self.quaternion, self.rate, self.center, self.velocity], axis=-1)
 
         def slope(row: np.ndarray, time: float | np.ndarray) -> np.ndarray:
             u, w, velocity = row[..., 1:4], row[..., 4:7], row[..., 10:]
-            vector = row[..., :1] * w + _cross(u, w)  # 2 q'
+            vector = row[..., :1] * w + cross_of(u, w)  # 2 q'
             scalar = -(u * w).sum(axis=-1, keepdims=True)
-            torque, pull = _cross(times(J, w), w), np.zeros_like(w)
+            torque, pull = cross_of(times(J, w), w), np.zeros_like(w)
             if orbit is not None or pushed is not None:
                 R = matrix_of(row[..., :4])
             if orbit is not None:
@@ -244,7 +246,7 @@ class Target:
         return found
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b (..., 3); several times as fast as NumPy's."""
     found: np.ndarray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
     return found

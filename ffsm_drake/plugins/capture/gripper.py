@@ -3,21 +3,20 @@ target, in the legs of a run before the grasp.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
-from ffsm_drake.common.so3 import skew
+from ffsm_drake.common.products import times
+from ffsm_drake.common.so3 import composed, matrix_of, skew, turn_between
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.contact_force import Jaws
-from ffsm_drake.plugins.capture.free_body import Target
+from ffsm_drake.plugins.capture.free_body import Target, cross_of, inverse_inertia
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
@@ -28,6 +27,7 @@ from ffsm_drake.systems.part import Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 STEP = 1e-3  # s; of the contact, at most
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of an upper triangle
 _UNIT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])  # mass, centre, inertia
 AXES = ("rotation_x", "rotation_y", "rotation_z", "position_x", "position_y", "position_z")
 # Discrete state of the contact: its groups and their sizes.
@@ -44,13 +44,14 @@ _MEMORY = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Met:
-    """A free target at an instant, and how it lies in the gripper."""
+    """A free target at an instant, and how it lies in the gripper; or several in rows."""
 
-    X_WP: RigidTransform  # pose of the target's frame
-    twist: np.ndarray  # (6) [w_WP; v_WP], world axes
+    motion: np.ndarray  # (13) [quaternion, p_WP; w_WP, v_WP] of the target's frame, world axes
     offset: np.ndarray  # (6) of the target's grasp frame from the gripper, gripper axes
     rate: np.ndarray  # (6) of the offset
-    left: float  # s; when it was beyond the envelope, infinite if it is not
+    p_WE: np.ndarray  # (3) place of the gripper, m
+    R_WE: np.ndarray  # (3, 3) its attitude
+    left: float | np.ndarray  # s; when it was beyond the envelope, infinite if it is not
 
 
 class Gripper(Part):
@@ -70,11 +71,25 @@ class Gripper(Part):
 
     def build(self, setup: BlockSetup) -> LeafSystem:
         """The force."""
-        return GripperForce(setup, closes=self._closes)
+        return GripperForce([setup], closes=self._closes)
+
+    def build_wide(self, setups: Sequence[BlockSetup]) -> LeafSystem | None:
+        """The force on several copies, see ``systems.side_by_side``; None if they differ in more
+        than the friction.
+        """
+        alike = [
+            dataclasses.replace(closing, friction=1.0)
+            for setup in setups
+            if (closing := setup.scenario.closing) is not None
+        ]
+        orbits = [setup.scenario.environment for setup in setups]
+        if any(each != alike[0] for each in alike) or any(each != orbits[0] for each in orbits):
+            return None
+        return GripperForce(setups, closes=self._closes)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Where the target lies in the gripper, and the force on it."""
-        signal = partial(Signal, components=AXES, dimension="gripper_coordinate")
+        signal = functools.partial(Signal, components=AXES, dimension="gripper_coordinate")
         return (
             signal(
                 name="gripper_offset",
@@ -136,36 +151,53 @@ class GripperForce(LeafSystem):
     Inputs: state, hidden_state. Outputs: generalized_force, hidden_force, and the signals of
     ``Gripper``. The discrete state is updated every STEP in the leg in which the gripper closes;
     the force is held between. Parameter: the target's mass properties (10).
-    One that was never begun holds nothing.
+    One that was never begun holds nothing. Of several copies of the spacecraft ports, memory and
+    parameter hold copy after copy, and all that close begin at one time.
     """
 
-    def __init__(self, setup: BlockSetup, *, closes: Compliance | None) -> None:
+    def __init__(self, setups: Sequence[BlockSetup], *, closes: Compliance | None) -> None:
         super().__init__()
-        scenario = self._scenario = setup.scenario
-        capture = scenario.capture
-        if capture is None or capture.closing is None:
+        scenarios, copies = [setup.scenario for setup in setups], len(setups)
+        scenario, captures = scenarios[0], [each.capture for each in scenarios]
+        closings = [None if each is None else each.closing for each in captures]
+        if closings[0] is None:
             raise ValueError("capture.closing: there is none")
-        self._closing, self._envelope = capture.closing, capture.envelope
-        self._compliance = closes
+        self._closing, self._copies = closings[0], copies
+        self._friction = np.array([each.friction for each in closings if each is not None])
+        self._envelope = np.array(
+            [
+                [np.inf if limit is None else limit for limit in (each.angle, each.position)]
+                for each in (capture.envelope for capture in captures if capture is not None)
+            ]
+        )
+        self._compliance, self._sample_time = closes, scenario.sample_time
         self._orbit = None if scenario.environment is None else Orbit(scenario.environment)
-        self._model = model = make_flexible_plant(scenario)
-        self._hand = hand_frame(model.plant, scenario.model)
-        self._body = payload_body(scenario, model).body_frame()
-        self._X_PE = self._body.CalcPose(model.context, self._hand).inverse()
-        split, whole = setup.split, model.plant.num_velocities()
+        self._models = [make_flexible_plant(each) for each in scenarios]
+        model, self._hands = self._models[0], list[Frame]()
+        poses = []
+        for own, of in zip(self._models, scenarios, strict=True):
+            self._hands.append(hand_frame(own.plant, of.model))
+            body = payload_body(of, own).body_frame()
+            poses.append(body.CalcPose(own.context, self._hands[-1]).inverse())
+        self._q_PE = np.array([pose.rotation().ToQuaternion().wxyz() for pose in poses])
+        self._p_PE = np.array([pose.translation() for pose in poses])
+        split, whole = setups[0].split, model.plant.num_velocities()
         hidden = len(split.names)
         self._state = self.DeclareVectorInputPort(
-            "state", model.plant.num_multibody_states() - 2 * hidden
+            "state", copies * (model.plant.num_multibody_states() - 2 * hidden)
         )
-        self._hidden = self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
-        first = {name: np.zeros(size) for name, size in _MEMORY.items()}
-        first["target"][0] = 1.0  # a unit quaternion
-        self._groups = {name: self.DeclareDiscreteState(each) for name, each in first.items()}
-        self._acting = self.DeclareDiscreteState(np.zeros(whole))  # on all coordinates
+        self._hidden = (
+            self.DeclareVectorInputPort("hidden_state", copies * 2 * hidden) if hidden else None
+        )
+        self._groups = {
+            name: self.DeclareDiscreteState(np.tile(row, copies)) for name, row in _first().items()
+        }
+        self._acting = self.DeclareDiscreteState(np.zeros(copies * whole))  # on all coordinates
         known = split.known if hidden else np.arange(whole)
         self._joints = known[NUM_BASE_VELOCITIES:]  # in v of the plant
-        self._rates = self.DeclareDiscreteState(np.zeros(self._joints.size))  # at the contact
-        self._payload = self.DeclareNumericParameter(BasicVector(_UNIT))
+        # at the contact
+        self._rates = self.DeclareDiscreteState(np.zeros(copies * self._joints.size))
+        self._payload = self.DeclareNumericParameter(BasicVector(np.tile(_UNIT, copies)))
         ports = {
             name: (self._groups[name], np.arange(_MEMORY[name]))
             for name in ("gripper_offset", "contact_force")
@@ -178,11 +210,12 @@ class GripperForce(LeafSystem):
         for name, (index, entries) in ports.items():
             self.DeclareVectorOutputPort(
                 name,
-                len(entries),
-                partial(weak_callback(self._calc), index, entries),
+                copies * len(entries),
+                functools.partial(weak_callback(self._calc), index, entries),
                 {self.discrete_state_ticket(index)},
             )
-        self.motions: list[np.ndarray] = []  # motion of the target at the samples since ``begin``
+        # motions of the targets (copies, 13) at the samples since ``begin``
+        self.motions: list[np.ndarray] = []
         self._split = split
         if closes is not None:
             period = scenario.sample_time / math.ceil(scenario.sample_time / STEP - 1e-9)
@@ -196,6 +229,7 @@ class GripperForce(LeafSystem):
         payload: MassProperties,
         target: np.ndarray,
         state: np.ndarray,
+        copy: int = 0,
     ) -> None:
         """Begin to close, at the context's time.
 
@@ -204,157 +238,206 @@ class GripperForce(LeafSystem):
           payload: of the target, in its frame P.
           target: (13) [quaternion, p_WP; w_WP, v_WP].
           state: the plant's own [q; v].
+          copy: number of the spacecraft.
         """
         inertia = inertia_matrix(payload)[np.triu_indices(3)]
         packed = np.concatenate([[payload.mass], payload.center_of_mass, inertia])
-        context.get_mutable_numeric_parameter(self._payload).SetFromVector(packed)
-        memory = {name: np.zeros(size) for name, size in _MEMORY.items()}
-        memory["target"] = Target.from_motion(target, payload).as_row()
-        memory["start"] = memory["gripper_offset"] = self._met(context, memory, state).offset
-        memory["times"] = np.array([context.get_time(), context.get_time(), math.inf])
-        self._keep(context.get_mutable_discrete_state(), memory)
-        context.SetDiscreteState(self._acting, np.zeros(self._model.plant.num_velocities()))
-        context.SetDiscreteState(self._rates, self._joint_rates(state))
+        parameters = context.get_mutable_numeric_parameter(self._payload)
+        payloads = parameters.value().reshape(self._copies, -1).copy()
+        payloads[copy] = packed
+        parameters.SetFromVector(payloads.ravel())
+        memory, time = self._memory(context), context.get_time()
+        for name, first in _first().items():
+            memory[name][copy] = first
+        memory["target"][copy] = Target.from_motion(target, payload).as_row()
+        offset = self._met(memory, {copy: state}).offset[0]
+        memory["start"][copy] = memory["gripper_offset"][copy] = offset
+        memory["times"][copy] = time, time, math.inf
+        for name, index in self._groups.items():
+            context.SetDiscreteState(index, memory[name].ravel())
+        for index, row in (
+            (self._acting, np.zeros(self._models[copy].plant.num_velocities())),
+            (self._rates, self._joint_rates(state)),
+        ):
+            rows = self._rows(context, index).copy()
+            rows[copy] = row
+            context.SetDiscreteState(index, rows.ravel())
         self.motions = []
 
-    def met(self, context: Context, state: np.ndarray) -> Met:
-        """The target in the gripper at the context's time, at the plant's own [q; v]."""
-        return self._met(context, self._advanced(context), state)
+    def park(self, context: Context, copy: int) -> None:
+        """Put a copy's memory to its start (``systems.side_by_side``)."""
+        first = {self._groups[name]: row for name, row in _first().items()}
+        for index in (*self._groups.values(), self._acting, self._rates):
+            rows = self._rows(context, index).copy()
+            rows[copy] = first.get(index, 0.0)
+            context.SetDiscreteState(index, rows.ravel())
+
+    def met(self, context: Context, state: np.ndarray, *, copy: int = 0) -> Met:
+        """The target in the gripper of a copy at the context's time, at the plant's own [q; v]."""
+        met = self._met(self._advanced(context), {copy: state})
+        return Met(**{name: values[0] for name, values in vars(met).items()})
+
+    def _rows(self, context: Context, index: int) -> np.ndarray:
+        values: np.ndarray = context.get_discrete_state(index).value()
+        return values.reshape(self._copies, -1)
 
     def _memory(self, context: Context) -> dict[str, np.ndarray]:
-        values = context.get_discrete_state
-        return {name: values(index).value().copy() for name, index in self._groups.items()}
+        return {name: self._rows(context, index).copy() for name, index in self._groups.items()}
 
-    def _keep(self, values: DiscreteValues, memory: dict[str, np.ndarray]) -> None:
-        for name, index in self._groups.items():
-            values.set_value(index, memory[name])
-
-    def _masses(self, context: Context) -> tuple[float, np.ndarray]:
-        """The target's mass, and the inverse of its inertia in its axes."""
-        mass, *rest = context.get_numeric_parameter(self._payload).value()
-        xx, xy, xz, yy, yz, zz = rest[3:]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return float(mass), np.linalg.inv(inertia)
+    def _masses(self, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        """The targets' masses (copies, 1), and the inverses of their inertias in their axes."""
+        values = context.get_numeric_parameter(self._payload).value().reshape(self._copies, -1)
+        return values[:, :1], np.linalg.inv(values[:, 4 + _SYMMETRIC])
 
     def _advanced(self, context: Context) -> dict[str, np.ndarray]:
-        """The memory at the context's time: the target moves on under the held force."""
+        """The memory at the context's time: the targets move on under the held force."""
         memory, now = self._memory(context), context.get_time()
-        _, before, _ = memory["times"]
+        before = float(memory["times"][:, 1].max())  # 0 of those that were not begun
         if now > before:
             mass, inverse = self._masses(context)
-            pushed = memory["wrench"] / np.repeat([3.0 / np.trace(inverse), mass], 3)
+            spin = 3.0 / np.trace(inverse, axis1=1, axis2=2)[:, None]
+            pushed = memory["wrench"] / np.repeat(np.hstack([spin, mass]), 3, axis=1)
             target = Target.from_row(memory["target"])
-            memory["target"] = target.after(now - before, before, self._orbit, pushed).as_row()
-            memory["times"][1] = now
+            # one by one, so that each has the bits that it has alone
+            G = np.stack([inverse_inertia(shape) for shape in target.shape])
+            moved = target.after(now - before, before, self._orbit, pushed, G=G)
+            memory["target"], memory["times"][:, 1] = moved.as_row(), now
         return memory
 
-    def _met(self, context: Context, memory: dict[str, np.ndarray], state: np.ndarray) -> Met:
-        """``met`` of a memory. Leaves the model in the state."""
-        model, world = self._model, self._model.plant.world_frame()
-        model.plant.SetPositionsAndVelocities(model.context, state)
-        motion = Target.from_row(memory["target"]).motion
-        R_WP = RotationMatrix(Quaternion(motion[:4]))
-        X_WP, (w, v) = RigidTransform(R_WP, motion[4:7]), np.split(motion[7:], 2)
-        X_WE = self._hand.CalcPose(model.context, world)
-        X_EG = X_WE.inverse() @ X_WP @ self._X_PE
-        turn = X_EG.rotation().ToAngleAxis()
-        offset = np.concatenate([turn.angle() * turn.axis(), X_EG.translation()])
-        moving = self._hand.CalcSpatialVelocityInWorld(model.context)
-        p_G = X_WE.rotation() @ X_EG.translation()  # from E, world axes
-        v_E = moving.translational() + np.cross(moving.rotational(), p_G)
-        v_G = v + np.cross(w, X_WE.translation() + p_G - X_WP.translation())
-        R_EW = X_WE.rotation().inverse().matrix()
-        rate = np.concatenate([R_EW @ (w - moving.rotational()), R_EW @ (v_G - v_E)])
+    def _met(self, memory: dict[str, np.ndarray], states: dict[int, np.ndarray]) -> Met:
+        """``met`` of copies by their number, in rows. Leaves their models in these states."""
+        poses, twists = [], []
+        for copy, state in states.items():
+            model, hand = self._models[copy], self._hands[copy]
+            model.plant.SetPositionsAndVelocities(model.context, state)
+            poses.append(hand.CalcPose(model.context, model.plant.world_frame()))
+            moving = hand.CalcSpatialVelocityInWorld(model.context)
+            twists.append([moving.rotational(), moving.translational()])
+        copies = list(states)
+        motion = Target.from_row(memory["target"][copies]).motion
+        q_WP, p_WP, w, v = np.split(motion, [4, 7, 10], axis=1)
+        p_WE = np.array([pose.translation() for pose in poses])
+        q_WE = np.array([pose.rotation().ToQuaternion().wxyz() for pose in poses])
+        R_WE = np.array([pose.rotation().matrix() for pose in poses])
+        w_E, v_E = np.swapaxes(np.array(twists), 0, 1)
+        into = np.swapaxes(R_WE, 1, 2)
+        turn = turn_between(q_WE, composed(q_WP, self._q_PE[copies]))
+        from_P = times(matrix_of(q_WP), self._p_PE[copies])
+        from_E = p_WP + from_P - p_WE  # of the target's grasp frame, world axes
+        moves = v + cross_of(w, from_P) - v_E - cross_of(w_E, from_E)
         return Met(
-            X_WP=X_WP,
-            twist=motion[7:],
-            offset=offset,
-            rate=rate,
-            left=float(memory["times"][2]),
+            motion=motion,
+            offset=np.hstack([turn, times(into, from_E)]),
+            rate=np.hstack([times(into, w - w_E), times(into, moves)]),
+            p_WE=p_WE,
+            R_WE=R_WE,
+            left=memory["times"][copies, 2],
         )
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         memory = self._advanced(context)
-        hidden = None if self._hidden is None else self._hidden.Eval(context)
-        state = self._split.whole(self._state.Eval(context), hidden)
-        met = self._met(context, memory, state)
-        sample = context.get_time() / self._scenario.sample_time
+        rows = (self._copies, -1)
+        hidden = None if self._hidden is None else self._hidden.Eval(context).reshape(rows)
+        states = self._split.whole(self._state.Eval(context).reshape(rows), hidden)
+        met = self._met(memory, dict(enumerate(states)))
+        sample = context.get_time() / self._sample_time
         if abs(sample - round(sample)) < 0.1 * self._period:
-            self.motions.append(Target.from_row(memory["target"]).motion)
-        first, now, left = memory["times"]
-        if left == math.inf and self._is_beyond(met.offset):
-            memory["times"][2] = left = now
-        memory["gripper_offset"] = met.offset
-        acting = np.zeros(self._model.plant.num_velocities())
-        memory["contact_force"], memory["wrench"] = np.zeros(6), np.zeros(6)
-        if left == math.inf:
-            acting = self._act(context, memory, met, now - first)
+            self.motions.append(met.motion)
+        first, now, left = memory["times"].T
+        sizes = np.linalg.norm(met.offset.reshape(self._copies, 2, 3), axis=2)
+        left = np.where((left == math.inf) & (sizes > self._envelope).any(axis=1), now, left)
+        memory["gripper_offset"], memory["times"][:, 2] = met.offset, left
+        plants = [(model.plant, model.context) for model in self._models]
+        mobility = np.linalg.inv([plant.CalcMassMatrix(own) for plant, own in plants])
+        held = (left == math.inf)[:, None]
+        acting = np.where(held, self._act(context, memory, met, now - first, mobility, held), 0.0)
         if self._closing.joints == "limp":
-            rates = self._joint_rates(state) - context.get_discrete_state(self._rates).value()
-            acting[self._joints] -= self._damping(rates)
-        self._keep(values, memory)
-        values.set_value(self._acting, acting)
+            rates = np.stack([self._joint_rates(state) for state in states])
+            rates = rates - self._rows(context, self._rates)
+            acting[:, self._joints] -= self._damping(rates, mobility)
+        for name, index in self._groups.items():
+            values.set_value(index, memory[name].ravel())
+        values.set_value(self._acting, acting.ravel())
 
-    def _damping(self, rates: np.ndarray) -> np.ndarray:
-        """The torque or force that damps limp joints, by the rates that it leaves after a step: by
-        those before it, a light wrist would be thrown about.
+    def _damping(self, rates: np.ndarray, mobility: np.ndarray) -> np.ndarray:
+        """The torques or forces that damp limp joints, by the rates that they leave after a step:
+        by those before it, a light wrist would be thrown about.
         """
         if self._closing.joint_damping == 0.0:
             return np.zeros_like(rates)
-        mass = self._model.plant.CalcMassMatrix(self._model.context)
-        mobility = np.linalg.inv(mass)[np.ix_(self._joints, self._joints)]
-        yielding = np.eye(rates.size) / self._closing.joint_damping + self._period * mobility
-        damping: np.ndarray = np.linalg.solve(yielding, rates)
+        of_joints = mobility[:, self._joints[:, None], self._joints]
+        resists = np.eye(rates.shape[1]) / self._closing.joint_damping
+        damping: np.ndarray = np.linalg.solve(resists + self._period * of_joints, rates[..., None])[
+            ..., 0
+        ]
         return damping
 
     def _joint_rates(self, state: np.ndarray) -> np.ndarray:
-        rates: np.ndarray = state[self._model.plant.num_positions() :][self._joints]
+        rates: np.ndarray = state[self._models[0].plant.num_positions() :][self._joints]
         return rates
 
-    def _is_beyond(self, offset: np.ndarray) -> bool:
-        """Whether the target is out of the gripper's reach."""
-        sizes = np.linalg.norm(offset.reshape(2, 3), axis=1)
-        limits = self._envelope.angle, self._envelope.position
-        return any(
-            limit is not None and size > limit for size, limit in zip(sizes, limits, strict=True)
-        )
-
     def _act(
-        self, context: Context, memory: dict[str, np.ndarray], met: Met, time: float
+        self,
+        context: Context,
+        memory: dict[str, np.ndarray],
+        met: Met,
+        time: np.ndarray,
+        mobility: np.ndarray,
+        held: np.ndarray,
     ) -> np.ndarray:
-        """The generalized force on the plant (nv), with the contact's in the memory."""
-        model, plant = self._model, self._model.plant
-        world = plant.world_frame()
-        X_WE = self._hand.CalcPose(model.context, world)
-        R = X_WE.rotation().matrix()
+        """The generalized forces on the plants (copies, nv), with those of the contacts in the
+        memory where targets are ``held`` (copies, 1); ``mobility``: inverse mass matrices.
+        """
         # J of the point of the hand where the target's grasp frame is: action is reaction there
-        jacobian = plant.CalcJacobianSpatialVelocity(
-            model.context, JacobianWrtVariable.kV, self._hand, met.offset[3:], world,
-            self._hand,
+        jacobian = np.stack(
+            [
+                model.plant.CalcJacobianSpatialVelocity(
+                    model.context, JacobianWrtVariable.kV, hand, point,
+                    model.plant.world_frame(), hand,
+                )
+                for model, hand, point in zip(
+                    self._models, self._hands, met.offset[:, 3:], strict=True
+                )
+            ]
         )  # fmt: skip
         mass, inverse = self._masses(context)
-        R_WP = met.X_WP.rotation().matrix()
-        p_CG = X_WE.translation() + R @ met.offset[3:] - Target.from_row(memory["target"]).center
-        lever = np.block([[R, skew(p_CG) @ R], [np.zeros((3, 3)), R]])  # wrench about C, world axes
-        of_target = np.zeros((6, 6))
-        of_target[:3, :3], of_target[3:, 3:] = R_WP @ inverse @ R_WP.T, np.eye(3) / mass
-        of_arm = jacobian @ np.linalg.solve(plant.CalcMassMatrix(model.context), jacobian.T)
+        R, R_WP = met.R_WE, matrix_of(met.motion[:, :4])
+        center = Target.from_row(memory["target"]).center
+        p_CG = met.p_WE + times(R, met.offset[:, 3:]) - center
+        lever = np.zeros((self._copies, 6, 6))  # wrench about C, world axes
+        lever[:, :3, :3] = lever[:, 3:, 3:] = R
+        lever[:, :3, 3:] = np.matmul(skew(p_CG), R)
+        of_target = np.zeros((self._copies, 6, 6))
+        of_target[:, :3, :3] = np.matmul(np.matmul(R_WP, inverse), np.swapaxes(R_WP, 1, 2))
+        of_target[:, 3:, 3:] = np.eye(3) / mass[..., None]
+        back, onto = np.swapaxes(lever, 1, 2), np.swapaxes(jacobian, 1, 2)
         jaws = Jaws(
             closing=self._closing,
             compliance=self._compliance or Compliance(),
             start=memory["start"],
+            friction=self._friction,
         )
-        force, memory["slid"] = jaws.act(
+        force, slid = jaws.act(
             time + self._period,
             self._period,
             offset=met.offset,
             rate=met.rate,
             slid=memory["slid"],
-            mobility=lever.T @ of_target @ lever + of_arm,
+            mobility=np.matmul(np.matmul(back, of_target), lever)
+            + np.matmul(np.matmul(jacobian, mobility), onto),
         )
-        memory["contact_force"], memory["wrench"] = force, lever @ force
-        return -jacobian.T @ force
+        memory["slid"] = np.where(held, slid, memory["slid"])
+        memory["contact_force"] = np.where(held, force, 0.0)
+        memory["wrench"] = np.where(held, times(lever, force), 0.0)
+        return -times(onto, force)
 
     def _calc(self, index: int, entries: np.ndarray, context: Context, output: BasicVector) -> None:
-        value = context.get_discrete_state(index).value()[entries]
+        value = self._rows(context, index)[:, entries].ravel()
         output.SetFromVector(value if self._compliance is not None else 0.0 * value)
+
+
+def _first() -> dict[str, np.ndarray]:
+    """The memory before a contact."""
+    first = {name: np.zeros(size) for name, size in _MEMORY.items()}
+    first["target"][0] = 1.0  # a unit quaternion
+    return first

@@ -15,18 +15,11 @@ damping, back to the start of the approach.
 
 import dataclasses
 import enum
+import functools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    DiscreteValues,
-    LeafSystem,
-)
-from pydrake.systems.primitives import Demultiplexer
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort, LeafSystem
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
@@ -43,7 +36,6 @@ from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
-_ZERO, _ONE = np.zeros(1), np.ones(1)
 _INSTANTS = 41  # number of instants of a plan at which its force is compared with the limits
 
 
@@ -92,23 +84,19 @@ class SupervisorPart(Part):
         """The supervisor of a scenario."""
         return None if scenario.supervisor is None else cls()
 
-    def build(self, setup: BlockSetup) -> Diagram:
+    def build(self, setup: BlockSetup) -> LeafSystem:
         """The block."""
-        system = _Supervisor(setup, begin=self._begin, waits=self._waits)
-        nq, nv = len(setup.coordinates.position_names), len(setup.coordinates.names)
-        builder = DiagramBuilder()
-        builder.AddNamedSystem("modes", system)
-        parts = builder.AddNamedSystem("parts", Demultiplexer([nq + nv, nv]))
-        builder.Connect(system.GetOutputPort("motion"), parts.get_input_port())
-        for port in map(system.get_input_port, range(system.num_input_ports())):
-            builder.ExportInput(port, port.get_name())
-        builder.ExportOutput(parts.get_output_port(0), "desired_state")
-        builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
-        for name in ("generalized_force", "restart", "mode", "mode_cause"):
-            builder.ExportOutput(system.GetOutputPort(name), name)
-        block = builder.Build()
-        block.set_name("supervisor")
-        return block
+        return _Supervisor([setup], begin=self._begin, waits=self._waits)
+
+    def build_wide(self, setups: Sequence[BlockSetup]) -> LeafSystem | None:
+        """The block of several copies of the spacecraft, see ``systems.side_by_side``; None if
+        their settings differ.
+        """
+        alike = {(each.scenario.holds, each.scenario.grasp_time) for each in setups}
+        first = setups[0].scenario.supervisor
+        if len(alike) > 1 or any(each.scenario.supervisor != first for each in setups):
+            return None
+        return _Supervisor(setups, begin=self._begin, waits=self._waits)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""
@@ -224,211 +212,272 @@ class NewPlan:
 class _Supervisor(LeafSystem):
     """The modes, with their memory in discrete state, updated once a control sample.
 
-    Inputs: those of the block. Outputs: ``motion`` [q_d; v_d; a_d], ``generalized_force``,
-    ``restart`` (1: the law starts afresh at this sample), ``mode``, ``mode_cause``.
+    Inputs: those of the block. Outputs: ``desired_state``, ``desired_acceleration``,
+    ``generalized_force``, ``restart`` (1: the law starts afresh at this sample), ``mode``,
+    ``mode_cause``. Of several copies of the spacecraft ports and memory hold copy after copy.
     """
 
-    def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
+    def __init__(self, setups: Sequence[BlockSetup], *, begin: float, waits: bool) -> None:
         super().__init__()
-        self._scenario, self._model, self._waits = setup.scenario, setup.nominal, waits
-        self._is_empty = not setup.scenario.holds
-        self._begin, self._grasp_time = begin, begin + setup.scenario.grasp_time
-        self._coordinates = coordinates = setup.coordinates
+        self._scenarios = [setup.scenario for setup in setups]
+        self._models = [setup.nominal for setup in setups]
+        scenario, self._waits = self._scenarios[0], waits
+        self._is_empty = not scenario.holds
+        self._begin, self._grasp_time = begin, begin + scenario.grasp_time
+        self._coordinates = coordinates = setups[0].coordinates
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
-        settings = setup.scenario.supervisor
-        assert settings is not None
-        self._settings, self._step = settings, setup.sample_time
+        assert scenario.supervisor is not None
+        self._settings, self._step = scenario.supervisor, setups[0].sample_time
         self._limit, self._largest = (
-            actuation_limit(setup.scenario, coordinates, helped=helped).upper
+            np.stack(
+                [
+                    actuation_limit(each, coordinates, helped=helped).upper
+                    for each in self._scenarios
+                ]
+            )
             for helped in (False, True)
         )
         if not np.isfinite(self._limit).any():
             raise ScenarioError("supervisor", "needs limits: give actuation.limit, or actuators")
         self._bounds = [
             coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
-            for name, given in (("error", settings.error), ("rate", settings.rate))
+            for name, given in (("error", self._settings.error), ("rate", self._settings.rate))
         ]
         self._is_bounded = any(np.isfinite(bound).any() for bound in self._bounds)
+        self._ends = [begin + self._rest(each) for each in self._scenarios]
         self._declare()
-        self._motion: tuple[bytes, PlannedMotion] | None = None  # a cache: that of a row
+        self._motions = dict[int, tuple[bytes, PlannedMotion]]()  # a cache: of a copy's row
         untie(self)
 
-    @property
-    def _rest(self) -> float:
-        """End of the scenario's own motion, s."""
-        end = self._scenario.planned_end
-        return make_motion(self._scenario, self._coordinates).end if end is None else end
+    def _rest(self, scenario: Scenario) -> float:
+        """End of a scenario's own motion, s."""
+        end = scenario.planned_end
+        return make_motion(scenario, self._coordinates).end if end is None else end
 
     def _declare(self) -> None:
-        nv, states = self._nv, self._nq + self._nv
-        self._measured = self.DeclareVectorInputPort("estimated_state", states)
-        self._planned = self.DeclareVectorInputPort("desired_state", states)
-        self._planned_acceleration = self.DeclareVectorInputPort("desired_acceleration", nv)
-        self._command = self.DeclareVectorInputPort("generalized_force", nv)
-        self._request = self.DeclareVectorInputPort("abort_request", 1)
-        first = Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP
-        self._mode = self.DeclareDiscreteState([float(first)])
-        self._cause = self.DeclareDiscreteState(1)
-        # 1 while the law restarts at each sample, with the force of damping
-        self._restart = self.DeclareDiscreteState(1)
-        # saturated time, time below ``end_share``, number of new plans, request before
-        self._counters = self.DeclareDiscreteState(4)
-        self._force = self.DeclareDiscreteState(nv)
-        self._filtered = self.DeclareDiscreteState(nv)
-        self._held = self.DeclareDiscreteState(states)  # measured at the last sample of damping
-        self._plan = self.DeclareDiscreteState(3 + states)  # ``NewPlan``; duration 0: none
-        self._ends = self._begin + self._rest
-        own, read = self.all_state_ticket(), self.input_port_ticket
-        self.DeclareVectorOutputPort(
-            "motion",
-            states + nv,
-            weak_callback(self._calc_motion),
-            {
-                own,
-                self.time_ticket(),
-                read(self._planned.get_index()),
-                read(self._planned_acceleration.get_index()),
-            },
+        copies, nv, states = len(self._scenarios), self._nv, self._nq + self._nv
+        self._measured = self.DeclareVectorInputPort("estimated_state", copies * states)
+        self._planned = self.DeclareVectorInputPort("desired_state", copies * states)
+        self._planned_acceleration = self.DeclareVectorInputPort(
+            "desired_acceleration", copies * nv
         )
+        self._command = self.DeclareVectorInputPort("generalized_force", copies * nv)
+        self._request = self.DeclareVectorInputPort("abort_request", copies)
+        first = Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP
+        sizes = {
+            "mode": 1,
+            "cause": 1,
+            "restart": 1,  # 1 while the law restarts at each sample, with the force of damping
+            # saturated time, time below ``end_share``, number of new plans, request before
+            "counters": 4,
+            "force": nv,
+            "filtered": nv,
+            "held": states,  # measured at the last sample of damping
+            "plan": 3 + states,  # ``NewPlan``; duration 0: none
+        }
+        self._first = {name: np.zeros(size) for name, size in sizes.items()}
+        self._first["mode"][:] = float(first)
+        self._groups = {
+            name: self.DeclareDiscreteState(np.tile(row, copies))
+            for name, row in self._first.items()
+        }
+        own, read = self.xd_ticket(), self.input_port_ticket
+        motion = {
+            own,
+            self.time_ticket(),
+            read(self._planned.get_index()),
+            read(self._planned_acceleration.get_index()),
+        }
+        for name, within in (
+            ("desired_state", slice(0, states)),
+            ("desired_acceleration", slice(states, states + nv)),
+        ):
+            self.DeclareVectorOutputPort(
+                name,
+                copies * (within.stop - within.start),
+                functools.partial(weak_callback(self._calc_motion), within),
+                motion,
+            )
         self.DeclareVectorOutputPort(
             "generalized_force",
-            nv,
+            copies * nv,
             weak_callback(self._calc_force),
             {own, read(self._command.get_index())},
         )
-        self.DeclareStateOutputPort("restart", self._restart)
-        self.DeclareStateOutputPort("mode", self._mode)
-        self.DeclareStateOutputPort("mode_cause", self._cause)
+        for name, group in (("restart", "restart"), ("mode", "mode"), ("mode_cause", "cause")):
+            self.DeclareStateOutputPort(name, self._groups[group])
         self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weak_callback(self._update))
 
-    def _calc_motion(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._row(context))
+    def park(self, context: Context, copy: int) -> None:
+        """Put a copy's memory to its start (``systems.side_by_side``)."""
+        for name, rows in self._memory(context).items():
+            rows[copy] = self._first[name]
+            context.SetDiscreteState(self._groups[name], rows.ravel())
 
-    def _row(self, context: Context) -> np.ndarray:
-        """[q_d; v_d; a_d] of the plan in force; in rate damping the state last measured."""
-        value = context.get_discrete_state().value
-        plan = value(self._plan)
-        if value(self._mode)[0] == Mode.RATE_DAMPING:
-            return np.concatenate([value(self._held), np.zeros(self._nv)])
-        if not plan[1]:
-            return np.concatenate(
-                [self._planned.Eval(context), self._planned_acceleration.Eval(context)]
+    def _memory(self, context: Context) -> dict[str, np.ndarray]:
+        """A copy of the discrete state: rows of each group."""
+        return {name: self._rows(context, name).copy() for name in self._groups}
+
+    def _rows(self, context: Context, name: str) -> np.ndarray:
+        values: np.ndarray = context.get_discrete_state(self._groups[name]).value()
+        return values.reshape(len(self._scenarios), -1)
+
+    def _of_each(self, port: InputPort, context: Context) -> np.ndarray:
+        """The values of an input, a row for each copy."""
+        values: np.ndarray = port.Eval(context)
+        return values.reshape(len(self._scenarios), -1)
+
+    def _calc_motion(self, within: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._motion(context)[:, within].ravel())
+
+    def _motion(self, context: Context) -> np.ndarray:
+        """[q_d; v_d; a_d] of the plans in force; in rate damping the state last measured."""
+        planned = self._of_each(self._planned, context)
+        rows = np.hstack([planned, self._of_each(self._planned_acceleration, context)])
+        damps = self._rows(context, "mode")[:, 0] == Mode.RATE_DAMPING
+        plans = self._rows(context, "plan")
+        for copy in np.flatnonzero(damps | (plans[:, 1] > 0.0)).tolist():
+            rows[copy] = (
+                np.concatenate([self._rows(context, "held")[copy], np.zeros(self._nv)])
+                if damps[copy]
+                else self._along(copy, plans[copy], context.get_time())
             )
-        key, since = plan.tobytes(), context.get_time() - plan[0]
-        if self._motion is None or self._motion[0] != key:
+        return rows
+
+    def _along(self, copy: int, plan: np.ndarray, time: float) -> np.ndarray:
+        """[q_d; v_d; a_d] of a copy's new plan."""
+        key, since = plan.tobytes(), time - plan[0]
+        if copy not in self._motions or self._motions[copy][0] != key:
             made = NewPlan.from_row(plan.copy(), self._nq)
-            self._motion = key, made.motion(self._scenario, self._coordinates)
+            motion = made.motion(self._scenarios[copy], self._coordinates)
+            self._motions[copy] = key, motion
         sample = round(since / self._step) * self._step
-        return self._motion[1].row(sample if abs(sample - since) < 1e-9 else since)
+        return self._motions[copy][1].row(sample if abs(sample - since) < 1e-9 else since)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        value = context.get_discrete_state().value
-        damped = value(self._restart)[0] > 0.0
-        output.SetFromVector(value(self._force) if damped else self._command.Eval(context))
+        command = self._of_each(self._command, context)
+        damped = self._rows(context, "restart") > 0.0
+        if damped.any():
+            command = np.where(damped, self._rows(context, "force"), command)
+        output.SetFromVector(command.ravel())
 
-    def _update(self, context: Context, new: DiscreteValues) -> None:
-        value, time = context.get_discrete_state().value, context.get_time()
-        state, counters = self._measured.Eval(context), value(self._counters).copy()
-        mode = Mode(int(value(self._mode)[0]))
-        is_damping = mode == Mode.RATE_DAMPING
-        if not is_damping:
-            cause = self._trouble(context, state, counters)
-            if cause:
-                new.set_value(self._cause, [float(cause)])
-                counters[:2] = 0.0
-                mode = self._react(context, state, counters, new)
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        memory, time = self._memory(context), context.get_time()
+        state, command = (self._of_each(each, context) for each in (self._measured, self._command))
+        was_damping = memory["mode"][:, 0] == Mode.RATE_DAMPING
+        causes = self._causes(context, state, command, memory, was_damping)
+        memory["restart"][~was_damping & (causes == Cause.NONE)] = 0.0
+        for copy in range(len(self._scenarios)):
+            row = {name: rows[copy] for name, rows in memory.items()}  # views
+            is_damping = bool(was_damping[copy])
+            if causes[copy] != Cause.NONE:
+                row["cause"][0] = causes[copy]
+                row["counters"][:2] = 0.0
+                mode = self._react(copy, time, state[copy], command[copy], row)
             else:
-                new.set_value(self._restart, _ZERO)
-                mode = self._mode_at(time, value(self._plan))
-        if mode == Mode.RATE_DAMPING:
-            filtered = value(self._filtered) if is_damping else None
-            is_quiet = self._damp(state, filtered, new)
-            counters[1] = counters[1] + self._step if is_quiet else 0.0
-            if counters[1] >= self._settings.end_time - 1e-9:
-                counters[1] = 0.0  # without a plan damping continues
-                plan = self._plan_anew(time, state, int(counters[2]))
-                if plan is not None:
-                    counters[2] += 1.0
-                    new.set_value(self._plan, plan.as_row())
-                    mode = self._mode_at(time, plan.as_row())
-        new.set_value(self._mode, [float(mode)])
-        new.set_value(self._counters, counters)
+                mode = Mode.RATE_DAMPING if is_damping else self._mode_at(copy, time, row["plan"])
+            if mode == Mode.RATE_DAMPING:
+                mode = self._damp(copy, time, state[copy], row, begins=not is_damping)
+            row["mode"][0] = float(mode)
+        for name, rows in memory.items():
+            values.set_value(self._groups[name], rows.ravel())
 
     def _react(
-        self, context: Context, state: np.ndarray, counters: np.ndarray, new: DiscreteValues
+        self,
+        copy: int,
+        time: float,
+        state: np.ndarray,
+        command: np.ndarray,
+        row: dict[str, np.ndarray],
     ) -> Mode:
         """Rate damping; before the grasp a retreat at once, if there is a plan for it."""
-        time = context.get_time()
         if not self._is_before_grasp(time):
             return Mode.RATE_DAMPING
-        plan = self._plan_anew(time, state, int(counters[2]))
+        plan = self._plan_anew(copy, time, state, int(row["counters"][2]))
         if plan is None:
             return Mode.RATE_DAMPING
-        counters[2] += 1.0
-        new.set_value(self._plan, plan.as_row())
-        new.set_value(self._force, np.clip(self._command.Eval(context), -self._limit, self._limit))
-        new.set_value(self._restart, _ONE)
+        row["counters"][2] += 1.0
+        row["plan"][:] = plan.as_row()
+        row["force"][:] = np.clip(command, -self._limit[copy], self._limit[copy])
+        row["restart"][0] = 1.0
         return Mode.RETREAT
 
     def _is_before_grasp(self, time: float) -> bool:
         return self._is_empty or time < self._grasp_time - 0.5 * self._step
 
-    def _trouble(self, context: Context, state: np.ndarray, counters: np.ndarray) -> Cause:
-        """Why to damp the rates now, if there is a reason; ``counters`` are brought up to date."""
-        value = context.get_discrete_state().value
-        if self._waits:
-            return Cause.NONE
-        if not value(self._restart)[0]:  # the law's force was commanded
-            over = (np.abs(self._command.Eval(context)) > self._largest).any()
-            counters[0] = max(0.0, counters[0] + (self._step if over else -self._step))
-        asked = self._request.HasValue(context) and self._request.Eval(context)[0] > 0.5
-        before, counters[3] = counters[3], float(asked)
-        if asked and not before:
-            return Cause.REQUEST
-        if counters[0] > self._settings.saturated_time + 1e-9:
-            return Cause.SATURATED
-        if self._is_bounded:
-            desired = self._row(context)[: state.size]
-            for cause, bound, error in zip(
-                (Cause.ERROR, Cause.RATE),
-                self._bounds,
-                tracking_errors(desired, state, self._nq),
-                strict=True,
-            ):
-                if (np.abs(error) > bound).any():
-                    return cause
-        return Cause.NONE
-
-    def _damp(self, state: np.ndarray, filtered: np.ndarray | None, new: DiscreteValues) -> bool:
-        """Command tau = -sigma kappa Hhat v; whether kappa Hhat v, low-passed (``filtered`` before,
-        None at first), is small.
+    def _causes(
+        self,
+        context: Context,
+        state: np.ndarray,
+        command: np.ndarray,
+        memory: dict[str, np.ndarray],
+        is_damping: np.ndarray,
+    ) -> np.ndarray:
+        """Why to damp the rates of each copy now, if there is a reason and it does not; the
+        counters in ``memory`` are brought up to date.
         """
-        settings = self._settings
-        q, v = np.split(state, [self._nq])
-        wanted = settings.damping * (self._model.calc_mass_matrix(q) @ v)
-        scale = 1.0 / max(1.0, float((np.abs(wanted) / self._limit).max()))
-        new.set_value(self._force, -scale * wanted)
-        new.set_value(self._held, state)
-        new.set_value(self._restart, _ONE)
-        filtered = wanted if filtered is None else filtered
-        filtered = filtered + min(1.0, self._step / settings.filter_time) * (wanted - filtered)
-        new.set_value(self._filtered, filtered)
-        return bool((np.abs(filtered) <= settings.end_share * self._limit).all())
+        causes = np.full(len(self._scenarios), Cause.NONE, dtype=int)
+        if self._waits:
+            return causes
+        saturated, asked_before = memory["counters"][:, 0], memory["counters"][:, 3]
+        commands = ~is_damping & (memory["restart"][:, 0] == 0.0)  # the law's force was commanded
+        over = (np.abs(command) > self._largest).any(axis=1)
+        counted = np.maximum(0.0, saturated + np.where(over, self._step, -self._step))
+        saturated[commands] = counted[commands]
+        if self._is_bounded:
+            desired = self._motion(context)[:, : state.shape[1]]
+            errors = tracking_errors(desired, state, self._nq)
+            for cause, bound, error in zip(
+                (Cause.RATE, Cause.ERROR), self._bounds[::-1], errors[::-1], strict=True
+            ):
+                causes[(np.abs(error) > bound).any(axis=1)] = cause
+        causes[saturated > self._settings.saturated_time + 1e-9] = Cause.SATURATED
+        if self._request.HasValue(context):
+            asked = self._request.Eval(context) > 0.5
+            causes[asked & (asked_before == 0.0)] = Cause.REQUEST
+            asked_before[~is_damping] = asked[~is_damping]
+        causes[is_damping] = Cause.NONE
+        return causes
 
-    def _plan_anew(self, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
+    def _damp(
+        self, copy: int, time: float, state: np.ndarray, row: dict[str, np.ndarray], *, begins: bool
+    ) -> Mode:
+        """Command tau = -sigma kappa Hhat v, until kappa Hhat v, low-passed, has been small for a
+        time and there is a plan from then on.
+        """
+        settings, limit = self._settings, self._limit[copy]
+        q, v = np.split(state, [self._nq])
+        wanted = settings.damping * (self._models[copy].calc_mass_matrix(q) @ v)
+        scale = 1.0 / max(1.0, float((np.abs(wanted) / limit).max()))
+        row["force"][:], row["held"][:], row["restart"][0] = -scale * wanted, state, 1.0
+        filtered = wanted if begins else row["filtered"]
+        filtered = filtered + min(1.0, self._step / settings.filter_time) * (wanted - filtered)
+        row["filtered"][:], counters = filtered, row["counters"]
+        is_quiet = (np.abs(filtered) <= settings.end_share * limit).all()
+        counters[1] = counters[1] + self._step if is_quiet else 0.0
+        if counters[1] >= settings.end_time - 1e-9:
+            counters[1] = 0.0  # without a plan damping continues
+            plan = self._plan_anew(copy, time, state, int(counters[2]))
+            if plan is not None:
+                counters[2] += 1.0
+                row["plan"][:] = plan.as_row()
+                return self._mode_at(copy, time, row["plan"])
+        return Mode.RATE_DAMPING
+
+    def _plan_anew(self, copy: int, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
         """A plan from the measured state after a number of others. If no plan is within its share
         of the limits: None, or with an empty gripper the plan with the least use of them, since
         rate damping would leave the light joints to the disturbance.
         """
         settings, (q, v) = self._settings, np.split(state, [self._nq])
-        most = settings.plan_share * settings.retry_factor**plans * self._limit
+        most = settings.plan_share * settings.retry_factor**plans * self._limit[copy]
         retreats, duration = self._is_before_grasp(time), _SHORTEST
         least, gentlest = np.inf, None
         while duration <= _LONGEST:
             plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
-            motion = plan.motion(self._scenario, self._coordinates)
+            motion = plan.motion(self._scenarios[copy], self._coordinates)
             rows = motion.rows(np.linspace(0.0, duration, _INSTANTS))
-            force = self._model.calc_tracking_force(
+            force = self._models[copy].calc_tracking_force(
                 *np.split(rows, [self._nq, self._nq + self._nv], axis=1)
             )
             share = float((np.abs(force) / most).max())
@@ -439,7 +488,7 @@ class _Supervisor(LeafSystem):
             duration *= _GROWTH
         return gentlest
 
-    def _mode_at(self, time: float, plan: np.ndarray) -> Mode:
+    def _mode_at(self, copy: int, time: float, plan: np.ndarray) -> Mode:
         """The mode outside rate damping."""
         if plan[1]:
             if plan[2]:
@@ -449,4 +498,4 @@ class _Supervisor(LeafSystem):
             return Mode.APPROACH
         if self._grasp_time > 0.0 and time < self._grasp_time + 0.5 * self._step:
             return Mode.GRASP
-        return Mode.STOP if time < self._ends - 1e-9 else Mode.HOLD
+        return Mode.STOP if time < self._ends[copy] - 1e-9 else Mode.HOLD

@@ -205,7 +205,7 @@ def released(start, environment, begin, end):
     scenario = dataclasses.replace(scenario, environment=environment)
     nominal = make_nominal_plant(scenario)
     setup = BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=StateSplit())
-    force = GripperForce(setup, closes=Compliance())
+    force = GripperForce([setup], closes=Compliance())
     context = force.CreateDefaultContext()
     state = np.zeros(2 * len(nominal.coordinates.names) + 1)
     state[0] = 1.0
@@ -217,8 +217,7 @@ def released(start, environment, begin, end):
     simulator.AdvanceTo(end)
     found = force.met(context, state)
     assert not force.GetOutputPort("contact_force").Eval(context).any()
-    pose = [*found.X_WP.rotation().ToQuaternion().wxyz(), *found.X_WP.translation()]
-    return np.concatenate([pose, found.twist])
+    return found.motion
 
 
 def off(found, expected):
