@@ -6,8 +6,8 @@
 Processor time of a case as a worker and the driver spend it: its scenario checked, built and run,
 predictions, metrics, and its row stored. The same cases run one by one and as one batch, in turns
 in one process, because a machine's speed changes from minute to minute; minima of the repeats.
-``payload_uncertainty`` is the shipped campaign, with its four laws; the others are shipped
-scenarios whose seed and payload differ from case to case. Other dynamics than Drake's are the
+Names of shipped campaigns are those, ``payload_uncertainty`` with its four laws; shipped scenarios
+have a seed and payload that differ from case to case. Other dynamics than Drake's are the
 batch's; one by one the cases run with Drake's.
 """
 
@@ -27,6 +27,7 @@ from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.batches import usual_batch
+from ffsm_drake.scenario import shipped_scenarios
 from ffsm_drake.spacecraft.dynamics import DRAKE
 
 NAMES = (
@@ -44,7 +45,7 @@ def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> S
     """A shipped campaign of that name, else one of the scenario, with one case more than so many:
     the first may run with two dynamics.
     """
-    shipped = shipped_campaigns().get(name) if name == NAMES[0] else None
+    shipped = None if name in shipped_scenarios() else shipped_campaigns()[name]
     data: dict[str, Any] = {} if shipped is None else yaml.safe_load(shipped.read_text("utf-8"))
     if shipped is None:
         payload = load_scenario(name).payload
@@ -58,8 +59,8 @@ def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> S
         }
         data["scenario"] = name
     if duration is not None:
-        data["overrides"] = {"duration": duration}
-        data["settled"] = {"hold": min(1.0, duration)}
+        data["overrides"] = {**data.get("overrides", {}), "duration": duration}
+        data["settled"] = {**data.get("settled", {}), "hold": min(1.0, duration)}
     file = folder / f"{name}.yaml"
     file.write_text(yaml.safe_dump(data | {"cases": cases + 1}, sort_keys=False), encoding="utf-8")
     return load_spec(file)

@@ -2,6 +2,7 @@
 alone.
 """
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import load_scenario, override_scenario
+from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.plugins.capture.supervisor import Mode
 from ffsm_drake.runs.batches import batches_of, run_many
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.systems.side_by_side import NotAlike
+from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 # From a posture near that at the grasp, so that little time is enough.
 NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
@@ -45,6 +47,14 @@ def assert_same(log, alone):
     assert set(log.series) == set(alone.series)
     for name, values in alone.series.items():
         np.testing.assert_array_equal(log.series[name], values, err_msg=name)
+
+
+def test_gripper_and_supervisor_are_one_block_for_all():
+    base = load_scenario("tumbling_capture", CLOSING)
+    scenarios = [override_scenario(base, list(each)) for each in DIFFERENT]
+    loop = make_closed_loop([dataclasses.replace(each, holds=False) for each in scenarios])
+    assert {"supervisor", "forces.gripper"} <= set(loop.blocks)
+    assert not [n for n, block in loop.blocks.items() if isinstance(block, SideBySide)]
 
 
 @pytest.mark.slow
