@@ -145,6 +145,37 @@ class Scene:
         found: np.ndarray = np.linalg.solve(self.plant.CalcMassMatrix(self.context), force)
         return found
 
+    def base_after(self, q: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Base's [x, y, angle] when the joints have gone straight to angles (6) at no momentum."""
+        change = (joints - q[JOINTS]) / 40.0
+        for _ in range(40):
+            middle = q
+            for share in (0.5, 1.0):  # the midpoint rule
+                self.plant.SetPositions(self.context, middle)
+                mass = self.plant.CalcMassMatrix(self.context)
+                base = -np.linalg.solve(mass[:3, :3], mass[:3, JOINTS] @ change)
+                middle = q + share * np.concatenate([base, change, np.zeros(3)])
+            q = middle
+        return q[:3]
+
+
+def arm_joints(hand: int, base: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Joint angles (3) that bring a wrist to [x, y, angle] with the base at [x, y, angle], the
+    elbow outwards; NaN: it is out of reach.
+    """
+    side, (first, second, third) = 2.0 * hand - 1.0, (link[0] for link in _LINKS)
+    c, s = math.cos(base[2]), math.sin(base[2])
+    x, y = np.array([[c, s], [-s, c]]) @ (goal[:2] - base[:2])
+    angle = goal[2] - base[2]
+    x += third * math.sin(angle) - 0.5 * side * _BASE[0]
+    y -= third * math.cos(angle) + 0.5 * _BASE[1]
+    cosine = (x * x + y * y - first**2 - second**2) / (2.0 * first * second)
+    elbow = side * math.acos(cosine) if abs(cosine) < 0.95 else math.nan
+    shoulder = math.atan2(-x, y) - math.atan2(
+        second * math.sin(elbow), first + second * math.cos(elbow)
+    )
+    return np.array([shoulder, elbow, angle - shoulder - elbow])
+
 
 def _planar(name: str, parent: RigidBody, child: RigidBody) -> PlanarJoint:
     return PlanarJoint(name, parent.body_frame(), child.body_frame(), [0.0, 0.0, 0.0])

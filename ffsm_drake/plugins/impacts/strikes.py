@@ -10,6 +10,9 @@ with f the measured contact force: the target meets the mass m. Without admittan
 its plan, as stiff as its drives allow. Then the tip returns. Joint torques follow from the
 accelerations of tips and hands by inverse dynamics of the free-floating robot, in which the base
 is moved by nothing but the arms.
+
+A slow target may be caged: both hands come beside two opposite faces, turn with them, close until
+all four tips press, and then stop, and the target with them.
 """
 
 import dataclasses
@@ -23,16 +26,22 @@ from ffsm_drake.plugins.impacts.robot import (
     TARGET,
     TIP,
     TIP_ANGLE,
+    TIP_REACH,
     TORQUE_LIMIT,
     WIDTH,
     Scene,
+    arm_joints,
 )
 
 START = np.array(
     [0.0, 0.0, 0.0, np.pi / 3, -np.pi / 3, -np.pi / 2, -np.pi / 3, np.pi / 3, np.pi / 2]
 )
+# m; of a wrist from the centre of a target that its tips touch
+_HELD = 0.5 * WIDTH + TIP + TIP_REACH * math.cos(TIP_ANGLE)
+_QUARTER = 0.5 * np.pi
 _AWAY, _APART = 0.16, 0.05  # m; of a tip from the target's centre, of mirrored hands
 _K_P, _K_D = 400.0, 40.0  # 1/s^2, 1/s; of tips and hands about their plans
+_STIFF = 1e4, 200.0  # of hands that hold
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -43,6 +52,17 @@ class Admittance:
     damping: float = 0.1  # N s/m
     stiffness: float = 0.1  # N/m
     duration: float = 0.35  # s
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cage:
+    """Both hands close about the slow target, and stop."""
+
+    gap: float = 0.03  # m; of the tips from the faces before they close
+    press: float = 1e-3  # m; of each tip into its face in the end
+    soonest: float = 1.5  # s; until the hands are beside the faces
+    close: float = 0.6  # s
+    stop: float = 0.5  # s
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,6 +78,7 @@ class Strikes:
     step: float = 1e-3  # s; of control and integration (Runge-Kutta of order 4)
     surface: Surface = Surface()
     admittance: Admittance | None = Admittance()
+    cage: Cage | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,13 +100,13 @@ class Run:
 
 
 class _Hand:
-    """Commanded motion of a hand: [x, y] of its wrist, and its angle."""
+    """Commanded motion of a hand: [x, y] of its wrist, and its angle; or of joints."""
 
     def __init__(self, home: np.ndarray) -> None:
-        self._begin, self._end, self._last = 0.0, 0.0, np.array([home, np.zeros(3)])
-        self._polynomial = np.zeros((6, 3))
+        self._begin, self._end, self._last = 0.0, 0.0, np.array([home, 0.0 * home])
+        self._polynomial = np.zeros((6, home.size))
         self.striking, self.contact = False, math.nan  # s; when the contact began
-        self.yielded = np.zeros((3, 3))  # by the admittance: way, speed, acceleration
+        self.yielded = np.zeros((3, home.size))  # by the admittance: way, speed, acceleration
 
     def move(self, now: float, *, to: np.ndarray, at: float, speed: np.ndarray) -> None:
         """From the command of now by a quintic to a place at a time, and on from there at a
@@ -93,10 +114,10 @@ class _Hand:
         """
         T, k = at - now, np.arange(6)
         first, last = (self._rows(k, t) for t in (0.0, T))
-        start, end = self.command(now), np.array([to, speed, np.zeros(3)])
+        start, end = self.command(now), np.array([to, speed, 0.0 * to])
         self._polynomial = np.linalg.solve(np.vstack([first, last]), np.vstack([start, end]))
         self._begin, self._end, self._last = now, at, end[:2]
-        self.yielded = np.zeros((3, 3))
+        self.yielded = 0.0 * end
 
     @staticmethod
     def _rows(k: np.ndarray, t: float) -> np.ndarray:
@@ -110,7 +131,7 @@ class _Hand:
             planned = self._rows(np.arange(6), time - self._begin) @ self._polynomial
         else:
             to, speed = self._last
-            planned = np.array([to + (time - self._end) * speed, speed, np.zeros(3)])
+            planned = np.array([to + (time - self._end) * speed, speed, 0.0 * to])
         found: np.ndarray = planned + self.yielded
         return found
 
@@ -128,6 +149,44 @@ class _Hand:
         way += step * speed
 
 
+class _Caging:
+    """Commanded motion of both hands about a target from a time on.
+
+    ``place`` (3) is the target's then, its angle that of the way from the left to the right hand.
+    """
+
+    def __init__(self, cage: Cage, begin: float, place: np.ndarray, rate: np.ndarray) -> None:
+        self._cage, self.begin, self._place, self._rate = cage, begin, place, rate
+        self.stiff = begin + 0.5 * cage.close  # s; before the tips touch
+        self.end = begin + cage.close + cage.stop
+
+    def command(self, hand: int, time: float) -> np.ndarray:
+        """[x; x'; x''] (3, 3) of a hand's wrist and angle."""
+        cage, side, t = self._cage, 2.0 * hand - 1.0, time - self.begin
+        # frame: at the target's rates until the tips press, then to rest
+        late = min(max(t - cage.close, 0.0), cage.stop)
+        slower = -self._rate / cage.stop if 0.0 < late < cage.stop else np.zeros(3)
+        rate = self._rate * (1.0 - late / cage.stop)
+        place = self._place + self._rate * (min(t, cage.close) + late - 0.5 * late**2 / cage.stop)
+        # distance of the wrist from the target's centre
+        x = min(t / cage.close, 1.0)
+        way = np.array([x**3 * (10.0 - 15.0 * x + 6.0 * x * x), 30.0 * (x * (1.0 - x)) ** 2,
+                        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)])  # fmt: skip
+        way *= -(cage.gap + cage.press) / cage.close ** np.arange(3)
+        way[0] += _HELD + cage.gap
+        d, d_rate, d_rate_rate = way
+        c, s = math.cos(place[2]), math.sin(place[2])
+        along, across, w = np.array([c, s, 0.0]), np.array([-s, c, 0.0]), rate[2]
+        return np.array(
+            [
+                place + side * (d * along + [0.0, 0.0, 0.5 * np.pi]),
+                rate + side * (d_rate * along + d * w * across),
+                slower + side * ((d_rate_rate - d * w * w) * along
+                                 + (2.0 * d_rate * w + d * slower[2]) * across),
+            ]
+        )  # fmt: skip
+
+
 class _Control:
     """Which arm strikes when, and the joint torques."""
 
@@ -139,7 +198,9 @@ class _Control:
         self._lead = -math.copysign(0.5 * TIP_ANGLE, mission.spin)
         scene.place(*state)
         self.hands = [_Hand(self._state(i, state[0])) for i in range(2)]
-        self._next = 0
+        self._next, self._again = 0, 0.0
+        self._caging: _Caging | None = None
+        self._joints: _Hand | None = None  # motion of the joints, in place of the hands
 
     def _state(self, hand: int, q: np.ndarray) -> np.ndarray:
         X = self._scene.hands[hand].EvalPoseInWorld(self._scene.context)
@@ -179,8 +240,54 @@ class _Control:
                 side = 2.0 * i - 1.0
                 away = self._goal(i, target[:2] + np.array([side * _AWAY, 0.0]))
                 self._both(i, time, time + mission.soonest, away, np.zeros(3))
-        if not any(hand.striking for hand in self.hands) and abs(rate[2]) > mission.slow:
+        if self._caging is not None:
+            if self._joints is not None and self._caging.begin <= time < self._caging.end:
+                self._joints = None
+            elif self._joints is None and time >= self._caging.end:
+                self._joints = _Hand(q[JOINTS])
+            return
+        if any(hand.striking for hand in self.hands):
+            return
+        if abs(rate[2]) > mission.slow:
             self._strike(time, target, rate)
+        elif mission.cage is not None and time >= self.hands[0].due:
+            self._joints = self._joints or _Hand(q[JOINTS])
+            if time >= self._again:
+                self._again = time + 0.1
+                self._close(mission.cage, time, q, v)
+
+    def _close(self, cage: Cage, time: float, q: np.ndarray, v: np.ndarray) -> None:
+        """The joints go to where the hands are beside two faces, as soon as they reach these until
+        the target has stopped.
+        """
+        begin, rate = time + cage.soonest, v[TARGET]
+        place = q[TARGET] + rate * cage.soonest
+        place[2] = (place[2] + 0.5 * _QUARTER) % _QUARTER - 0.5 * _QUARTER
+        caging = _Caging(cage, begin, place, rate)
+        goals = [
+            self._reached(q, [caging.command(i, at)[0] for i in range(2)])
+            for at in (caging.end, begin)
+        ]
+        self._scene.place(q, v)
+        if np.isfinite(goals).all():
+            self._caging, self._joints = caging, _Hand(q[JOINTS])
+            self._joints.move(time, to=goals[1], at=begin, speed=np.zeros(6))
+
+    def _reached(self, q: np.ndarray, goals: list[np.ndarray]) -> np.ndarray:
+        """Joints (6) with the wrists at goals, where they take the base; NaN: out of reach."""
+        base, joints = q[:3], q[JOINTS]
+        for _ in range(15):
+            joints = np.concatenate([arm_joints(i, base, goals[i]) for i in range(2)])
+            if not np.isfinite(joints).all():
+                break
+            base = 0.5 * (base + self._scene.base_after(q, joints))
+        return joints
+
+    def _command(self, hand: int, time: float) -> np.ndarray:
+        caging = self._caging
+        if caging is None or time < caging.begin:
+            return self.hands[hand].command(time)
+        return caging.command(hand, time)
 
     def _strike(self, time: float, target: np.ndarray, rate: np.ndarray) -> None:
         mission, i = self._mission, self._next
@@ -202,14 +309,20 @@ class _Control:
         """Joint torques (6) at the configuration that the scene was ``place``d at."""
         scene = self._scene
         rows, wanted = np.zeros((6, 9)), np.zeros(6)
+        stiff = self._caging is not None and time > self._caging.stiff
+        k_p, k_d = _STIFF if stiff else (_K_P, _K_D)
         for i, body in enumerate(scene.hands):
             own = slice(3 * i, 3 * i + 3)
             rows[own][:2] = scene.jacobian(body, np.zeros(3))[:, :9]
             rows[3 * i + 2, [2, 3 + 3 * i, 4 + 3 * i, 5 + 3 * i]] = 1.0
-            x, speed, acceleration = self.hands[i].command(time)
-            wanted[own] = acceleration + _K_D * (speed - rows[own] @ v[:9])
-            wanted[own] += _K_P * (x - self._state(i, q))
+            x, speed, acceleration = self._command(i, time)
+            wanted[own] = acceleration + k_d * (speed - rows[own] @ v[:9])
+            wanted[own] += k_p * (x - self._state(i, q))
             wanted[own][:2] -= scene.bias(body, np.zeros(3))
+        if self._joints is not None:
+            x, speed, acceleration = self._joints.command(time)
+            rows = np.eye(9)[JOINTS]
+            wanted = acceleration + k_d * (speed - v[JOINTS]) + k_p * (x - q[JOINTS])
         mass = scene.plant.CalcMassMatrix(scene.context)[:9, :9]
         known = (contact - scene.plant.CalcBiasTerm(scene.context))[:9]
         driven = np.zeros((9, 6))

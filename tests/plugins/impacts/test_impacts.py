@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ffsm_drake.plugins.impacts.contact import Surface, depth_in_square
-from ffsm_drake.plugins.impacts.robot import TARGET, TIP, WIDTH, Scene
-from ffsm_drake.plugins.impacts.strikes import START, Strikes, run
+from ffsm_drake.plugins.impacts.robot import JOINTS, TARGET, TIP, WIDTH, Scene, arm_joints
+from ffsm_drake.plugins.impacts.strikes import START, Cage, Strikes, run
 
 MOST, SLOW = 5.0, 0.5  # N, rad/s: published limits of a success
 
@@ -90,5 +90,50 @@ def test_impacts_with_admittance_slow_the_target():
 def test_without_admittance_the_first_impact_is_too_hard():
     found = run(dataclasses.replace(Strikes(), duration=1.75, step=2e-3, admittance=None))
     assert found.force.max() > MOST
+    drift = np.abs(found.momentum - found.momentum[0]).max(axis=0)
+    assert (drift < 1e-5).all()
+
+
+def test_joints_of_a_wrist_are_those_of_its_place():
+    scene, random = Scene(Surface()), np.random.default_rng(3)
+    for _ in range(20):
+        q = np.concatenate([0.3 * random.normal(size=3), START[3:], np.zeros(3)])
+        q[JOINTS] += random.uniform(-0.3, 0.3, 6)
+        scene.place(q, np.zeros(12))
+        for i, hand in enumerate(scene.hands):
+            own = q[3 + 3 * i : 6 + 3 * i]
+            place = hand.EvalPoseInWorld(scene.context).translation()[:2]
+            goal = np.array([*place, q[2] + own.sum()])
+            np.testing.assert_allclose(arm_joints(i, q[:3], goal), own, atol=1e-9)
+            assert np.isnan(arm_joints(i, q[:3], goal * 5.0)).any()
+
+
+def test_base_goes_where_momentum_takes_it():
+    """Against velocities without momentum, integrated here in small steps."""
+    scene, random = Scene(Surface()), np.random.default_rng(4)
+    q = np.concatenate([START, [0.0, 2.0, 0.0]])
+    joints = q[JOINTS] + random.uniform(-0.5, 0.5, 6)
+    at, steps = q.copy(), 4000
+    v = np.zeros(12)
+    v[JOINTS] = joints - q[JOINTS]
+    for _ in range(steps):
+        columns = [scene.momentum(at, unit) for unit in np.eye(12)[:3]]
+        v[:3] = 0.0
+        v[:3] = -np.linalg.solve(np.transpose(columns), scene.momentum(at, v))
+        at = at + v / steps
+    np.testing.assert_allclose(scene.base_after(q, joints), at[:3], atol=2e-4)
+
+
+@pytest.mark.slow
+def test_a_slow_target_is_caged():
+    found = run(Strikes(spin=-0.45, cage=Cage(), duration=7.0, step=2e-3))
+    last = found.time > 6.0
+    assert (found.force[last] > 0.0).all()  # all four tips press
+    assert found.force.max() < MOST
+    # target and base turn together: the stack has what momentum there was
+    together = found.spin[last] - found.v[last, 2]
+    assert abs(together.mean()) < 0.02
+    assert np.abs(found.spin[last]).max() < 0.1 * SLOW
+    assert np.linalg.norm(found.v[last, 9:11], axis=1).max() < 0.01
     drift = np.abs(found.momentum - found.momentum[0]).max(axis=0)
     assert (drift < 1e-5).all()
