@@ -42,6 +42,16 @@ def test_distance_of_a_stretched_arm(planar):
     assert nearest.distance == pytest.approx(0.7 + 0.3 - 0.01 - 0.7, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["planar_detumble", "postcapture"])
+def test_what_is_farther_than_asked_for_is_not_measured(name):
+    clearance = Clearance(load_scenario(name).model)
+    q = np.r_[1.0, np.zeros(clearance.plant.num_positions() - 1)]
+    nearest = clearance.nearest(q)
+    assert nearest.distance > 0.0
+    assert clearance.nearest(q, below=nearest.distance + 1e-3) == nearest
+    assert clearance.nearest(q, below=nearest.distance - 1e-3).distance == np.inf
+
+
 def test_overlap_is_negative_and_where_it_is(planar):
     folded = configuration(planar.plant, load_scenario("planar_detumble").initial_posture, key="")
     folded[7:] = [2.6, 0.3, 0.0]  # down through the bus
