@@ -107,6 +107,8 @@ class _Planner:
         self._begun, self._evaluations = time.perf_counter(), 0
         self._time_limit = time_limit
         self._scenario, self._progress = scenario, progress
+        if len(scenario.contacts) > 1:
+            raise ScenarioError("contacts", "a plan is for one hand on the target; name only one")
         model = self._model = make_nominal_plant(scenario)
         self._limits = motion_limits(scenario, model)
         self._clearance = Clearance(scenario.model)
