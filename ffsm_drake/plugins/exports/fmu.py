@@ -23,6 +23,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario, load_scenario, scenario_to_yaml
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
@@ -70,12 +71,14 @@ _VELOCITIES = {
 def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
     """Write the FMU of one of ``PARTS`` of a scenario.
 
-    Raises: FfsmError, for a scenario with a capture, or a law that tracks a frame.
+    Raises: FfsmError, for a scenario with a capture or a late hand, or a law that tracks a frame.
     """
     if part not in PARTS:
         raise FfsmError(f"--part: must be one of {', '.join(PARTS)}, not '{part}'")
     if scenario.capture is not None:
         raise FfsmError("capture: a scenario with a capture cannot be an FMU; leave it out")
+    if len(closing_times(scenario)) > 1:
+        raise FfsmError("contacts: hands that close later cannot be in an FMU; leave closes out")
     factory = find_factory("controller", scenario.controller, python_path=scenario.python_path)
     if part == "controller" and getattr(factory, "tracks_frame", False):
         raise FfsmError(f"controller: {scenario.controller} tracks a frame; cannot be an FMU")

@@ -82,9 +82,16 @@ def test_the_loop_closed_through_fmus_is_the_run(tmp_path):
     assert np.abs(data.disturbance_force).max() > 1e-3
 
 
-def test_a_capture_is_refused(tmp_path):
-    with pytest.raises(FfsmError, match="capture"):
-        export(load_scenario("tumbling_capture"), tmp_path / "plant.fmu")
+@pytest.mark.parametrize(
+    ("name", "override", "said"),
+    [
+        ("tumbling_capture", "duration=30", "capture: "),
+        ("two_arms", "contacts.right.closes=2", "contacts: hands that close later"),
+    ],
+)
+def test_a_capture_or_a_late_hand_is_refused(tmp_path, name, override, said):
+    with pytest.raises(FfsmError, match=said):
+        export(load_scenario(name, [override]), tmp_path / "plant.fmu")
 
 
 def test_another_part_is_refused(tmp_path):
