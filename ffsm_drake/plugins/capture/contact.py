@@ -237,12 +237,14 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
     """
     capture = scenario.capture or Capture()
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    whole = model.split.whole_positions(q)
     if len(scenario.contacts) > 1:
-        q = closed_chain(scenario, model, q)[0]
+        whole = closed_chain(scenario, model, whole)[0]
+        q = model.split.known_part(np.concatenate([whole, np.zeros(whole.size - 1)]))[: q.size]
     return contact_at(
         scenario,
         model,
-        q=model.split.whole_positions(q),
+        q=whole,
         velocity=model.split.whole_velocities(servicer_velocity(scenario, capture, model, q)),
         target_velocity=target_twist(scenario, capture, model, q),
     )

@@ -201,7 +201,7 @@ class Contacts(Part):
             key="contacts.closing.energy_lost",
             unit="J",
             label="Energy lost at closings",
-            of=lambda run: -run[LOSS][-1],
+            of=lambda run: 0.0 - run[LOSS][-1],
         )
 
     @property

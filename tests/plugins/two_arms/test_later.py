@@ -178,6 +178,25 @@ def test_a_hand_beyond_the_envelope_misses() -> None:
     assert run.metrics["contacts"]["closing"]["angle"] > 0.09
 
 
+@pytest.mark.parametrize("closes", [0, 1.5])
+def test_a_flexible_panel_moves_on_through_the_closing(closes: float) -> None:
+    panel = {"position": [0, 1, 0], "direction": [0, 1, 0], "mass": 8.0, "frequency": 0.25}
+    changes = {"model": {"flexible": {"port": panel}}}
+    if not closes:
+        joints = load_scenario("two_arms_capture").initial_posture.joints
+        changes["initial_posture"] = {"joints": joints}
+    run = simulate(
+        scenario(changes, "controller=computed_torque", "duration=2.5", closes=closes),
+        check_stability=False,
+    )
+    hidden = run.dataset["hidden_position"].values
+    assert np.abs(hidden).max() > 1e-7
+    assert np.abs(np.diff(hidden, axis=0)).max() < 0.1 * np.abs(hidden).max()
+    assert run.metrics["contacts"]["gap"] < 1e-9
+    if closes:
+        check_closing(run)
+
+
 def test_same_bits_again() -> None:
     runs = [simulate(scenario(*SHORT[:1]), check_stability=False).dataset for _ in range(2)]
     assert runs[0].equals(runs[1])
