@@ -1,17 +1,19 @@
 """A campaign's case end to end, side by side over alone.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/campaign_cases.py [NAME ...] [--repeats 10]
-        [--cases 16] [--duration S] [--dynamics generated]
+        [--cases 16] [--duration S] [--dynamics generated [--compare]]
 
 Processor time of a case as a worker and the driver spend it: its scenario checked, built and run,
 predictions, metrics, and its row stored. The same cases run one by one and as one batch, in turns
 in one process, because a machine's speed changes from minute to minute; minima of the repeats.
 Names of shipped campaigns are those, ``payload_uncertainty`` with its four laws; shipped scenarios
 have a seed and payload that differ from case to case. Other dynamics than Drake's are the
-batch's; one by one the cases run with Drake's.
+batch's; one by one the cases run with Drake's. ``--compare`` measures no
+time: it compares their rows with Drake's.
 """
 
 import argparse
+import collections
 import tempfile
 import time
 from collections.abc import Sequence
@@ -23,7 +25,7 @@ import yaml
 
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
-from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
+from ffsm_drake.plugins.campaign.evaluate import FIRST_LIMIT, Batch, Evaluator, Row, metrics_of
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.batches import usual_batch
@@ -42,8 +44,8 @@ SPREAD = 0.05  # of the payload's masses, true and nominal
 
 
 def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> Spec:
-    """A shipped campaign of that name, else one of the scenario, with one case more than so many:
-    the first may run with two dynamics.
+    """A shipped campaign of that name, else one of the scenario, with at least one case more than
+    so many: the first may run with two dynamics.
     """
     shipped = None if name in shipped_scenarios() else shipped_campaigns()[name]
     data: dict[str, Any] = {} if shipped is None else yaml.safe_load(shipped.read_text("utf-8"))
@@ -60,9 +62,11 @@ def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> S
         data["scenario"] = name
     if duration is not None:
         data["overrides"] = {**data.get("overrides", {}), "duration": duration}
-        data["settled"] = {**data.get("settled", {}), "hold": min(1.0, duration)}
+        settled = data.get("settled", {})
+        data["settled"] = {**settled, "hold": min(settled.get("hold", 1.0), duration)}
     file = folder / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(data | {"cases": cases + 1}, sort_keys=False), encoding="utf-8")
+    data["cases"] = max(cases + 1, data.get("cases", 0))
+    file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     return load_spec(file)
 
 
@@ -104,6 +108,25 @@ def minima(
     return np.array([min(seconds[way]) for way in ways])
 
 
+def compare(spec: Spec, controller: str, cases: Sequence[Case], dynamics: str) -> str:
+    """How far the rows of cases are from those with Drake's dynamics, in words."""
+    whole, rows = Batch(tuple(cases), controller), list[list[Row]]()
+    for each in (DRAKE, dynamics):
+        evaluator = Evaluator(spec_from_data({**spec.data, "dynamics": each}))
+        rows.append(evaluator.evaluate_batch(whole))
+    others, largest, where = 0, 0.0, "none"
+    for own, other in zip(*rows, strict=True):
+        others += any(own.get(name) != other.get(name) for name in ("outcome", FIRST_LIMIT))
+        for name in set(metrics_of(spec)) & set(own):
+            if isinstance(own[name], float) and isinstance(other[name], float):
+                off = abs(own[name] - other[name]) / (abs(own[name]) or 1.0)
+                largest, where = max((largest, where), (off, name))
+    counts = collections.Counter(own["outcome"] for own in rows[0])
+    found = ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
+    differ = f"{others} outcomes or first limits differ"
+    return f"{found}; {differ}; numbers by {largest:.1e} at most ({where})"
+
+
 def report(name: str, seconds: np.ndarray) -> None:
     """Print times per case, and their ratio."""
     alone, batched = 1e3 * seconds
@@ -118,17 +141,22 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--cases", type=int, default=usual_batch(), help="in a batch")
     parser.add_argument("--duration", type=float, help="of a run, s (default: the scenario's)")
     parser.add_argument("--dynamics", default=DRAKE, help="of the batch (default: drake)")
+    parser.add_argument("--compare", action="store_true", help="rows with both dynamics")
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         for name in options.names or NAMES:
             spec = spec_of(name, Path(folder), cases=options.cases, duration=options.duration)
-            cases, total = tuple(make_cases(spec))[1:], np.zeros(2)
+            cases, total = tuple(make_cases(spec))[1 : options.cases + 1], np.zeros(2)
             for controller in spec.controllers:
+                if options.compare:
+                    told = compare(spec, controller, cases, options.dynamics)
+                    print(f"{name}, {controller}: {told}", flush=True)
+                    continue
                 given = options.repeats, Path(folder), options.dynamics
                 seconds = minima(spec, controller, cases, *given)
                 report(f"{name}, {controller}", seconds)
                 total += seconds / len(spec.controllers)
-            if len(spec.controllers) > 1:
+            if len(spec.controllers) > 1 and not options.compare:
                 report(f"{name}, mean of its laws", total)
 
 

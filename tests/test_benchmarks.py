@@ -128,6 +128,19 @@ def test_campaign_cases(monkeypatch, capsys):
         assert abs(batched / alone - ratio) < 0.01
 
 
+def test_cases_with_other_dynamics_are_compared(monkeypatch, capsys):
+    pytest.importorskip("llvmlite")
+    pytest.importorskip("ffsm_drake.plugins.generated")
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    cases = importlib.import_module("campaign_cases")
+    short = ["--cases", "3", "--duration", "0.1", "--dynamics", "generated", "--compare"]
+    cases.main(["postcapture", *short])
+    said = r"postcapture, \w+: 3 (\w+); 0 outcomes or first limits differ; numbers by (\S+) at most"
+    found = re.match(said, capsys.readouterr().out)
+    assert found[1] in ("settled", "not_settled")
+    assert 0.0 < float(found[2]) < 1e-9
+
+
 @pytest.mark.slow
 def test_fault_detection(monkeypatch, capsys, tmp_path):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
