@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from outside_urdfs import TURN, joint, link, robot, rod
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, RandomSource
@@ -453,3 +454,48 @@ def test_noise_of_the_bases_sensors_is_in_its_axes():
     assert turned[:, 2] == pytest.approx(-3.0 * alike[:, 1], abs=scale)
     assert turned[:, 1] == pytest.approx(alike[:, 2], abs=scale)
     assert turned[:, [0, 3]] == pytest.approx(alike[:, [0, 3]], abs=scale)
+
+
+def light_arm(folder, count=7, length=0.2, mass=0.8):
+    """Joints about z and y in turn: seven swing the elbow without moving the target."""
+    names = ["bus", *(f"link_{k}" for k in range(1, count + 1))]
+    path = folder / "light.urdf"
+    path.write_text(
+        robot(
+            link("bus", mass=400.0, inertia=(200.0, 200.0, 150.0)),
+            *(rod(name, length, mass) for name in names[1:]),
+            *(
+                joint(
+                    f"joint_{k + 1}",
+                    names[k],
+                    names[k + 1],
+                    axis=("0 0 1", "0 1 0")[k % 2],
+                    xyz=f"0 0 {length if k else 0.6}",
+                    limit=TURN,
+                )
+                for k in range(count)
+            ),
+            link("tool"),
+            joint("palm", names[-1], "tool", kind="fixed", xyz=f"0 0 {length}"),
+        )
+    )
+    return path
+
+
+@pytest.mark.parametrize("law", ["aismc", "asmc"])
+def test_a_light_motion_of_the_elbow_is_linearised_on_the_plan(tmp_path, law):
+    """The first samples of a warm-up, without an estimate, throw it off the plan. All axes have the
+    same gains, so the poles nearest to instability stay where they are at rest.
+    """
+    start = [0.5, 0.45, -0.25, -0.9, 0.4, 0.8, 0.35]
+    scenario = load_scenario("postcapture").replace(
+        model={"servicer": str(light_arm(tmp_path)), "directives": None,
+               "end_effector": "servicer::tool"},
+        initial_posture={"joints": {f"joint_{k}": x for k, x in enumerate(start, 1)}},
+        target_posture={"joints": {f"joint_{k}": 2 * x for k, x in enumerate(start, 1)}},
+        controller=law,
+        controllers={law: {"k_d": 40.0} | ({} if law == "asmc" else {"k_p": 400.0})},
+    )  # fmt: skip
+    with Linearizer(scenario) as linearizer:
+        radii = [loop.spectral_radius for loop in linearizer.along()]
+    assert max(radii) == pytest.approx(radii[-1], abs=3e-3)

@@ -51,6 +51,10 @@ POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STEP = 1e-7
 # Control samples on the plan before the map is taken, to fill every memory.
 _WARM_UP = 5
+# Share of the plan's largest velocity, and least velocity (rad/s, m/s), by which the first samples,
+# without an estimate, throw a light coordinate off the plan: then the warm-up is twice as long, up
+# to 2^4 times.
+_OFF, _OFF_AT_LEAST, _LONGER = 0.2, 5e-3, 4
 # Beyond these, an evaluation at one instant takes more than seconds, or much memory.
 _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, searched for user-supplied systems without a declared one, and
@@ -394,15 +398,9 @@ class Linearizer:
         """
         key = content_of((first, held))
         if key not in self._updates:
-            self._context.SetTimeStateAndParametersFrom(self._start)
-            self._context.SetTime(first * self.scenario.sample_time)
-            q_d, v_d, _ = self.motion.evaluate(first * self.scenario.sample_time)
-            self.loop.set_state(self._context, np.concatenate([q_d, v_d]))
             index = first + _WARM_UP
-            self._quiet(held)
-            for earlier in range(first, index):
-                self._go_on(earlier, held)
-            before, updates = self._context.Clone(), dict[Hashable, _Update]()
+            before, updates = self._warmed_up(index, held), dict[Hashable, _Update]()
+            self._context.SetTimeStateAndParametersFrom(before)
             own = self._find_own_period(index, held)
             indices = range(index, index + math.lcm(self._memory.common_period, own))
             kinds = [(self._memory.kind(each), each % own) for each in indices]
@@ -415,6 +413,32 @@ class Linearizer:
                     updates[kind] = self._update(each, first)
             self._updates[key] = tuple(updates[kind] for kind in kinds)
         return self._updates[key]
+
+    def _warmed_up(self, index: int, held: Mapping[str, np.ndarray]) -> Context:
+        """A context just before the update at a control sample, after the shortest warm-up that
+        leaves the plant near the plan, or is better than one of twice its length.
+        """
+        start, least = round(self.begin / self.scenario.sample_time), math.inf
+        v_d = self.motion.evaluate(index * self.scenario.sample_time)[1]
+        driven = self.loop.coordinates.is_driven
+        for double in range(_LONGER + 1):
+            first = max(min(start, index - _WARM_UP), index - _WARM_UP * 2**double)
+            self._context.SetTimeStateAndParametersFrom(self._start)
+            self._context.SetTime(first * self.scenario.sample_time)
+            planned = self.motion.evaluate(first * self.scenario.sample_time)[:2]
+            self.loop.set_state(self._context, np.concatenate(planned))
+            self._quiet(held)
+            with contextlib.nullcontext() if double == 0 else self._until_divergence(self._plant):
+                for earlier in range(first, index):
+                    self._go_on(earlier, held)
+            off = np.abs(self._plant.known()[-len(v_d) :] - v_d)[driven].max(initial=0.0)
+            if double and not off < least:
+                break
+            found, least = self._context.Clone(), off
+            near = least <= max(_OFF_AT_LEAST, _OFF * np.abs(v_d).max()) or self.loop.tracks_frame
+            if near or first <= start or not math.isfinite(least):
+                break
+        return found
 
     def _go_on(self, index: int, held: Mapping[str, np.ndarray]) -> None:
         """Advance from just before the update at a control sample to just before the next one."""
