@@ -69,3 +69,17 @@ def test_the_installed_entry_points_are_those_of_the_project():
         if each.group.startswith("ffsm_drake."):
             installed.setdefault(each.group, {})[each.name] = each.value
     assert installed == PROJECT["entry-points"]
+
+
+def test_the_readme_of_a_package_index_has_addresses_alone(tmp_path, monkeypatch):
+    build = pytest.importorskip("hatchling.build", reason="the build backend is not installed")
+    monkeypatch.chdir(ROOT)
+    made = tmp_path / build.prepare_metadata_for_build_wheel(str(tmp_path)) / "METADATA"
+    links = re.findall(r"\]\(([^)]+)\)", made.read_text(encoding="utf-8"))
+    own = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    places = [f"{kind}/v{PROJECT['version']}" for kind in ("blob", "raw")]
+    address = PROJECT["urls"]["Repository"]
+    expected = {f"{address}/{place}/{path}" for place in places for path in own}
+    assert own
+    assert all(link.startswith("http") for link in links)
+    assert len(expected & set(links)) == len(set(own))
