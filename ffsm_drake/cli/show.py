@@ -140,9 +140,9 @@ def replay(
     from ffsm_drake.show.meshcat import write_recording
 
     file = out or run / "recording.html"
+    record = RunRecord.load(run)
     if not live:
         check_writable(file.parent)
-    record = RunRecord.load(run)
     if live:
         show = load(LIVE, "replay", "--live")
         show(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)

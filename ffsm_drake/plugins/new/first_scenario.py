@@ -35,7 +35,6 @@ from ffsm_drake.plugins.new.urdf import (
 )
 from ffsm_drake.scenario import Scenario, shipped_scenarios, write_yaml
 from ffsm_drake.spacecraft.plant import check_pictures
-from ffsm_drake.systems.registry import SHIPPED
 
 _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
@@ -273,7 +272,7 @@ def _make(
         raise ModelError(told) from error
     data = draft.data
     limits = "; ".join(f"{joint.name} {_limits(joint)}" for joint in servicer.joints)
-    named = text.replace("LIMITS", limits).replace("CONTROLLERS", ", ".join(SHIPPED["controller"]))
+    named = text.replace("LIMITS", limits).replace("CONTROLLERS", ", ".join(data["controllers"]))
     write_text(file, _filled(named, data))
     return NewScenario(
         servicer=servicer,

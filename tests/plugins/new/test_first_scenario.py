@@ -343,7 +343,7 @@ MOUNTING = {
         ["--bus-size", "1"],
         "--bus-size: is that of a bus; give --bus-mass too",
     ),
-    "no bus": (arm_alone, [], "or mount it on a bus with --bus-mass KG"),
+    "no bus": (arm_alone, [], "mount an arm on a bus with --bus-mass KG"),
     "two feet": (
         lambda: robot(link("a", **BOX), link("b", **BOX)),
         BUS,
@@ -403,3 +403,10 @@ def test_printed(made):
         "tde_aismc",
     ):
         assert part in text
+
+
+def test_the_comment_names_the_laws_that_have_gains(made):
+    new = made("gripper")
+    text = new.scenario_file.read_text()
+    named = re.search(r"^# One of ([\w, ]+), whose gains are below", text, re.MULTILINE)[1]
+    assert named.split(", ") == list(yaml.safe_load(text)["controllers"])

@@ -242,7 +242,7 @@ FIRST = 'type="revolute"'
 REFUSED = {
     "world": (
         plus(link("world"), joint("root", "world", "bus", kind="fixed")),
-        "the base 'bus' is attached to the world; remove joint 'root' and link 'world'",
+        "or free a spacecraft: remove joint 'root' and link 'world'",
     ),
     "no moving joint": (replaced(FIRST, 'type="fixed"'), "has no joint that moves"),
     "planar": (

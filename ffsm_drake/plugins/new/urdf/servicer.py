@@ -229,9 +229,9 @@ class _Tree:
     def _check_joint(self, joint: Joint) -> None:
         require(
             joint.parent != WORLD,
-            f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
-            f"and link '{WORLD}' (in MJCF: give the body a <freejoint/>), so that the base is "
-            "free, or mount it on a bus with --bus-mass KG",
+            f"the base '{joint.child}' is attached to the world; mount an arm on a bus with "
+            f"--bus-mass KG, or free a spacecraft: remove joint '{joint.name}' and link '{WORLD}' "
+            "(in MJCF: give the body a <freejoint/>)",
         )
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             require(
