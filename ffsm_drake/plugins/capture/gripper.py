@@ -323,7 +323,7 @@ class GripperForce(LeafSystem):
         into = np.swapaxes(R_WE, 1, 2)
         turn = turn_between(q_WE, composed(q_WP, self._q_PE[copies]))
         from_P = times(matrix_of(q_WP), self._p_PE[copies])
-        from_E = p_WP + from_P - p_WE  # of the target's grasp frame, world axes
+        from_E = p_WP + from_P - p_WE  # place of the grasp frame, world axes
         moves = v + cross_of(w, from_P) - v_E - cross_of(w_E, from_E)
         return Met(
             motion=motion,

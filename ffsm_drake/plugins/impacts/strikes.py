@@ -41,7 +41,7 @@ _HELD = 0.5 * WIDTH + TIP + TIP_REACH * math.cos(TIP_ANGLE)
 _QUARTER = 0.5 * np.pi
 _AWAY, _APART = 0.16, 0.05  # m; of a tip from the target's centre, of mirrored hands
 _K_P, _K_D = 400.0, 40.0  # 1/s^2, 1/s; of tips and hands about their plans
-_STIFF = 1e4, 200.0  # of hands that hold
+_STIFF = 1e4, 200.0  # likewise, for hands that hold
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
