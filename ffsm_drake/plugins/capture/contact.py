@@ -13,6 +13,7 @@ from ffsm_drake.common.plugins import service
 from ffsm_drake.common.so3 import quaternion_of
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
+from ffsm_drake.plugins.capture.plastic import plastic_grasp
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.scenario.contacts import closing_contacts
@@ -21,7 +22,6 @@ from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
     Contact,
-    plastic_grasp,
     shift_moment,
 )
 from ffsm_drake.spacecraft.nominal import PlantModel

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact, target_twist
+from ffsm_drake.plugins.capture.plastic import plastic_grasp
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix, load_scenario
-from ffsm_drake.spacecraft.grasp import plastic_grasp
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 

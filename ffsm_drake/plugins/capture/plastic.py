@@ -1,0 +1,76 @@
+"""The grasp of a moving target as a plastic impact: final velocities, impulses, lost energy.
+
+With v of the servicer and V = [w_WP; v_WP] of the target's frame P, world axes, the impulse G
+on the target at P gives
+
+    M_s v+ = M_s v - J^T G + S^T g,    M_T V+ = M_T V + G,    V+ = J v+,
+
+with J the Jacobian of P as a point of the arm, and g the impulses of the brakes (S picks the braked
+joints, S v+ = 0). Without brakes M_c v+ = M_s v + J^T M_T V, with M_c = M_s + J^T M_T J,
+the mass matrix with the target held. Finite forces have no effect in an instant, so momentum is
+conserved exactly, and v+ has the least energy of all motions with this momentum (and with the
+braked joints at rest).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ffsm_drake.spacecraft.grasp import Grasp
+
+
+def plastic_grasp(
+    *,
+    mass_matrix: np.ndarray,
+    jacobian: np.ndarray,
+    target_inertia: np.ndarray,
+    velocity: np.ndarray,
+    target_velocity: np.ndarray,
+    braked: Sequence[int] = (),
+    constraints: np.ndarray | None = None,
+) -> Grasp:
+    """The plastic grasp; see the module docstring.
+
+    Args:
+      mass_matrix: M_c (nv, nv) of the servicer with the target in its grasp.
+      jacobian: J (6, nv), [w_WP; v_WP] = J v of the target's frame P in the grasp, world axes.
+      target_inertia: M_T (6, 6), the target's spatial inertia about P, world axes.
+      velocity: v (nv) of the servicer before.
+      target_velocity: V (6), [w_WP; v_WP] of the target before.
+      braked: indices of the joints in v that brakes stop; the base, v[:6], has none.
+      constraints: A (m, nv) of further hands that grasp in the same instant, A v+ = 0; none with
+        brakes.
+    """
+    if any(not 6 <= index < velocity.size for index in braked):
+        raise ValueError(
+            f"braked: joints of v have the indices 6 to {velocity.size - 1}, not {list(braked)}"
+        )
+    # M_T times the target's relative velocity
+    change = target_inertia @ (target_velocity - jacobian @ velocity)
+    p = mass_matrix @ velocity + jacobian.T @ change
+    free = np.setdiff1d(np.arange(velocity.size), braked)
+    after, brakes = np.zeros_like(velocity), np.zeros_like(velocity)
+    if free.size == velocity.size:
+        after = velocity + np.linalg.solve(mass_matrix, jacobian.T @ change)
+    else:
+        after[free] = np.linalg.solve(mass_matrix[np.ix_(free, free)], p[free])
+        brakes[list(braked)] = (mass_matrix @ after - p)[list(braked)]
+    if constraints is not None:
+        inverse = np.linalg.solve(mass_matrix, constraints.T)
+        after -= inverse @ np.linalg.solve(constraints @ inverse, constraints @ after)
+    target_momentum = target_inertia @ target_velocity
+    held = target_inertia @ (jacobian @ velocity)  # momentum of a target moving with the arm
+    return Grasp(
+        velocity=after,
+        impulse=target_inertia @ (jacobian @ after) - target_momentum,
+        brake_impulse=brakes,
+        energy_before=0.5
+        * float(
+            velocity @ mass_matrix @ velocity
+            - (jacobian @ velocity) @ held
+            + target_velocity @ target_momentum
+        ),
+        energy_after=0.5 * float(after @ mass_matrix @ after),
+        momentum_before=(mass_matrix @ velocity)[:6] + jacobian[:, :6].T @ (target_momentum - held),
+        momentum_after=(mass_matrix @ after)[:6],
+    )
