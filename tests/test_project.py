@@ -71,6 +71,13 @@ def test_the_installed_entry_points_are_those_of_the_project():
     assert installed == PROJECT["entry-points"]
 
 
+def test_the_source_distribution_holds_what_the_metadata_are_made_of():
+    hatch = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]
+    hook = Path(hatch["metadata"]["hooks"]["custom"]["path"])
+    assert (ROOT / hook).is_file()
+    assert {"README.md", hook.parts[0]} <= set(hatch["build"]["targets"]["sdist"]["include"])
+
+
 def test_the_readme_of_a_package_index_has_addresses_alone(tmp_path, monkeypatch):
     build = pytest.importorskip("hatchling.build", reason="the build backend is not installed")
     monkeypatch.chdir(ROOT)
