@@ -326,6 +326,7 @@ class _Contact(LeafSystem):
         coordinates, split = setup.coordinates, self._model.split
         plant = self._model.plant
         self._chain = ClosedChain(plant, setup.scenario, true=True)
+        self._places = self._chain.loops
         nv, nq = len(coordinates.names), len(coordinates.position_names)
         self._split, self._known = split, split.known if split.names else None
         loss = damping_of(plant)
@@ -367,6 +368,7 @@ class _Contact(LeafSystem):
         """
         plant, own, chain = self._model.plant, self._model.context, self._chain
         plant.SetPositionsAndVelocities(own, state)
+        chain.loops = self._places  # not where an earlier run has closed
         sizes = [
             np.linalg.norm((chain.wrench_map @ each).reshape(-1, 3), axis=1).reshape(-1, 2)
             for each in (chain.gap(own), chain.jacobian(own) @ state[plant.num_positions() :])

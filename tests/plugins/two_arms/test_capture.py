@@ -10,6 +10,7 @@ from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_tr
 from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact
 from ffsm_drake.plugins.two_arms.motion import closed_chain
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 TURN = np.deg2rad(3.0)
@@ -146,6 +147,16 @@ def test_an_approach_to_a_tumbling_target(closes: float) -> None:
     assert not np.nan_to_num(wrench[:begins]).any()
     assert np.isfinite(wrench[begins:]).all()
     assert run.dataset["phase"].values.tolist().count("approach") == 300
+
+
+@pytest.mark.slow
+def test_an_approach_in_a_kept_rollout_gives_the_same_bits_again() -> None:
+    given = [load_scenario("two_arms_capture", [*APPROACH, f"random_seed={k}"]) for k in (1, 2)]
+    kept = make_rollout(given[0])
+    logs = [kept.run(each).series for each in (given[0], given[1], given[0])]
+    for name, values in logs[0].items():
+        assert np.array_equal(logs[2][name], values, equal_nan=True)
+    assert not np.array_equal(logs[1]["state"], logs[0]["state"])
 
 
 @pytest.mark.long
