@@ -368,11 +368,12 @@ class _Contact(LeafSystem):
         """
         plant, own, chain = self._model.plant, self._model.context, self._chain
         plant.SetPositionsAndVelocities(own, state)
-        chain.loops = self._places  # not where an earlier run has closed
+        held, chain.loops = chain.loops, self._places  # not where an earlier run has closed
         sizes = [
             np.linalg.norm((chain.wrench_map @ each).reshape(-1, 3), axis=1).reshape(-1, 2)
             for each in (chain.gap(own), chain.jacobian(own) @ state[plant.num_positions() :])
         ]
+        chain.loops = held
         largest = np.concatenate([each.max(axis=0) for each in sizes]).tolist()
         return dict(zip(("angle", "distance", "rate", "speed"), largest, strict=True))
 
