@@ -202,6 +202,37 @@ def test_a_run_with_a_supervisor_is_that_of_drake_but_for_rounding():
     np.testing.assert_allclose(velocity, drake.dataset["velocity"].values, rtol=0, atol=1e-9)
 
 
+# From a posture near that at the grasp; the last two slip and miss, and run again alone.
+CLOSING = (
+    "duration=1.5",
+    "reference.duration=3",
+    "capture.approach={duration: 1.0, posture: {base_position: [0.1, 0.3, -0.2], joints: "
+    "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}}}",
+    "capture.approach.posture.base_rpy=[0.11, 0.08, -0.1]",
+    "capture.closing={time: 0.4, hold: 0.4, rest: 0.05}",
+    "supervisor={}",
+)
+ENDS = {
+    "capture.closing.friction=0.3": "completed",
+    "payload.truth.mass=80": "completed",
+    "capture.closing.friction=1e-4": "slipped",
+    "capture.envelope.velocity=1e-6": "missed",
+}
+
+
+@pytest.mark.slow
+def test_grippers_that_close_end_as_with_drake():
+    base = load_scenario("tumbling_capture", CLOSING)
+    scenarios = [override_scenario(base, [each]) for each in ENDS]
+    drake, generated = (simulate_many(scenarios, dynamics=each) for each in ("drake", "generated"))
+    for record, other, end in zip(generated, drake, ENDS.values(), strict=True):
+        assert record.outcome.status == other.outcome.status == end
+        assert record.dynamics.startswith("generated" if end == "completed" else "drake (")
+        for name in ("position", "velocity", "contact_force"):
+            own, its = record.dataset[name].values, other.dataset[name].values
+            np.testing.assert_allclose(own, its, rtol=1e-7, atol=1e-7, err_msg=name)
+
+
 def test_code_that_differs_from_drake_is_refused(monkeypatch):
     plant = drawn_tree(11, 1)
     tree = Reader(plant).tree
