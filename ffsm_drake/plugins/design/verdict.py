@@ -241,8 +241,10 @@ class Verdict:
         if self.linear is not None and self.linear.is_alarm:
             yield self.linear.sentence
         if self._overloaded:
-            share = f"{number(100.0 * (self.load or 0.0), 3)} %"
-            yield f"after the grasp it requires {share} of the force limit"
+            load = self.load or 0.0
+            asks = f"it requires {number(100.0 * load, 3)} % of the force limit"
+            grows = "its force grows without bound"
+            yield f"after the grasp {asks if math.isfinite(load) else grows}"
         if self.noises is not None and self._diverges_by_noise:
             yield f"under its limits: {self.noises}"
         if self.run is not None and self.run.is_alarm:

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.design.verdict import Verdict, verdict
 
 UNSTABLE_AT_START = ["controllers.tde_aismc.k_s_initial=150", "duration=21"]
 
@@ -44,6 +44,21 @@ def test_a_disagreement_is_the_finding():
     alone = verdict(load_scenario("postcapture", UNSTABLE_AT_START), rehearsal=False)
     (warning,) = alone.warnings
     assert "unstable" in warning
+
+
+@pytest.mark.parametrize(
+    ("load", "said"),
+    [
+        (float("inf"), "its force grows without bound"),
+        (1.5, "it requires 150 % of the force limit"),
+    ],
+)
+def test_a_load_beyond_the_limit_is_told_as_a_number_or_in_words(load, said):
+    found = Verdict(
+        linear=None, not_linear="", load=load, noises=None, run=None, planned=(), margins=None,
+        not_margins="",
+    )  # fmt: skip
+    assert f"after the grasp {said}" in "; ".join(found.warnings)
 
 
 def test_nothing_is_concluded_from_a_loop_that_cannot_be_linearised():
