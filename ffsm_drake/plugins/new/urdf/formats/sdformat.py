@@ -68,7 +68,8 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     for follower, (leader, mimic) in mimics.items():
         if follower in unique:
             mimic.set("joint", unique.get(leader, leader))
-            root.find(f"joint[@name='{unique[follower]}']").append(mimic)  # type: ignore[union-attr]
+            place = f"joint[@name='{unique[follower]}']"
+            root.find(place).append(mimic)  # type: ignore[union-attr]
     faults.raise_all()
     for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
         for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
