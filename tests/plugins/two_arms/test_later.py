@@ -201,6 +201,19 @@ def test_a_flexible_panel_moves_on_through_the_closing(closes: float) -> None:
         check_closing(run)
 
 
+@pytest.mark.slow
+def test_a_compliant_hand_begins_with_its_spring_at_rest() -> None:
+    soft = ("contacts.right.kind=compliant", "chain.law=plain")
+    fine = "simulator_config.max_step_size=0.001"
+    run = simulate(scenario(*soft, fine, "duration=1.5", closes=1), check_stability=False)
+    assert run.outcome.status == "completed"
+    data, k = run.dataset, 100
+    assert np.abs(data["contact_gap"].values[k]).max() < 1e-12
+    assert 0.0 < np.abs(data["contact_gap"].values[k:]).max() < 1e-3
+    assert run.metrics["contacts"]["force"] < 1.0
+    assert run.metrics["contacts"]["closing"]["energy_lost"] == 0.0
+
+
 def test_a_rollout_that_is_kept_gives_the_same_bits_again() -> None:
     seeds = [scenario("duration=3", "reference.duration=2.5", f"random_seed={k}") for k in (1, 2)]
     kept = make_rollout(seeds[0])
