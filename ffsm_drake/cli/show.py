@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     "--width",
     type=FiniteFloat(min=5.0, max=50.0),
     metavar="INCHES",
-    help="Fit the figures to a page's width, such as 7.16 of two columns: small labels, no "
-    "headings.",
+    help="Fit the figures, with three panels side by side, to a page's width from 5 inches on, "
+    "such as 7.16 of two columns: small labels, no headings.",
 )
 @out_option(help="Default: the first RUN_DIR.")
 def plot(runs: tuple[Path, ...], formats: str, width: float | None, out: Path | None) -> None:
