@@ -87,7 +87,6 @@ def simulate(
         rollout.release()
 
 
-@step("building the loop")
 def prepare(
     scenario: Scenario,
     *,
@@ -111,7 +110,8 @@ def prepare(
             for remark in plan_remarks(scenario):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         # before the verdict, which takes longer: a wrong name shows at once
-        rollout = make_rollout(scenario, blocks=blocks, meshcat=meshcat)
+        with step("building the loop"):
+            rollout = make_rollout(scenario, blocks=blocks, meshcat=meshcat)
         try:
             if (
                 check_stability

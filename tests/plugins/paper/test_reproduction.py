@@ -441,7 +441,7 @@ def check_figures(folder):
         assert (pixels.min(axis=2) < 0.9).mean() > 0.01, path.name
         assert (np.ptp(pixels, axis=2) > 0.3).mean() > 0.0005, path.name
     for path in folder.glob("*.svg"):
-        assert path.read_text().count("<path") > 10, path.name
+        assert len(re.findall("<(?:path|text)", path.read_text())) > 10, path.name
 
 
 def test_the_figures_are_not_blank(written):
