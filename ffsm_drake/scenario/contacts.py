@@ -43,7 +43,7 @@ class Contact:
         least=0,
     )
     stabilization: float = setting(
-        10.0,
+        50.0,
         "1/s",
         "rate at which a gap of a rigid contact decays (Baumgarte)",
         least=0,

@@ -7,7 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+)
 from pydrake.systems.primitives import (
     Adder,
     ConstantVectorSource,
@@ -247,13 +254,13 @@ class ContactForce(Diagram):
         for index in range(self._contact.num_input_ports()):
             port = self._contact.get_input_port(index)
             builder.ExportInput(port, port.get_name())
-        nv = len(setup.coordinates.names)
-        whole = self._contact.get_output_port().size()
-        size = (whole - nv) // 2
-        parts = builder.AddSystem(Demultiplexer([nv, size, size]))
-        builder.Connect(self._contact.get_output_port(), parts.get_input_port())
-        for index, name in enumerate(("generalized_force", WRENCHES, GAP)):
+        acting, gap = map(self._contact.get_output_port, range(2))
+        size = gap.size()
+        parts = builder.AddSystem(Demultiplexer([len(setup.coordinates.names), size]))
+        builder.Connect(acting, parts.get_input_port())
+        for index, name in enumerate(("generalized_force", WRENCHES)):
             builder.ExportOutput(parts.get_output_port(index), name)
+        builder.ExportOutput(gap, GAP)
         self._made = list[ConstantVectorSource]()
         if any(each.closes for each in closing_contacts(setup.scenario).values()):
             for name, values in ((CLOSING, np.zeros(len(_CLOSING))), (LOSS, np.zeros(1))):
@@ -313,11 +320,13 @@ def _noise(scenario: Scenario) -> np.ndarray:
 
 
 class _Contact(LeafSystem):
-    """Force, wrenches and gaps in one output: with three, Drake would call it three times.
+    """Force and wrenches in one output: with two, Drake would call it twice.
 
-    A rigid contact holds A v = 0: its multipliers solve A H^-1 (f + A' lambda) = -(dA/dt v + 2 w A
-    v + w^2 gap), f being all other forces and w its ``stabilization``. A compliant one gives lambda
-    = -(K gap + D A v).
+    A rigid contact holds A v = 0: its multipliers solve A H^-1 (f + A' lambda) = -(dA/dt v + c), f
+    being all other forces. The correction c (state) of a sample is k_1 gap + k_2 A v at its
+    beginning; both decay with exp(-w t), w being its ``stabilization``. A correction of each stage
+    would take the stages' own gaps, O(h^2), for errors. A compliant contact gives lambda = -(K gap
+    + D A v).
     """
 
     def __init__(self, setup: BlockSetup) -> None:
@@ -339,17 +348,30 @@ class _Contact(LeafSystem):
         self._other = self.DeclareVectorInputPort("other_force", nv)
         hidden = 2 * len(split.names)
         self._hidden = self.DeclareVectorInputPort("hidden_state", hidden) if hidden else None
-        size = nv + 12 * len(self._chain.loops)
-        self._nv, self._values = nv, np.empty(size)
-        self.DeclareVectorOutputPort("all", size, weak_callback(self._calc))
+        size = 6 * len(self._chain.loops)
+        self._nv, self._values = nv, np.empty(nv + size)
+        self.DeclareVectorOutputPort("acting", nv + size, weak_callback(self._calc))
+        # at the state alone: read between two stages
+        states = {self.input_port_ticket(self._state.get_index())}
+        if self._hidden is not None:
+            states.add(self.input_port_ticket(self._hidden.get_index()))
+        self.DeclareVectorOutputPort(
+            "gap", size, weak_callback(self._calc_gap), prerequisites_of_calc=states
+        )
+        self.DeclareDiscreteState(self._rigid.size)
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            setup.scenario.sample_time, 0.0, weak_callback(self._correct)
+        )
         untie(self)
 
     def _set_gains(self) -> None:
         """Rates (m) of rigid contacts, stiffness and damping (m, m) of compliant ones."""
         loops = self._chain.loops
         rows = [len(loop.rows) for loop in loops]
+        h = self._scenario.sample_time
         w = np.repeat([loop.contact.stabilization for loop in loops], rows)
-        self._twice, self._square = 2.0 * w, w * w
+        p = np.exp(-w * h)  # both poles of x'' = -(k_1 x + k_2 x'), held for h
+        self._k = ((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)
         compliant = np.repeat([loop.contact.kind == "compliant" for loop in loops], rows)
         self._rigid, self._soft = np.flatnonzero(~compliant), np.flatnonzero(compliant)
         self._stiffness, self._damping = (
@@ -404,22 +426,50 @@ class _Contact(LeafSystem):
         ledger["loss"] = 0.5 * float((v - after) @ H @ (v + after))
         return np.concatenate([q, after]), ledger
 
+    def _whole(self, context: Context) -> np.ndarray:
+        """The plant's own [q; v]."""
+        state: np.ndarray = self._state.Eval(context)
+        return (
+            state if self._hidden is None else self._split.whole(state, self._hidden.Eval(context))
+        )
+
     def _calc(self, context: Context, output: BasicVector) -> None:
-        state, force = self._state.Eval(context), self._other.Eval(context)
+        state, force = self._whole(context), self._other.Eval(context)
         if self._hidden is not None:
-            state = self._split.whole(state, self._hidden.Eval(context))
             force = self._split.whole_velocities(force)
-        if (content := state.tobytes()) != self._kept[0]:
-            self._kept = content, self._geometry(state)
-        found = self._kept[1]
-        multipliers = found.soft if found.inner is None else self._rigid_ones(found, state, force)
+        found = self._found(state)
+        multipliers = found.soft
+        if found.inner is not None:
+            correction = context.get_discrete_state_vector().value()
+            multipliers = self._rigid_ones(found, state, force, correction)
         acts, values = multipliers @ found.jacobian, self._values
         values[: self._nv] = acts if self._known is None else acts[self._known]
-        values[self._nv : -len(found.gap)] = -self._wrench(multipliers)  # on the target
-        values[-len(found.gap) :] = found.gap
+        values[self._nv :] = -self._wrench(multipliers)  # on the target
         output.SetFromVector(values)
 
-    def _rigid_ones(self, found: "_Geometry", state: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def _calc_gap(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._wrench(self._gap(self._whole(context))))
+
+    def _correct(self, context: Context, after: DiscreteValues) -> None:
+        state = self._whole(context)
+        rate = self._found(state).jacobian @ state[self._model.plant.num_positions() :]
+        found = self._k[0] * self._gap(state) + self._k[1] * rate
+        after.set_value(found[self._rigid])
+
+    def _gap(self, state: np.ndarray) -> np.ndarray:
+        """The gap (m) at the plant's state [q; v]."""
+        self._model.plant.SetPositionsAndVelocities(self._model.context, state)
+        return self._chain.gap(self._model.context)
+
+    def _found(self, state: np.ndarray) -> "_Geometry":
+        if (content := state.tobytes()) != self._kept[0]:
+            self._kept = content, self._geometry(state)
+        found: _Geometry = self._kept[1]
+        return found
+
+    def _rigid_ones(
+        self, found: "_Geometry", state: np.ndarray, force: np.ndarray, correction: np.ndarray
+    ) -> np.ndarray:
         """The multipliers (m) with those of rigid contacts, under all other forces (nv)."""
         force = force + found.given
         if self._known is not None:  # with the springs of flexible parts
@@ -428,7 +478,8 @@ class _Contact(LeafSystem):
             plant.get_applied_generalized_force_input_port().FixValue(own, force)
             acceleration = plant.get_generalized_acceleration_output_port().Eval(own)
             force = plant.CalcMassMatrix(own) @ acceleration
-        _, rigid, failed = dposv(found.inner, found.wanted - force @ found.inverse)
+        wanted = found.wanted - correction
+        _, rigid, failed = dposv(found.inner, wanted - force @ found.inverse)
         if failed:  # a singular posture
             rigid = np.full(rigid.size, np.nan)
         if not self._soft.size:
@@ -447,38 +498,34 @@ class _Contact(LeafSystem):
         plant, own, chain = self._model.plant, self._model.context, self._chain
         plant.SetPositionsAndVelocities(own, state)
         v = state[plant.num_positions() :]
-        jacobian, gap = chain.jacobian(own), chain.gap(own)
-        rate, soft, given = jacobian @ v, None, np.zeros(v.size)
+        jacobian = chain.jacobian(own)
+        soft, given = None, np.zeros(v.size)
         if self._known is None:
             given = -plant.CalcBiasTerm(own)
             if self._loss is not None:
                 given -= self._loss * v
         if self._soft.size:
-            soft = -(self._stiffness @ gap + self._damping @ rate)
+            soft = -(self._stiffness @ chain.gap(own) + self._damping @ (jacobian @ v))
             soft[self._rigid] = 0.0
             given += soft @ jacobian
         if not self._rigid.size:
-            return _Geometry(jacobian, self._wrench(gap), soft, given)
-        wanted = self._twice * rate
-        wanted += self._square * gap
-        wanted += chain.bias(own)
-        rows = jacobian
+            return _Geometry(jacobian, soft, given)
+        wanted, rows = chain.bias(own), jacobian
         if self._soft.size:
             rows, wanted = jacobian[self._rigid], wanted[self._rigid]
         _, inverse, _ = dposv(plant.CalcMassMatrix(own), rows.T)  # H^-1 A'
-        return _Geometry(jacobian, self._wrench(gap), soft, given, rows @ inverse, inverse, -wanted)
+        return _Geometry(jacobian, soft, given, rows @ inverse, inverse, -wanted)
 
 
 class _Geometry(NamedTuple):
     """The contacts' quantities that depend on the plant's state alone."""
 
     jacobian: np.ndarray  # A (m, nv)
-    gap: np.ndarray  # (6 for each contact)
     soft: Any  # (m) multipliers of compliant contacts; None: there are none
     given: np.ndarray  # (nv) known forces: of compliant contacts, bias and damping
     inner: Any = None  # A H^-1 A' (r, r) of the rigid contacts; None: there are none
     inverse: Any = None  # H^-1 A' (nv, r)
-    wanted: Any = None  # (r) A dv/dt
+    wanted: Any = None  # (r) A dv/dt, without the correction
 
 
 def _stiffness(contact: Contact) -> list[float]:

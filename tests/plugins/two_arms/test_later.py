@@ -56,7 +56,7 @@ def drawn(folder: Path, seed: int) -> Scenario:
     return given.replace(**changes)
 
 
-def check_closing(run: RunRecord, *, gap: float = 1e-9) -> int:
+def check_closing(run: RunRecord) -> int:
     """Check the closing of the second hand; its sample."""
     given, data = run.scenario, run.dataset
     k = round((given.grasp_time + given.contacts["right"].closes) / given.sample_time)
@@ -65,7 +65,7 @@ def check_closing(run: RunRecord, *, gap: float = 1e-9) -> int:
     assert sum(of_momentum) == 2
     assert data["contact_closing"].values[k, of_momentum].max() < 1e-12
     assert run.metrics["contacts"]["closing"]["energy_lost"] >= 0.0
-    assert run.metrics["contacts"]["gap"] < gap
+    assert run.metrics["contacts"]["gap"] < 1e-9
     for name in ("contact_wrench", "contact_gap", "contact_loss", "contact_closing"):
         assert not data[name].values[:k].any()
         assert data[name].values[k:].any()
@@ -165,7 +165,7 @@ def test_the_hand_comes_to_its_place_with_the_targets_motion(
 def test_no_drawn_run_is_lost(tmp_path: Path, seed: int) -> None:
     run = simulate(drawn(tmp_path, seed), check_stability=False)
     assert run.outcome.status == "completed", run.outcome
-    check_closing(run, gap=5e-9)
+    check_closing(run)
     assert max(run.metrics["final_error"].values()) < 1e-3
 
 

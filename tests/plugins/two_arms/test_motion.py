@@ -54,7 +54,7 @@ def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario)
     assert run.outcome.status == "completed"
     assert max(run.metrics["final_error"].values()) < 1e-4
     assert contacts["force"] < 5.0
-    assert contacts["gap"] < 1e-8
+    assert contacts["gap"] < 1e-9
 
 
 @pytest.mark.parametrize(

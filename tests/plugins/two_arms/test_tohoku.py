@@ -48,5 +48,5 @@ def test_the_mass_is_the_published_one(model: PlantModel) -> None:
 def test_both_hands_catch_the_cube() -> None:
     run = simulate(load_scenario("tohoku_arms", ["duration=12", "reference.duration=8"]))
     assert run.ending.is_settled
-    assert run.metrics["contacts"]["gap"] < 1e-8
+    assert run.metrics["contacts"]["gap"] < 1e-9
     assert run.metrics["contacts"]["force"] < 0.1
