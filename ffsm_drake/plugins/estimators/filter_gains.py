@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from ffsm_drake.common.memo import memoized
 # Least noise of a measurement, in units of acceleration, as a fraction of the larger of the other
 # measurement's and the walk's: below it double precision cannot solve the Riccati equation.
 SMALLEST_RATIO = 1e-7
+# Least noise of a position in the same units, as a fraction of the smaller of the velocity's and
+# the walk's. Held forces move sampled positions with a zero at z = -1: the filter of exact ones has
+# a pole there, and any error of the model makes the loop alternate; here it stays above -0.7.
+_OF_POSITION = 0.1
 # Largest work on the gains of late and slow sensors, in multiplications, roughly: seconds.
 _LARGEST = 3e8
 
@@ -34,7 +38,7 @@ def kalman_gain(
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     output = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     sigma = np.array([position_noise / step**2, velocity_noise / step])
-    noise = np.maximum(sigma, SMALLEST_RATIO * max(*sigma, walk * np.sqrt(step))) ** 2
+    noise = _assumed(sigma, walk * np.sqrt(step)) ** 2
     scale = noise.min()
     process = np.diag([0.0, 0.0, walk**2 * step]) / scale
     covariance = solve_discrete_are(transition.T, output.T, process, np.diag(noise / scale))
@@ -45,6 +49,16 @@ def kalman_gain(
     )
     size = np.array([step**2, step, 1.0])
     return gain * size[:, None] / size[:2]
+
+
+def _assumed(sigma: np.ndarray, walk: Any) -> np.ndarray:
+    """Noises (2 n) of positions and velocities that a filter can have, from given ones and the
+    walk's (n) in a sample, all in units of acceleration.
+    """
+    position, velocity = np.split(sigma, 2)
+    position = np.maximum(position, _OF_POSITION * np.minimum(velocity, walk))
+    least = SMALLEST_RATIO * max(sigma.max(), np.max(walk))
+    return np.maximum(np.concatenate([position, velocity]), least)
 
 
 def coupled_gain(
@@ -79,8 +93,7 @@ def coupled_gain(
     )
     output[size + biased, np.arange(3 * size, whole)] = -1.0
     sigma = np.concatenate([position_noise / step**2, velocity_noise / step])
-    fastest = float(np.abs(response @ walk).max()) * math.sqrt(step)
-    noise = np.maximum(sigma, SMALLEST_RATIO * max(float(sigma.max()), fastest)) ** 2
+    noise = _assumed(sigma, np.linalg.norm(response * walk, axis=1) * math.sqrt(step)) ** 2
     walks = np.concatenate([np.zeros(2 * size), walk, bias_walk[biased] / step])
     process = np.diag(walks**2 * step) / noise.min()
     of_noise = np.diag(noise / noise.min())
@@ -159,7 +172,7 @@ class _LateFilter:
         output[1, 3] = -1.0 if axis.bias_walk > 0.0 else 0.0
         sigma = np.array([axis.position_noise / step**2, axis.velocity_noise / step])
         walks = np.array([axis.walk, axis.bias_walk / step]) * math.sqrt(step)
-        noise = np.maximum(sigma, SMALLEST_RATIO * max(*sigma, walks[0])) ** 2
+        noise = _assumed(sigma, walks[0]) ** 2
         process = np.zeros((size, size))
         process[2, 2], process[3, 3] = walks**2 / noise.min()
         noise = noise / noise.min()

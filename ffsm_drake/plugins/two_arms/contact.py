@@ -25,6 +25,7 @@ from pydrake.systems.primitives import (
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dposv
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.loop import blocks
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
@@ -34,6 +35,7 @@ from ffsm_drake.scenario.contacts import WRENCH, Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import change_payload, damping_of, make_flexible_plant
+from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.part import INTERNAL_WORK, Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -344,6 +346,7 @@ class _Contact(LeafSystem):
         # the one before
         self._kept: tuple[bytes, Any] = b"", None
         self._set_gains()
+        self._check_step()
         self._state = self.DeclareVectorInputPort("state", nq + nv)
         self._other = self.DeclareVectorInputPort("other_force", nv)
         hidden = 2 * len(split.names)
@@ -378,6 +381,31 @@ class _Contact(LeafSystem):
             block_diag(*(loop.rows @ np.diag(gains(loop.contact)) @ loop.rows.T for loop in loops))
             for gains in (_stiffness, _damping)
         )
+
+    def _check_step(self) -> None:
+        """Raise ScenarioError for springs too fast for steps of Runge-Kutta's third order."""
+        config, plant = self._scenario.simulator_config, self._model.plant
+        if not self._soft.size or config.integration_scheme != "runge_kutta3":
+            return
+        posture = configuration(plant, self._scenario.initial_posture, key="initial_posture")
+        plant.SetPositions(self._model.context, posture)
+        A, H = self._chain.jacobian(self._model.context), plant.CalcMassMatrix(self._model.context)
+        inner = A @ np.linalg.solve(H, A.T)
+        zero, one = np.zeros_like(inner), np.eye(len(inner))
+        poles = np.linalg.eigvals(
+            np.block([[zero, one], [-inner @ self._stiffness, -inner @ self._damping]])
+        )[:, None]
+        steps = config.max_step_size * 0.5 ** np.arange(30)
+        z = steps * poles[np.abs(poles[:, 0]) > 1e-6]
+        growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0))).max(axis=0)
+        if growth[0] > 1.0:
+            loop = next(each for each in self._chain.loops if each.contact.kind == "compliant")
+            raise ScenarioError(
+                f"contacts.{loop.name}.kind",
+                f"its spring vibrates at up to {np.abs(poles).max():.3g} rad/s, too fast for steps "
+                f"of {config.max_step_size:g} s; set simulator_config.max_step_size to "
+                f"{steps[np.argmax(growth <= 1.0)]:.3g}",
+            )
 
     def set_payload(self, properties: MassProperties) -> None:
         """Give the payload other mass properties."""

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.linalg.lapack import dgesv, dposv
 
-from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.products import times
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.contacts import InternalForce
+from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
@@ -294,9 +294,16 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
 
     Raises:
       BlockError: the controller is not a control law, or needs the velocities of all joints.
-      ScenarioError: see ClosedChain.
+      ScenarioError: a contact is compliant; see ClosedChain.
     """
     scenario, nominal = setup.scenario, setup.nominal
+    for name, contact in closing_contacts(scenario).items():
+        if contact.kind == "compliant":
+            raise ScenarioError(
+                f"contacts.{name}.kind",
+                "compliant does not go with chain.law: minimal, which takes the chain for rigid; "
+                "set chain.law: plain",
+            )
     chain = ClosedChain(nominal.plant, scenario, true=False)
     shared = {name: getattr(nominal, name) for name in ("plant", "context", "coordinates", "split")}
     tree = TreeModel(**shared, chain=chain)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.common.plugins import SERVICES, offered
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.estimators.estimators import (
     CoupledEstimator,
     KalmanEstimator,
@@ -774,6 +775,30 @@ def test_gain_exists_for_exact_measurements(position, velocity):
             position_noise=position, velocity_noise=velocity, walk=walk, sample_time=0.01
         )
         assert np.isfinite(gain).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_filter_alternates_with_exact_positions(seed):
+    """Held accelerations move sampled positions with a zero at -1, which is no pole of a filter."""
+    rng = np.random.default_rng(seed)
+    position, velocity, walk = 10.0 ** rng.uniform([-14, -9, -4], [-7, -2, 1])
+    step = 10.0 ** rng.uniform(-3, -1)
+    transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
+    one = {"velocity_noise": velocity, "walk": walk, "sample_time": step}
+    for given in (0.0, position):
+        gain = kalman_gain(position_noise=given, **one)
+        poles = np.linalg.eigvals((np.eye(3) - gain @ np.eye(2, 3)) @ transition)
+        assert poles.real.min() > -0.75
+        assert np.abs(poles).max() < 1.0
+
+
+@pytest.mark.parametrize("kind", ["kalman", "coupled"])
+def test_a_loop_with_exact_positions_is_stable(kind):
+    """As the paper's, whose positions are exact; the nominal payload is lighter than the true."""
+    scenario = load_scenario("postcapture", [f"estimator.kind={kind}"])
+    assert not scenario.sensing.position_noise["all"]
+    with Linearizer(scenario) as linearizer:
+        assert max(each.spectral_radius for each in linearizer.along((0.0, 1.0))) < 0.995
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_any_closing_is_plastic(seed: int) -> None:
     """From drawn states: momentum kept, least energy among motions of the chain with it."""
     generator = np.random.default_rng(seed)
     kind = ("rigid", "compliant")[seed % 5 == 4]
-    given = scenario(f"contacts.right.kind={kind}")
+    given = scenario(f"contacts.right.kind={kind}", "simulator_config.max_step_size=0.001")
     given.closed = given.contacts["right"].closes
     nominal = make_nominal_plant(given)
     block = ContactForce(BlockSetup(name="", scenario=given, nominal=nominal, settings={}))
@@ -199,6 +199,15 @@ def test_a_flexible_panel_moves_on_through_the_closing(closes: float) -> None:
     assert run.metrics["contacts"]["gap"] < 1e-9
     if closes:
         check_closing(run)
+
+
+@pytest.mark.parametrize("kind", ["kalman", "coupled"])
+def test_an_estimator_keeps_the_force_small_after_a_closing(kind: str) -> None:
+    given = scenario(f"estimator.kind={kind}", "duration=3", "reference.duration=2.5", closes=1.5)
+    run = simulate(given, check_stability=False)
+    check_closing(run)
+    assert run.metrics["contacts"]["force"] < 1.0
+    assert run.metrics["contacts"]["moment"] < 2.0
 
 
 @pytest.mark.slow

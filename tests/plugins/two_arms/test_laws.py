@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from ffsm_drake import BlockError, ControlLaw, Scenario, load_scenario, make_nominal_plant, simulate
+from ffsm_drake import (
+    BlockError,
+    ControlLaw,
+    Scenario,
+    ScenarioError,
+    load_scenario,
+    make_nominal_plant,
+    simulate,
+)
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.two_arms.growth import growth
@@ -190,6 +198,15 @@ def test_the_chains_model_is_that_of_the_constrained_tree() -> None:
 def test_laws_of_the_whole_tree_are_refused(law: str) -> None:
     with pytest.raises(BlockError, match=f"controller '{law}' needs the velocities of all joints"):
         simulate(scenario(f"controller={law}", "duration=0.1"), check_stability=False)
+
+
+@pytest.mark.parametrize("closes", [0, 0.5])
+def test_a_compliant_chain_is_refused_in_minimal_velocities(closes: float) -> None:
+    given = load_scenario(
+        "two_arms_capture", ["contacts.right.kind=compliant", f"contacts.right.closes={closes}"]
+    )
+    with pytest.raises(ScenarioError, match=r"contacts.right.kind: .*set chain.law: plain$"):
+        simulate(given, check_stability=False)
 
 
 @pytest.mark.parametrize(

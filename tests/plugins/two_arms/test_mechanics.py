@@ -7,7 +7,14 @@ import pytest
 import two_arms_oracle as oracle
 from numpy.testing import assert_allclose
 
-from ffsm_drake import ControlLaw, Scenario, load_scenario, make_closed_loop, simulate
+from ffsm_drake import (
+    ControlLaw,
+    Scenario,
+    ScenarioError,
+    load_scenario,
+    make_closed_loop,
+    simulate,
+)
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -142,6 +149,26 @@ def test_a_compliant_contact_follows_its_spring() -> None:
     spring = gap * np.repeat([500.0, 2e4], 3) + rate * np.repeat([5.0, 200.0], 3)
     assert np.abs(gap).max() > 1e-6
     assert_allclose(wrench[5:-5], spring[5:-5], rtol=0, atol=0.03 * np.abs(wrench).max())
+
+
+@pytest.mark.parametrize("stiffness", [2e4, 3e5])
+def test_the_step_that_a_spring_needs(stiffness: float) -> None:
+    """The refusal's step runs; twice that is refused."""
+    soft = [
+        "contacts.right.kind=compliant",
+        f"contacts.right.stiffness={stiffness}",
+        f"contacts.right.rotational_stiffness={stiffness / 40}",
+        "duration=0.5",
+    ]
+    with pytest.raises(ScenarioError, match=r"contacts.right.kind: its spring vibrates") as caught:
+        make_closed_loop(scenario(*soft))
+    step = float(str(caught.value).rpartition(" ")[2])
+    with pytest.raises(ScenarioError, match=f" {step:g}$"):
+        make_closed_loop(scenario(*soft, f"simulator_config.max_step_size={2 * step}"))
+    given = scenario(*soft, f"simulator_config.max_step_size={step}")
+    run = simulate(given, blocks={"controller": Push}, check_stability=False)
+    assert run.outcome.status == "completed"
+    assert run.metrics["contacts"]["gap"] < 1e-2
 
 
 def test_a_flexible_panel_leaves_the_loop_closed() -> None:
