@@ -129,35 +129,25 @@ def rotation_error_rate(
     return dx + ey * cz - ez * cy, dy + ez * cx - ex * cz, dz + ex * cy - ey * cx
 
 
-def rotation_errors(quaternions_d: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
-    """``rotation_error`` of many (3, n), from quaternions (4, n): each with the bits it has
-    alone.
+def rotation_errors(
+    quaternions_d: np.ndarray, quaternions: np.ndarray, w_d: np.ndarray, w: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """``rotation_error`` and ``rotation_error_rate`` of many (3, n), from quaternions (4, n) and
+    angular velocities (3, n): each with the bits it has alone.
     """
     terms = (quaternions_d[_FACTOR_D] * _SIGN) * quaternions[_FACTOR]
     product = np.add.reduce(terms, axis=0)
-    axis = product[1:]
+    axis = product[1:4]
     sine = np.sqrt(np.add.reduce(axis * axis, axis=0))
     # NumPy's arctan2 differs from that of math in the last bit; the shorter rotation
+    atan2, copysign = math.atan2, math.copysign
     factors = [
-        math.copysign(2.0 * math.atan2(s, abs(c)) / s, c if c else 1.0) if s > 0.0 else 0.0
+        copysign(2.0 * atan2(s, abs(c)) / s, c if c else 1.0) if s > 0.0 else 0.0
         for s, c in zip(sine.tolist(), product[0].tolist(), strict=True)
     ]
-    return np.array(factors) * axis
-
-
-# The product quaternion_d * conjugate(quaternion), (w, x, y, z), as a sum of four terms: their
-# factors' components and signs (term, component of the product).
-_FACTOR_D = np.array([[0, 1, 2, 3], [1, 0, 0, 0], [2, 2, 3, 1], [3, 3, 1, 2]])
-_FACTOR = np.array([[0, 0, 0, 0], [1, 1, 2, 3], [2, 3, 1, 2], [3, 2, 3, 1]])
-_SIGN = np.array([[1.0] * 4, [1.0, -1.0, -1.0, -1.0], [1.0, -1.0, -1.0, -1.0], [1.0] * 4])[
-    ..., None
-]
-
-
-def rotation_error_rates(errors: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """``rotation_error_rate`` of many (3, n), from errors and angular velocities (3, n): each with
-    the bits it has alone.
-    """
+    # x, y, z, x, y: a cross product takes two slices of each factor
+    e = np.array(factors) * product[1:]
+    errors, e_1, e_2 = e[:3], e[1:4], e[2:]
     half_sum, difference = 0.5 * (w_d + w), w_d - w
     square = np.add.reduce(errors * errors, axis=0)
     c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
@@ -165,18 +155,18 @@ def rotation_error_rates(errors: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> 
         for i in np.flatnonzero(~(square < 1e-2)).tolist():
             half = 0.5 * math.sqrt(square[i])
             c[i] = (1.0 - half / math.tan(half)) / square[i]
-    turned = c * _cross(errors, difference) - half_sum
-    e, t = np.concatenate((errors, errors[:2])), np.concatenate((turned, turned[:2]))
+    d = np.concatenate((difference, difference[:2]))
+    turned = c * (e_1 * d[2:] - e_2 * d[1:4]) - half_sum
+    t = np.concatenate((turned, turned[:2]))
     # not the sum with a cross product, whose rounding differs
-    rates: np.ndarray = difference + e[1:4] * t[2:5] - e[2:5] * t[1:4]
-    return rates
+    return errors, difference + e_1 * t[2:] - e_2 * t[1:4]
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b for arrays (3, n)."""
-    a, b = np.concatenate((a, a[:2])), np.concatenate((b, b[:2]))
-    product: np.ndarray = a[1:4] * b[2:5] - a[2:5] * b[1:4]
-    return product
+# The product quaternion_d * conjugate(quaternion), (w, x, y, z), then x and y again, as a sum of
+# four terms: their factors' components and signs (term, component of the product).
+_FACTOR_D = np.array([[0, 1, 2, 3, 1, 2], [1] + [0] * 5, [2, 2, 3, 1, 2, 3], [3, 3, 1, 2, 3, 1]])
+_FACTOR = np.array([[0] * 6, [1, 1, 2, 3, 1, 2], [2, 3, 1, 2, 3, 1], [3, 2, 3, 1, 2, 3]])
+_SIGN = np.array([[1.0] * 6, [1.0] + [-1.0] * 5, [1.0] + [-1.0] * 5, [1.0] * 6])[..., None]
 
 
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:

@@ -16,7 +16,6 @@ from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.common.so3 import (
     rotation_error,
     rotation_error_rate,
-    rotation_error_rates,
     rotation_errors,
     times_conjugate,
 )
@@ -247,10 +246,9 @@ def tracking_errors(
             rotation, desired[split : split + 3], actual[split : split + 3]
         )
     else:
-        rotations = rotation_errors(desired[:, :4].T, actual[:, :4].T)
-        e[:, :3] = rotations.T
         rates = desired[:, split : split + 3].T, actual[:, split : split + 3].T
-        e_dot[:, :3] = rotation_error_rates(rotations, *rates).T
+        rotations, rotation_rates = rotation_errors(desired[:, :4].T, actual[:, :4].T, *rates)
+        e[:, :3], e_dot[:, :3] = rotations.T, rotation_rates.T
     return e, e_dot
 
 

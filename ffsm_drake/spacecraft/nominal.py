@@ -15,7 +15,7 @@ from pydrake.systems.framework import Context
 from ffsm_drake.common.memo import each_once, memoized
 from ffsm_drake.common.products import applied
 from ffsm_drake.scenario import MassProperties, Model, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of, tracking_errors
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
 from ffsm_drake.spacecraft.plant import (
     coordinates_of,
@@ -63,6 +63,12 @@ class PlantModel:
     coordinates: Coordinates
     # not trivial with ``make_flexible_plant`` only
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
+
+    def calc_tracking_errors(
+        self, desired: np.ndarray, actual: np.ndarray, num_positions: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``coordinates.tracking_errors`` of the law's states."""
+        return tracking_errors(desired, actual, num_positions)
 
     @stacked
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:

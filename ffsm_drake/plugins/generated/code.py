@@ -1,94 +1,156 @@
 """LLVM code of traced operations, on as many copies at a time as a register holds.
 
-An array of a function has the shape (blocks, rows, 8): 8 copies lie side by side. The operations
-stand in parts of bounded size, which hand values over in memory, as compiling one long piece takes
-more than proportionally long. No operation is fused or reordered, and there is no library call: a
-lane has the same bits whatever the others hold, on every processor.
+An array of a function has a row for each copy. The operations stand in parts of bounded size, which
+hand values over in memory, as compiling one long piece takes more than proportionally long. No
+operation is fused or reordered, and no library is called: a copy has the same bits whatever the
+others hold, on every processor.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.plugins.generated.angles import sine_and_cosine
-from ffsm_drake.plugins.generated.registers import LANES, Registers
+from ffsm_drake.plugins.generated.registers import Registers
 from ffsm_drake.plugins.generated.symbols import Operation, Symbol, Tape, needed
 
-OUT = "out"
 _PART = 400  # operations
-_ROW = f"[{LANES} x double]"
 _PLAIN = {"add": "fadd", "subtract": "fsub", "multiply": "fmul", "divide": "fdiv"}
+_CALLS = {"sqrt": 1, "copysign": 2}  # single instructions: kind -> operands
+_Places = Mapping[int, Sequence[tuple[str, int]]]  # of results: operation -> arrays and entries
+
+
+def declarations(registers: Registers) -> Iterator[str]:
+    """The lines that a module of functions begins with."""
+    for kind, count in _CALLS.items():
+        operands = ", ".join([registers.reals] * count)
+        yield f"declare {registers.reals} @llvm.{kind}.v{registers.width}f64({operands})"
 
 
 def function(
-    registers: Registers, name: str, tape: Tape, arrays: Mapping[str, int], results: Sequence[Any]
+    registers: Registers,
+    name: str,
+    tape: Tape,
+    inputs: Mapping[str, int],
+    results: Mapping[str, Sequence[Any]],
 ) -> str:
-    """A function of pointers to the arrays, to the array ``out``, and the number of blocks.
+    """A function of pointers to arrays (copies, n), of inputs and of results, and of the number of
+    copies.
 
     Args:
-      arrays: the rows of each input array.
-      results: symbols and numbers, the rows of ``out``.
+      inputs: the length n of the rows of each input array.
+      results: symbols and numbers, a row of each array of results.
     """
-    rows_of: dict[int, list[int]] = {}
-    for row, result in enumerate(results):
-        if isinstance(result, Symbol):
-            rows_of.setdefault(result.index, []).append(row)
+    places: dict[int, list[tuple[str, int]]] = {}
+    calls = list[str]()
+    for array, row in results.items():
+        for entry, value in enumerate(row):
+            if isinstance(value, Symbol):
+                places.setdefault(value.index, []).append((array, entry))
+            else:
+                calls += _store(registers, registers.real(value), f"{array}.b", entry, "fixed")
     operations = tape.operations
     inner = [
         index
-        for index in needed(operations, rows_of)
-        if operations[index].kind != "input" or index in rows_of
+        for index in needed(operations, places)
+        if operations[index].kind != "input" or index in places
     ]
     parts = [inner[first : first + _PART] for first in range(0, len(inner), _PART)]
     slots, size = _slots(operations, parts)
-    rows = {**arrays, OUT: len(results)}
-    pointers = ", ".join(f"ptr noalias %{each}" for each in (*rows, "kept"))
+    arrays = {**inputs, **{array: len(row) for array, row in results.items()}}
+    pointers = ", ".join(f"ptr noalias %{each}.b" for each in (*arrays, "kept"))
+    given = ", ".join(f"ptr %{each}.b" for each in (*arrays, "kept"))
     texts = []
     for number, part in enumerate(parts):
-        lines = "\n".join(_Part(registers, operations, slots, rows_of, part).lines())
+        lines = "\n".join(_Part(registers, operations, slots, places, part).lines())
         texts.append(
             f"define internal void @{name}.{number}({pointers}) noinline "
             f"{{\n{lines}\n  ret void\n}}\n"
         )
-    given = ", ".join(f"ptr %{each}.b" for each in rows)
-    calls = [f"  call void @{name}.{n}({given}, ptr %kept)" for n in range(len(parts))]
-    for row, value in enumerate(results):
-        if not isinstance(value, Symbol):
-            calls += _store(registers, registers.real(value), f"{OUT}.b", row, f"%fixed.{row}")
-    return "\n".join((*texts, _loop(registers, name, rows, size, calls)))
+        calls.append(f"  call void @{name}.{number}({given})")
+    return "\n".join((*texts, _loop(registers, name, arrays, len(inputs), size, calls)))
 
 
 def _loop(
-    registers: Registers, name: str, rows: Mapping[str, int], size: int, body: Sequence[str]
+    registers: Registers,
+    name: str,
+    arrays: Mapping[str, int],
+    num_inputs: int,
+    size: int,
+    body: Sequence[str],
 ) -> str:
-    """Over the registers of each block, with pointers %ARRAY.b to theirs in each array."""
-    pointers = ", ".join(f"ptr noalias %{each}" for each in rows)
-    moved = [
-        line
-        for each, count in rows.items()
-        for line in (
-            f"  %{each}.o = mul i64 %block, {count}",
-            f"  %{each}.f = getelementptr {_ROW}, ptr %{each}, i64 %{each}.o",
-            f"  %{each}.b = getelementptr {registers.reals}, ptr %{each}.f, i64 %part",
-        )
-    ]
-    lines, parts = "\n".join((*moved, *body)), LANES // registers.width
-    return f"""define void @{name}({pointers}, i64 %blocks) {{
+    """Over as many copies at a time as a register holds, with pointers %ARRAY.b to their entries,
+    side by side in memory of its own. Lanes beyond the last copy do what this one does.
+    """
+    pointers = ", ".join(f"ptr noalias %{each}" for each in arrays)
+    rooms = "\n".join(
+        f"  %{each}.b = alloca [{max(count, 1)} x {registers.reals}], align 64"
+        for each, count in {**arrays, "kept": size}.items()
+    )
+    lines, before = list[str](), "loop"
+    for lane in range(registers.width):
+        lines += [
+            f"  %at.{lane} = add i64 %first, {lane}",
+            f"  %inside.{lane} = icmp slt i64 %at.{lane}, %copies",
+            f"  %copy.{lane} = select i1 %inside.{lane}, i64 %at.{lane}, i64 %last",
+        ]
+        for each, count in arrays.items():
+            lines += [
+                f"  %{each}.o{lane} = mul i64 %copy.{lane}, {count}",
+                f"  %{each}.l{lane} = getelementptr double, ptr %{each}, i64 %{each}.o{lane}",
+            ]
+    for number, (each, count) in enumerate(arrays.items()):
+        if number == num_inputs:
+            lines += body
+        back = number >= num_inputs
+        lines += _moved(registers, each, count, before, back=back)
+        before = f"{each}.moved"
+    text = "\n".join(lines)
+    return f"""define void @{name}({pointers}, i64 %copies) {{
 entry:
-  %kept = alloca [{max(size, 1)} x {_ROW}], align 64
-  %count = mul i64 %blocks, {parts}
+{rooms}
+  %last = sub i64 %copies, 1
   br label %loop
 loop:
-  %turn = phi i64 [0, %entry], [%next, %loop]
-  %block = udiv i64 %turn, {parts}
-  %part = urem i64 %turn, {parts}
-{lines}
-  %next = add i64 %turn, 1
-  %more = icmp slt i64 %next, %count
+  %first = phi i64 [0, %entry], [%next, %{before}]
+{text}
+  %next = add i64 %first, {registers.width}
+  %more = icmp slt i64 %next, %copies
   br i1 %more, label %loop, label %end
 end:
   ret void
 }}
 """
+
+
+def _moved(
+    registers: Registers, array: str, count: int, before: str, *, back: bool
+) -> Iterator[str]:
+    """Move the rows of the lanes' copies into the memory of their own, or ``back``; ``before`` is
+    the label up to here.
+    """
+    reals, value = registers.reals, "zeroinitializer"
+    yield f"  br label %{array}.move"
+    yield f"{array}.move:"
+    yield f"  %{array}.i = phi i64 [0, %{before}], [%{array}.n, %{array}.move]"
+    yield f"  %{array}.r = getelementptr {reals}, ptr %{array}.b, i64 %{array}.i"
+    if back:
+        yield f"  %{array}.v = load {reals}, ptr %{array}.r, align 8"
+    for lane in range(registers.width):
+        pointer, one = f"%{array}.p{lane}", f"%{array}.x{lane}"
+        yield f"  {pointer} = getelementptr double, ptr %{array}.l{lane}, i64 %{array}.i"
+        if back:
+            yield f"  {one} = extractelement {reals} %{array}.v, i64 {lane}"
+            yield f"  store double {one}, ptr {pointer}, align 8"
+        else:
+            yield f"  {one} = load double, ptr {pointer}, align 8"
+            yield f"  {one}.v = insertelement {reals} {value}, double {one}, i64 {lane}"
+            value = f"{one}.v"
+    if not back:
+        yield f"  store {reals} {value}, ptr %{array}.r, align 8"
+    yield f"  %{array}.n = add i64 %{array}.i, 1"
+    yield f"  %{array}.m = icmp slt i64 %{array}.n, {count}"
+    yield f"  br i1 %{array}.m, label %{array}.move, label %{array}.moved"
+    yield f"{array}.moved:"
 
 
 def _used(operation: Operation) -> list[int]:
@@ -130,10 +192,10 @@ class _Part:
         registers: Registers,
         operations: Sequence[Operation],
         slots: Mapping[int, int],
-        rows_of: Mapping[int, Sequence[int]],
+        places: _Places,
         part: Sequence[int],
     ) -> None:
-        self._operations, self._slots, self._rows_of = operations, slots, rows_of
+        self._operations, self._slots, self._places = operations, slots, places
         self._registers, self._part = registers, part
         self._here = set[int]()  # values in registers
         self._turns = set[int]()  # angles with sine and cosine
@@ -143,9 +205,9 @@ class _Part:
             if index not in self._here:
                 yield from self._value(index)
             if index in self._slots:
-                yield from self._stored(index, "kept", self._slots[index], f"%k{index}")
-            for row in self._rows_of.get(index, ()):
-                yield from self._stored(index, OUT, row, f"%o{row}")
+                yield from _store(self._registers, f"%t{index}", "kept.b", self._slots[index], "k")
+            for array, entry in self._places.get(index, ()):
+                yield from _store(self._registers, f"%t{index}", f"{array}.b", entry, "o")
 
     def _value(self, index: int) -> Iterator[str]:
         """Compute a value, with those that it takes from memory first."""
@@ -164,6 +226,10 @@ class _Part:
                 self._turns.add(angle)
                 yield from sine_and_cosine(self._registers, f"%t{angle}", f"%a{angle}")
             yield f"  {name} = bitcast {self._registers.wholes} %a{angle}.{kind} to {reals}"
+        elif kind in _CALLS:
+            given = ", ".join(f"{reals} {self._operand(each)}" for each in operands)
+            called = f"@llvm.{kind}.v{self._registers.width}f64"
+            yield f"  {name} = call {reals} {called}({given})"
         else:
             first, second = map(self._operand, operands)
             yield f"  {name} = {_PLAIN[kind]} {reals} {first}, {second}"
@@ -173,19 +239,18 @@ class _Part:
         """Load a value from its array, or from another part's memory."""
         self._here.add(index)
         operation = self._operations[index]
-        array, row = "kept", self._slots.get(index, 0)
+        array, entry = "kept", self._slots.get(index, 0)
         if operation.kind == "input":
-            array, row = str(operation.operands[0]), int(operation.operands[1])
-        yield f"  %p{index} = getelementptr {_ROW}, ptr %{array}, i64 {row}"
-        yield f"  %t{index} = load {self._registers.reals}, ptr %p{index}, align 8"
-
-    def _stored(self, index: int, array: str, row: int, pointer: str) -> Iterator[str]:
-        return _store(self._registers, f"%t{index}", array, row, pointer)
+            array, entry = str(operation.operands[0]), int(operation.operands[1])
+        reals = self._registers.reals
+        yield f"  %p{index} = getelementptr {reals}, ptr %{array}.b, i64 {entry}"
+        yield f"  %t{index} = load {reals}, ptr %p{index}, align 8"
 
     def _operand(self, operand: Any) -> str:
         return f"%t{operand}" if isinstance(operand, int) else self._registers.real(operand)
 
 
-def _store(registers: Registers, value: str, array: str, row: int, pointer: str) -> Iterator[str]:
-    yield f"  {pointer} = getelementptr {_ROW}, ptr %{array}, i64 {row}"
+def _store(registers: Registers, value: str, array: str, entry: int, name: str) -> Iterator[str]:
+    pointer = f"%{name}.{array}.{entry}"
+    yield f"  {pointer} = getelementptr {registers.reals}, ptr %{array}, i64 {entry}"
     yield f"  store {registers.reals} {value}, ptr {pointer}, align 8"

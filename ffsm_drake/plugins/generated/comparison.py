@@ -5,9 +5,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ForceElementIndex, RevoluteSpring, SpatialInertia
 from pydrake.systems.framework import Context
 
-from ffsm_drake.plugins.generated.kernels import Kernels, Lanes
+from ffsm_drake.plugins.generated.kernels import Kernels
 from ffsm_drake.plugins.generated.tree import Reader, Tree
-from ffsm_drake.spacecraft.coordinates import joints_of
+from ffsm_drake.spacecraft.coordinates import joints_of, tracking_errors
 
 STATES = 8
 _SEED = 1
@@ -22,10 +22,11 @@ class Differences:
         context = _varied(plant, random)
         q, v, force = _states(tree, random)
         own = np.repeat(reader.parameters(context)[None], STATES, axis=0)
-        rates = calculated(kernels, "derivative", q, v, force, own)
-        matrices = calculated(kernels, "mass_matrix", q, own).reshape(STATES, *[v.shape[1]] * 2)
-        biases = calculated(kernels, "bias", q, v, own)
-        self.mass_matrix = self.residual = self.bias = self.position_rates = 0.0
+        rates = kernels.calculated("derivative", q, v, force, own)
+        matrices = kernels.calculated("mass_matrix", q, own).reshape(STATES, -1, v.shape[1])
+        biases = kernels.calculated("bias", q, v, own)
+        self.mass_matrix = self.residual = self.bias = self.position_rates = self.errors = 0.0
+        self._note_errors(kernels, np.hstack([q, v]), np.hstack([q, v])[::-1])
         for i in range(STATES):
             plant.SetPositionsAndVelocities(context, np.concatenate([q[i], v[i]]))
             plant.get_applied_generalized_force_input_port().FixValue(context, force[i])
@@ -35,7 +36,7 @@ class Differences:
             terms = np.abs(H) @ np.abs(v_rates) + np.abs(C) + np.abs(force[i])  # by row
             residual = H @ (v_rates - expected[q.shape[1] :])
             self._note("residual", residual, terms)
-            self._note("mass_matrix", matrices[i] - H, np.abs(H).max())
+            self._note("mass_matrix", matrices[i, :-1] - H, np.abs(H).max())
             self._note("bias", biases[i] - C, np.abs(C).max())
             self._note("position_rates", q_rates - expected[: q.shape[1]], np.abs(v[i]).max())
 
@@ -44,10 +45,17 @@ class Differences:
         found = float(np.max(np.abs(difference) / scale))
         setattr(self, name, found if not found <= getattr(self, name) else getattr(self, name))
 
+    def _note_errors(self, kernels: Kernels, desired: np.ndarray, actual: np.ndarray) -> None:
+        """Tracking errors against the ones that NumPy computes."""
+        found = kernels.calculated("tracking_errors", desired, actual)
+        expected = np.hstack(tracking_errors(desired, actual, kernels.tree.num_positions))
+        self._note("errors", found - expected, np.abs(expected).max())
+
     @property
     def largest(self) -> float:
         """The largest of all."""
-        return float(np.max([self.residual, self.mass_matrix, self.bias, self.position_rates]))
+        dynamics = self.residual, self.mass_matrix, self.bias, self.position_rates
+        return float(np.max([*dynamics, self.errors]))
 
 
 def _varied(plant: MultibodyPlant, random: np.random.Generator) -> Context:
@@ -78,20 +86,3 @@ def _states(tree: Tree, random: np.random.Generator) -> tuple[np.ndarray, np.nda
     q = random.normal(size=(STATES, tree.num_positions))
     v = 0.3 * random.normal(size=(STATES, tree.num_velocities))
     return q, v, 10.0 * random.normal(size=v.shape)
-
-
-def calculated(kernels: Kernels, name: str, *inputs: np.ndarray) -> np.ndarray:
-    """A compiled function of inputs (n, rows) each."""
-    sizes = {
-        "derivative": kernels.tree.num_positions + kernels.tree.num_velocities,
-        "mass_matrix": kernels.tree.num_velocities**2,
-        "bias": kernels.tree.num_velocities,
-    }
-    count = len(inputs[0])
-    lanes = [Lanes(count, each.shape[1]) for each in inputs]
-    for own, values in zip(lanes, inputs, strict=True):
-        own.fill(values)
-    result = Lanes(count, sizes[name])
-    pointers = [each.pointer for each in (*lanes, result)]
-    kernels.function(name)(*pointers, result.blocks)
-    return result.read().copy()

@@ -8,8 +8,9 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
-from ffsm_drake.plugins.generated.kernels import Kernels, Lanes
+from ffsm_drake.plugins.generated.kernels import Kernels
 from ffsm_drake.plugins.generated.tree import Reader
+from ffsm_drake.spacecraft.coordinates import tracking_errors
 from ffsm_drake.spacecraft.copies import Copies, CopiesModel
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -35,37 +36,45 @@ class _Functions:
     def __init__(self, kernels: Kernels, parameters: np.ndarray) -> None:
         """Args: parameters of each copy (B, ``Tree.num_parameters``)."""
         copies, tree = len(parameters), kernels.tree
-        self._size = size = tree.num_velocities
-        self._q, self._v = Lanes(copies, tree.num_positions), Lanes(copies, size)
-        self._own, self._parameters = Lanes(copies, tree.num_parameters), parameters
-        self._own.fill(parameters)
-        self._matrix, self._bias = Lanes(copies, size * size), Lanes(copies, size)
-        self._calc_matrix = kernels.function("mass_matrix")
-        self._calc_bias = kernels.function("bias")
+        size = tree.num_velocities
+        self._q, self._v = np.zeros((copies, tree.num_positions)), np.zeros((copies, size))
+        self._own, self._bias = parameters.copy(), np.zeros((copies, size))
+        # With a row to spare after each matrix they lie as blocks on a diagonal, which
+        # ``products.matrix_vector`` takes at once.
+        self._matrices = np.zeros((copies, size + 1, size))
+        self._calc_matrices = kernels.on("mass_matrix", self._q, self._own, self._matrices)
+        state = tree.num_positions + size
+        self._desired, self._actual = np.zeros((copies, state)), np.zeros((copies, state))
+        self._e, self._e_dot = np.zeros((copies, size)), np.zeros((copies, size))
+        arrays = self._desired, self._actual, self._e, self._e_dot
+        self._calc_errors = kernels.on("tracking_errors", *arrays)
+        self._calc_bias = kernels.on("bias", self._q, self._v, self._own, self._bias)
 
     def set_parameters(self, copy: int, parameters: np.ndarray) -> None:
         """Other parameters (``Tree.num_parameters``) of a copy."""
-        self._parameters[copy] = parameters
-        self._own.fill(self._parameters)
+        self._own[copy] = parameters
 
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """Mass matrices (B, nv, nv) in configurations q (B, nq)."""
-        self._q.fill(q)
-        self._calc_matrix(self._q.pointer, self._own.pointer, self._matrix.pointer, self._q.blocks)
-        # With a row to spare after each matrix they lie as blocks on a diagonal, which
-        # ``products.matrix_vector`` takes at once.
-        spaced = np.empty((len(q), self._size + 1, self._size))
-        result = spaced[:, : self._size]
-        result[:] = self._matrix.read().reshape(result.shape)
-        return result
+        self._q[:] = q
+        self._calc_matrices()
+        return self._matrices.copy()[:, :-1]
 
     def bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Bias (B, nv) in configurations q (B, nq) at velocities v (B, nv)."""
-        self._q.fill(q)
-        self._v.fill(v)
-        pointers = [each.pointer for each in (self._q, self._v, self._own, self._bias)]
-        self._calc_bias(*pointers, self._q.blocks)
-        return self._bias.read().copy()
+        self._q[:], self._v[:] = q, v
+        self._calc_bias()
+        return self._bias.copy()
+
+    def tracking_errors(
+        self, desired: np.ndarray, actual: np.ndarray, num_positions: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Tracking errors and their rates (B, nv each) from states [q; v] (B, nq + nv)."""
+        if num_positions != self._q.shape[1]:  # of a law that knows other coordinates
+            return tracking_errors(desired, actual, num_positions)
+        self._desired[:], self._actual[:] = desired, actual
+        self._calc_errors()
+        return self._e.copy(), self._e_dot.copy()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,6 +88,12 @@ class GeneratedModel(CopiesModel):
         """Give a copy the masses, rotors and dampers of its own model."""
         own = self.models[copy]
         self.functions.set_parameters(copy, Reader(own.plant).parameters(own.context))
+
+    def calc_tracking_errors(
+        self, desired: np.ndarray, actual: np.ndarray, num_positions: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See PlantModel."""
+        return self.functions.tracking_errors(desired, actual, num_positions)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrices (B, nv, nv) in configurations q (B, nq)."""

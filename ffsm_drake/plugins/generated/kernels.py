@@ -5,74 +5,90 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ffsm_drake.plugins.generated.code import function
+from ffsm_drake.plugins.generated.code import declarations, function
 from ffsm_drake.plugins.generated.compiling import Code, registers
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
-from ffsm_drake.plugins.generated.registers import LANES, Registers
+from ffsm_drake.plugins.generated.errors import tracking_errors
+from ffsm_drake.plugins.generated.registers import Registers
 from ffsm_drake.plugins.generated.symbols import Tape
 from ffsm_drake.plugins.generated.tree import Tree
 
+# The arrays of each function: its inputs, and then its results.
 _INPUTS = {
     "derivative": ("q", "v", "force", "own"),
     "mass_matrix": ("q", "own"),
     "bias": ("q", "v", "own"),
+    "tracking_errors": ("desired", "actual"),
+}
+_RESULTS = {
+    "derivative": ("q_rate", "v_rate"),
+    "mass_matrix": ("matrix",),
+    "bias": ("bias",),
+    "tracking_errors": ("e", "e_dot"),
 }
 
 
-class Lanes:
-    """An array of B copies (B, rows) as (blocks, rows, 8), for compiled functions."""
-
-    def __init__(self, copies: int, rows: int) -> None:
-        self.blocks, self._copies, self._rows = -(-copies // LANES), copies, rows
-        self.values = np.zeros((self.blocks, rows, LANES))
-        self.pointer = self.values.ctypes.data
-        self._staged = np.zeros((self.blocks * LANES, rows))
-        self._as_blocks = self._staged.reshape(self.blocks, LANES, rows).transpose(0, 2, 1)
-        self._flat = self._staged.reshape(-1)[: copies * rows]
-
-    def fill(self, values: np.ndarray) -> None:
-        """Give each copy its row; what the lanes beyond the last one hold affects none."""
-        self._flat[:] = values.reshape(-1)
-        self.values[:] = self._as_blocks
-
-    def read(self) -> np.ndarray:
-        """The row of each copy (B, rows): a view, valid until the next call."""
-        self._as_blocks[:] = self.values
-        return self._staged[: self._copies]
-
-
 class Kernels:
-    """The functions of a tree. Arrays: see ``code``."""
+    """The functions of a tree."""
 
-    def __init__(self, tree: Tree) -> None:
-        self.tree = tree
-        self._code = Code(repr(tree), functools.partial(module_text, registers(), tree))
+    def __init__(self, tree: Tree, width: int = 0) -> None:
+        """Args: the tree, and the numbers that a register holds; 0: those of this processor's."""
+        self.tree, of = tree, Registers(width) if width else registers()
+        self._code = Code(repr((of, tree)), functools.partial(_module_text, of, tree))
 
-    def function(self, name: str) -> Callable[..., None]:
-        """``derivative``, ``mass_matrix`` or ``bias``: of pointers to its inputs, which are q, v,
-        force and parameters as it needs them, to its result, and of the number of blocks.
+    def on(self, name: str, *arrays: np.ndarray) -> Callable[[], None]:
+        """A function on arrays with a row for each copy, in memory row after row.
+
+        Args:
+          name: ``derivative``, ``mass_matrix``, ``bias`` or ``tracking_errors``.
+          arrays: its inputs, as it needs them: q, v, force and parameters, or the desired and the
+            actual [q; v]; then its results: rates of q and v; the mass matrix with a row to spare
+            (nv + 1, nv); the bias; or error and rate (nv each).
         """
-        return self._code.function(name, len(_INPUTS[name]) + 1)
+        compiled = self._code.function(name, len(arrays))
+        given = (*(each.ctypes.data for each in arrays), len(arrays[0]))
+
+        def call(_held: tuple[np.ndarray, ...] = arrays) -> None:
+            compiled(*given)
+
+        return call
+
+    def calculated(self, name: str, *inputs: np.ndarray) -> np.ndarray:
+        """The results (copies, n) of a function, side by side, from inputs (copies, n) each."""
+        lengths = _lengths(self.tree)
+        results = [np.zeros((len(inputs[0]), lengths[each])) for each in _RESULTS[name]]
+        self.on(name, *map(np.ascontiguousarray, inputs), *results)()
+        return np.hstack(results)
 
 
-def module_text(registers: Registers, tree: Tree) -> str:
+def _lengths(tree: Tree) -> dict[str, int]:
+    """The length of a copy's row in each array."""
+    nq, nv = tree.num_positions, tree.num_velocities
+    inputs = {"q": nq, "v": nv, "force": nv, "own": tree.num_parameters}
+    rates = {"q_rate": nq, "v_rate": nv, "matrix": (nv + 1) * nv, "bias": nv}
+    return {**inputs, **rates, "desired": nq + nv, "actual": nq + nv, "e": nv, "e_dot": nv}
+
+
+def _module_text(registers: Registers, tree: Tree) -> str:
     """The LLVM text of all functions of a tree."""
-    return "\n".join(_function_text(registers, tree, name) for name in _INPUTS)
+    functions = [_function_text(registers, tree, name) for name in _INPUTS]
+    return "\n".join((*declarations(registers), *functions))
 
 
 def _function_text(registers: Registers, tree: Tree, name: str) -> str:
-    rows = {
-        "q": tree.num_positions,
-        "v": tree.num_velocities,
-        "force": tree.num_velocities,
-        "own": tree.num_parameters,
-    }
-    tape, arrays = Tape(), {each: rows[each] for each in _INPUTS[name]}
+    tape, lengths = Tape(), _lengths(tree)
+    arrays = {each: lengths[each] for each in _INPUTS[name]}
     inputs = [tape.inputs(each, count) for each, count in arrays.items()]
     if name == "derivative":
-        results = derivative(tree, *inputs)
+        rates = derivative(tree, *inputs)
+        found = [rates[: tree.num_positions], rates[tree.num_positions :]]
     elif name == "bias":
-        results = bias(tree, *inputs)
+        found = [bias(tree, *inputs)]
+    elif name == "tracking_errors":
+        desired, actual = inputs
+        found = list(tracking_errors(desired, actual, tree.num_positions))
     else:
-        results = [value for row in mass_matrix(tree, *inputs) for value in row]
+        spare = [0.0] * tree.num_velocities
+        found = [[*(value for row in mass_matrix(tree, *inputs) for value in row), *spare]]
+    results = dict(zip(_RESULTS[name], found, strict=True))
     return function(registers, name, tape, arrays, results)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, ContinuousState, LeafSystem
 
-from ffsm_drake.plugins.generated.kernels import Kernels, Lanes
+from ffsm_drake.plugins.generated.kernels import Kernels
 
 
 class GeneratedPlant(LeafSystem):
@@ -30,33 +30,25 @@ class GeneratedPlant(LeafSystem):
         self.DeclareStateOutputPort("state", state)
         self._force = self.DeclareVectorInputPort("applied_generalized_force", self._v_size)
         self._own = self.DeclareNumericParameter(BasicVector(copies * self._num_own))
-        self._function = kernels.function("derivative")
-        self._q = Lanes(copies, tree.num_positions)
-        self._v, self._applied = (Lanes(copies, tree.num_velocities) for _ in range(2))
-        self._parameters = Lanes(copies, tree.num_parameters)
-        self._rates = Lanes(copies, tree.num_positions + tree.num_velocities)
-        self._held = np.full(copies * self._num_own, np.nan)  # the parameters in the lanes
-        arrays = self._q, self._v, self._applied, self._parameters, self._rates
-        self._pointers = [each.pointer for each in arrays]
-        self._derivative = np.empty(self._q_size + self._v_size)
-        self._q_rates = self._derivative[: self._q_size].reshape(copies, -1)
-        self._v_rates = self._derivative[self._q_size :].reshape(copies, -1)
+        # [q; v], its rates, forces and parameters, for the compiled function
+        self._given, self._rates = (np.zeros(self._q_size + self._v_size) for _ in range(2))
+        self._applied = np.zeros(self._v_size)
+        self._parameters = np.zeros(copies * self._num_own)
+        arrays = (
+            *self._split(self._given), self._applied, self._parameters, *self._split(self._rates),
+        )  # fmt: skip
+        self._calculate = kernels.on("derivative", *(each.reshape(copies, -1) for each in arrays))
+
+    def _split(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return state[: self._q_size], state[self._q_size :]
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         """Called by Drake: [dq/dt; dv/dt]."""
-        state = context.get_continuous_state_vector().CopyToVector()
-        self._q.fill(state[: self._q_size])
-        self._v.fill(state[self._q_size :])
-        self._applied.fill(self._force.Eval(context))
-        own = context.get_numeric_parameter(self._own).value()
-        if not np.array_equal(own, self._held):
-            self._held[:] = own
-            self._parameters.fill(own)
-        self._function(*self._pointers, self._q.blocks)
-        rates = self._rates.read()
-        split = self._q_rates.shape[1]
-        self._q_rates[:], self._v_rates[:] = rates[:, :split], rates[:, split:]
-        derivatives.get_mutable_vector().SetFromVector(self._derivative)
+        self._given[:] = context.get_continuous_state_vector().value()
+        self._applied[:] = self._force.Eval(context)
+        self._parameters[:] = context.get_numeric_parameter(self._own).value()
+        self._calculate()
+        derivatives.get_mutable_vector().SetFromVector(self._rates)
 
     def set_parameters(self, context: Context, copy: int, values: np.ndarray) -> None:
         """Give a copy its parameters."""

@@ -3,9 +3,6 @@
 import dataclasses
 import struct
 
-# Copies side by side in an array, whatever the registers hold: a multiple of their widths.
-LANES = 8
-
 
 @dataclasses.dataclass(frozen=True)
 class Registers:

@@ -14,7 +14,7 @@ class Operation(NamedTuple):
     ``input`` has an array's name and a row.
     """
 
-    kind: str  # input, add, subtract, multiply, divide, negate, sine, cosine
+    kind: str  # input, add, subtract, multiply, divide, negate, sine, cosine, sqrt, copysign
     operands: tuple["int | float | str", ...]
 
 
@@ -112,6 +112,17 @@ def sine(x: "Symbol | float") -> "Symbol | float":
 def cosine(x: "Symbol | float") -> "Symbol | float":
     """The cosine of an angle, rad."""
     return x.tape.record("cosine", x) if isinstance(x, Symbol) else math.cos(x)
+
+
+def square_root(x: "Symbol | float") -> "Symbol | float":
+    """The square root."""
+    return x.tape.record("sqrt", x) if isinstance(x, Symbol) else math.sqrt(x)
+
+
+def signed(x: "Symbol | float", sign: "Symbol | float") -> Symbol:
+    """A number with the sign of another; at least one of them is a symbol."""
+    tape = next(each.tape for each in (x, sign) if isinstance(each, Symbol))
+    return tape.record("copysign", x, sign)
 
 
 def needed(operations: Sequence[Operation], results: Iterable[int]) -> list[int]:

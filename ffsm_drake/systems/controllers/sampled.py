@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.checked import (
     check_law,
     checked_memory,
@@ -42,7 +43,7 @@ SIGNALS = (
     ),
 )  # fmt: skip
 OPTIONAL_OUTPUTS = tuple(each.name for each in SIGNALS if each.dimension)
-_ONE, _NONE = np.ones(1), np.zeros(1, dtype=bool)
+_ONE = np.ones(1)
 
 
 class SampledController(LeafSystem):
@@ -108,6 +109,10 @@ class SampledController(LeafSystem):
         }
         self._copies = len(self._laws)
         self._num_positions = len(coordinates.position_names)
+        model = getattr(law, "model", None)
+        self._tracking_errors = (
+            model.calc_tracking_errors if isinstance(model, PlantModel) else tracking_errors
+        )
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
         self._restart = self.DeclareVectorInputPort("restart", self._copies) if restarts else None
         self._declare_inputs(len(coordinates.names))
@@ -306,7 +311,7 @@ class SampledController(LeafSystem):
 
     def _errors(self, estimated: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``tracking_errors`` that the law sees: of driven coordinates."""
-        e, e_dot = tracking_errors(desired, estimated, self._num_positions)
+        e, e_dot = self._tracking_errors(desired, estimated, self._num_positions)
         if self._undriven is not None:
             e[..., self._undriven] = e_dot[..., self._undriven] = 0.0
         return e, e_dot
@@ -314,20 +319,22 @@ class SampledController(LeafSystem):
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, before = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
-        alone = self._copies == 1
-        afresh = _NONE if self._restart is None else self._restart.Eval(context) > 0.5
-        if afresh.all():
-            is_first, before = True, self._first
+        alone, afresh = self._copies == 1, None
+        if self._restart is not None and (wanted := self._restart.Eval(context) > 0.5).any():
+            afresh = wanted
+            if afresh.all():
+                is_first, before = True, self._first
         force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        elif afresh.any():  # some of the copies
+        elif afresh is not None:  # some of the copies
             other, anew = self.step(inputs, self._first, is_first=True, time=context.get_time)
             force = np.where(afresh[:, None], other, force)
             memory = {name: values.copy() for name, values in memory.items()}
             for name, values in memory.items():
                 values[afresh] = anew[name][afresh]
-        if not alone and (parked := context.get_discrete_state().value(self._parked) > 0.0).any():
+        if not alone and (kept := context.get_discrete_state().value(self._parked)).any():
+            parked = kept > 0.0
             force = np.where(parked[:, None], 0.0, force)
             memory = {name: values.copy() for name, values in memory.items()}
             for name, values in memory.items():

@@ -24,12 +24,11 @@ from pydrake.multibody.tree import (
 
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.generated.code import function
-from ffsm_drake.plugins.generated.comparison import Differences, calculated
+from ffsm_drake.plugins.generated.comparison import Differences
 from ffsm_drake.plugins.generated.compiling import Code, registers
 from ffsm_drake.plugins.generated.copies import model_of
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
-from ffsm_drake.plugins.generated.kernels import Kernels, Lanes, module_text
-from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.generated.kernels import Kernels
 from ffsm_drake.plugins.generated.symbols import Tape, cosine, sine
 from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.scenario import MassProperties, shipped_scenarios
@@ -125,7 +124,8 @@ def hinge():
 def test_angles_are_within_an_ulp():
     tape = Tape()
     (angle,) = tape.inputs("q", 1)
-    text = function(registers(), "turn", tape, {"q": 1}, [sine(angle), cosine(angle)])
+    results = {"out": [sine(angle), cosine(angle)]}
+    text = function(registers(), "turn", tape, {"q": 1}, results)
     code = Code(text, lambda: text)
     random = np.random.default_rng(1)
     angles = np.concatenate(
@@ -136,15 +136,14 @@ def test_angles_are_within_an_ulp():
             [0.0, -0.0, 1e-300, 1e-9, 5e-324],
         ]
     )
-    q, out = Lanes(angles.size, 1), Lanes(angles.size, 2)
-    q.fill(angles)
-    code.function("turn", 2)(q.pointer, out.pointer, q.blocks)
-    found = out.read()
+    found = np.zeros((angles.size, 2))
+    turn, size = code.function("turn", 2), angles.size
+    turn(angles.ctypes.data, found.ctypes.data, size)
     expected = np.array([[math.sin(x), math.cos(x)] for x in angles])
     assert (np.abs(found - expected) <= np.spacing(np.abs(expected))).all()
-    q.fill(np.resize([np.nan, np.inf, -np.inf, 1e6, 2e9, 1e308], angles.shape))
-    code.function("turn", 2)(q.pointer, out.pointer, q.blocks)
-    assert np.isnan(out.read()).all()
+    angles[:] = np.resize([np.nan, np.inf, -np.inf, 1e6, 2e9, 1e308], angles.shape)
+    turn(angles.ctypes.data, found.ctypes.data, size)
+    assert np.isnan(found).all()
 
 
 @pytest.mark.smoke
@@ -155,10 +154,10 @@ def test_a_copy_that_is_not_finite_leaves_the_others_alone():
     own = np.tile(reader.parameters(plant.CreateDefaultContext()), (11, 1))
     q, v = (random.normal(size=(11, n)) for n in (plant.num_positions(), plant.num_velocities()))
     force = random.normal(size=v.shape)
-    expected = calculated(kernels, "derivative", q, v, force, own)
+    expected = kernels.calculated("derivative", q, v, force, own)
     q[3], v[7], force[8] = np.nan, np.inf, np.nan
     q[9] = 0.0  # no rotation
-    found = calculated(kernels, "derivative", q, v, force, own)
+    found = kernels.calculated("derivative", q, v, force, own)
     sound = [0, 1, 2, 4, 5, 6, 10]
     np.testing.assert_array_equal(found[sound], expected[sound])
     assert not np.isfinite(found[[3, 7, 8, 9]]).all(axis=1).any()
@@ -172,19 +171,19 @@ def test_a_copy_has_its_bits_in_any_lane():
     own = reader.parameters(plant.CreateDefaultContext())[None] * random.uniform(1, 2, (16, 1))
     q, v = (random.normal(size=(16, n)) for n in (plant.num_positions(), plant.num_velocities()))
     whole = [
-        calculated(kernels, "derivative", q, v, v, own),
-        calculated(kernels, "mass_matrix", q, own),
-        calculated(kernels, "bias", q, v, own),
+        kernels.calculated("derivative", q, v, v, own),
+        kernels.calculated("mass_matrix", q, own),
+        kernels.calculated("bias", q, v, own),
     ]
     for size in (1, 5, 8):
         for first in range(0, 16 - size, size):
             part = slice(first, first + size)
             given = q[part], v[part], v[part], own[part]
-            np.testing.assert_array_equal(calculated(kernels, "derivative", *given), whole[0][part])
-            matrices = calculated(kernels, "mass_matrix", q[part], own[part])
+            np.testing.assert_array_equal(kernels.calculated("derivative", *given), whole[0][part])
+            matrices = kernels.calculated("mass_matrix", q[part], own[part])
             np.testing.assert_array_equal(matrices, whole[1][part])
             np.testing.assert_array_equal(
-                calculated(kernels, "bias", q[part], v[part], own[part]), whole[2][part]
+                kernels.calculated("bias", q[part], v[part], own[part]), whole[2][part]
             )
 
 
@@ -234,15 +233,8 @@ def test_registers_of_any_width_give_the_same_bits(width):
     random = np.random.default_rng(3)
     rows = tree.num_positions, tree.num_parameters
     q, own = (random.uniform(0.5, 1.0, size=(11, count)) for count in rows)
-    code = Code(f"{width} {tree}", lambda: module_text(Registers(width), tree))
-    arrays = [Lanes(11, each.shape[1]) for each in (q, own)]
-    for array, values in zip(arrays, (q, own), strict=True):
-        array.fill(values)
-    result = Lanes(11, tree.num_velocities**2)
-    pointers = [each.pointer for each in (*arrays, result)]
-    code.function("mass_matrix", 3)(*pointers, result.blocks)
-    expected = calculated(kernels_of(tree), "mass_matrix", q, own)
-    np.testing.assert_array_equal(result.read(), expected)
+    found = Kernels(tree, width).calculated("mass_matrix", q, own)
+    np.testing.assert_array_equal(found, kernels_of(tree).calculated("mass_matrix", q, own))
 
 
 def test_code_that_takes_long_to_make_is_refused():

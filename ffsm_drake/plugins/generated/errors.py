@@ -1,0 +1,48 @@
+"""Tracking errors on symbols: ``coordinates.tracking_errors``, but for rounding.
+
+The quaternion of the rotation from the actual attitude to the desired one has a scalar part c and a
+vector part of length s. Half the rotation's angle is h = atan2(s, |c|) = 4 atan(tan(h / 4)), and
+the tangents of h / 2 and h / 4 follow from s and c, so that the series of fdlibm (Sun Microsystems,
+1993; freely usable) for small angles does.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ffsm_drake.common.so3 import times_conjugate
+from ffsm_drake.plugins.generated.symbols import signed, square_root
+from ffsm_drake.plugins.generated.vectors import cross, dot, minus, plus, scaled
+
+_TINY = 1e-300  # keeps divisors from zero, and changes no number of any size
+_SERIES = (  # of 1 - atan(x) / x in x^2
+    3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01,
+    -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
+    6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
+    -3.65315727442169155270e-02, 1.62858201153657823623e-02,
+)  # fmt: skip
+
+
+def tracking_errors(
+    desired: Sequence[Any], actual: Sequence[Any], num_positions: int
+) -> tuple[list[Any], list[Any]]:
+    """Tracking error and its rate (nv each) from states [q; v] (nq + nv)."""
+    split = num_positions
+    c, *axis = times_conjugate(desired[:4], actual[:4])
+    s_square = dot(axis, axis)
+    s, norm, near = square_root(s_square + _TINY), square_root(s_square + c * c), signed(c, 1.0)
+    tangent = s * (1.0 / (near + norm))  # of h / 2
+    tangent = tangent * (1.0 / (1.0 + square_root(1.0 + tangent * tangent)))  # of h / 4
+    square, series = tangent * tangent, _SERIES[-1]
+    for each in reversed(_SERIES[:-1]):
+        series = each + square * series
+    half = 4.0 * (tangent - tangent * (square * series))
+    e = scaled(2.0 * half * (1.0 / s) * signed(1.0, c), axis)
+    w_d, w = desired[split : split + 3], actual[split : split + 3]
+    difference, half_sum = minus(w_d, w), scaled(0.5, plus(w_d, w))
+    weight = (1.0 - half * near * (1.0 / s)) * (1.0 / (4.0 * half * half))
+    turned = minus(scaled(weight, cross(e, difference)), half_sum)
+    rate = plus(difference, cross(e, turned))
+    return (
+        [*e, *minus(desired[4:split], actual[4:split])],
+        [*rate, *minus(desired[split + 3 :], actual[split + 3 :])],
+    )
