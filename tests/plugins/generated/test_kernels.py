@@ -23,6 +23,7 @@ from pydrake.multibody.tree import (
 )
 
 from ffsm_drake import load_scenario
+from ffsm_drake.common.so3 import composed
 from ffsm_drake.plugins.generated.code import function
 from ffsm_drake.plugins.generated.comparison import Differences
 from ffsm_drake.plugins.generated.compiling import Code, registers
@@ -32,6 +33,7 @@ from ffsm_drake.plugins.generated.kernels import Kernels
 from ffsm_drake.plugins.generated.symbols import Tape, cosine, sine
 from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.scenario import MassProperties, shipped_scenarios
+from ffsm_drake.spacecraft.coordinates import tracking_errors
 from ffsm_drake.spacecraft.dynamics import NotCovered
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -144,6 +146,31 @@ def test_angles_are_within_an_ulp():
     angles[:] = np.resize([np.nan, np.inf, -np.inf, 1e6, 2e9, 1e308], angles.shape)
     turn(angles.ctypes.data, found.ctypes.data, size)
     assert np.isnan(found).all()
+
+
+@pytest.mark.smoke
+def test_tracking_errors_of_any_size_are_those_of_numpy():
+    tree = Reader(drawn_tree(3, 2)).tree
+    random = np.random.default_rng(4)
+    size = tree.num_positions + tree.num_velocities
+    desired, actual = (random.normal(size=(4001, size)) for _ in range(2))
+    angles = np.concatenate(
+        [10.0 ** random.uniform(-16, 0, 2000), random.uniform(0.0, 2.0 * math.pi, 1999), [0, 0]]
+    )
+    axes = random.normal(size=(angles.size, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    turns = np.hstack([np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None] * axes])
+    turns[-1] = [0.0, 1.0, 0.0, 0.0]  # half a turn
+    actual[-1, :4] = [1.0, 0.0, 0.0, 0.0]
+    desired[:, :4] = composed(turns, actual[:, :4])
+    actual[100] = np.nan
+    found = kernels_of(tree).calculated("tracking_errors", desired, actual)
+    expected = np.hstack(tracking_errors(desired, actual, tree.num_positions))
+    lengths = np.linalg.norm(expected[:, :3], axis=1)[:, None]
+    assert np.isnan(found[100]).all()
+    near = np.abs(found - expected)[:, :3] <= 2e-15 * lengths
+    assert np.delete(near, 100, axis=0).all()
+    np.testing.assert_allclose(found, expected, atol=1e-12, rtol=1e-11)
 
 
 @pytest.mark.smoke
