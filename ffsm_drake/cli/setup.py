@@ -20,6 +20,7 @@ from ffsm_drake.cli.common import (
     print_result,
     rehearsal_option,
 )
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.plugins import SERVICES, optional
 
 
@@ -105,8 +106,8 @@ def validate(
         for text in found["warnings"]:
             click.echo(f"warning: {name}: {text}", err=True)
         nearest = "".join(f"; plan: {Closest(**each)}" for each in found.get("nearest", ()))
-        joints = len(found["coordinates"]) - NUM_BASE_VELOCITIES
-        click.echo(f"{name}: valid; {found['controller']}, free base and {joints} joints{nearest}")
+        joints = counted(len(found["coordinates"]) - NUM_BASE_VELOCITIES, "joint")
+        click.echo(f"{name}: valid; {found['controller']}, free base and {joints}{nearest}")
         for line in lines:
             click.echo(f"{name}: {line}")
     if as_json:

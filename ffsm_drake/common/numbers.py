@@ -38,6 +38,12 @@ def percent(share: float | None) -> str:
     return f"{100.0 * share:.1f} %" if share is not None and math.isfinite(share) else NONE
 
 
+def counted(number: int, noun: str) -> str:
+    """Such as 1 run, 2 runs, 0 bodies."""
+    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number} {noun if number == 1 else many}"
+
+
 def usable(values: np.ndarray) -> np.ndarray:
     """Mask of the samples (n) of values (n, ...) that are below ``LARGEST`` in size throughout."""
     within = np.abs(values) < LARGEST  # false for NaN too

@@ -1,14 +1,16 @@
 """The step that a command is at, for its signs of progress."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-_steps: list[str] = []
+_steps: list[str | Callable[[], str]] = []
 
 
 @contextmanager
-def step(name: str) -> Iterator[None]:
-    """Name a step of more than a moment while it lasts; a decorator too."""
+def step(name: str | Callable[[], str]) -> Iterator[None]:
+    """Name a step of more than a moment while it lasts, with a function if its name changes; a
+    decorator too.
+    """
     _steps.append(name)
     try:
         yield
@@ -18,4 +20,4 @@ def step(name: str) -> Iterator[None]:
 
 def current_step() -> str:
     """The steps, the outermost first, empty between steps."""
-    return ": ".join(_steps)
+    return ": ".join(name if isinstance(name, str) else name() for name in _steps)

@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.show.panels import TEMPLATE, View
 from ffsm_drake.show.style import PAGE, label_of
 
@@ -46,7 +47,7 @@ def _environment(package: str) -> Environment:
         loader=ChoiceLoader([PackageLoader(name, "templates") for name in folders]),
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"symbols": symbols, "label": label_of}
+    environment.filters |= {"symbols": symbols, "label": label_of, "counted": counted}
     environment.globals |= {"palette": PAGE, "plotly_script": plotly_script}
     return environment
 

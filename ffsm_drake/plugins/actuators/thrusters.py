@@ -10,7 +10,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.numbers import counted, percent
 from ffsm_drake.common.products import times
 from ffsm_drake.plugins.actuators.allocation import Allocation
 from ffsm_drake.plugins.actuators.modulation import (
@@ -407,7 +407,7 @@ class FiredThrusters(Part):
         return (
             f"thrusters: {propellant:.3g} g of propellant{bound}, impulse "
             f"{found['thruster_impulse']:.4g} N s in "
-            f"{found['thruster_pulses']} pulses"
+            f"{counted(found['thruster_pulses'], 'pulse')}"
             + ("" if math.isnan(shortest) else f", the shortest {shortest:.3g} ms")
             + f"; not all of the wanted wrench in {percent(found['thrusters.saturated'])} of the "
             "samples"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.numbers import usable
+from ffsm_drake.common.numbers import counted, usable
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -109,7 +109,7 @@ class Evidence:
         return (
             ""
             if len(self.time) >= 2
-            else (f"the record has {len(self.time)} finite samples, less than one period")
+            else f"the record has {counted(len(self.time), 'finite sample')}, less than one period"
         )
 
     @property

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.analysis.findings import Analysis
 from ffsm_drake.show.chart import Band, Chart, Curve, Level
 from ffsm_drake.show.figures.axes import LARGEST, draw, legend_below, plain
@@ -171,8 +172,8 @@ def _lyapunov(analysis: Analysis) -> list[Chart]:
     points = [
         Curve(
             time[chosen], np.where(rate[chosen] != 0.0, size[chosen], np.nan),
-            name=f"{sign}, {name}: {chosen.sum()} samples", style=Style(color), line=False,
-            marker=marker, size=5.5 if name == "outside" else 3.0,
+            name=f"{sign}, {name}: {counted(int(chosen.sum()), 'sample')}", style=Style(color),
+            line=False, marker=marker, size=5.5 if name == "outside" else 3.0,
             opacity=1.0 if name == "outside" else 0.4,
         )
         for name, where in (("inside", ~outside), ("outside", outside))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.plugins.audit.checks import Check, fault
 from ffsm_drake.plugins.audit.dynamics import Dynamics
@@ -305,12 +306,14 @@ def _jumps(log: Log, jumps: Array) -> Check:
     if lost.sum() > 2 * stale.sum():  # the period after a repeated sample jumps too
         missing = int(np.maximum(1, np.round(ratio[lost] - 1.0)).sum())
         said = (
-            f"about {missing} samples were dropped and the time renumbered: the motion jumps in "
-            f"{lost.sum()} periods, the first after {when[lost][0]:g} s"
+            f"about {counted(missing, 'sample')} dropped and the time renumbered: the motion "
+            f"jumps in {counted(int(lost.sum()), 'period')}, the first after {when[lost][0]:g} s"
         )
         return fault("samples", "dropped_samples", said)
     if stale.any():
-        said = f"{stale.sum()} samples repeat the one before, first at {when[stale][0]:g} s"
+        repeated = counted(int(stale.sum()), "sample")
+        said = f"repeated values in {repeated}, first at {when[stale][0]:g} s"
         return fault("samples", "repeated_samples", said)
-    said = f"the motion jumps in {len(when)} periods beyond its rates, first after {when[0]:g} s"
+    periods = counted(len(when), "period")
+    said = f"the motion jumps in {periods} beyond its rates, first after {when[0]:g} s"
     return fault("samples", "jumps", said)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import RecordError, did_you_mean, one_line
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.audit.log import (
     RATES,
     Array,
@@ -235,12 +236,12 @@ def _at_poses(path: Path, log: Log) -> Log:
         whole &= np.isfinite(fine).all(axis=1)
     found, note = only(found.replace(unsure=unsure), whole), log.note
     if left := len(log.time) - len(found.time):
-        note += f"; {left} rows left out: without a pose, or before or after other columns"
+        note += f"; {counted(left, 'row')} left out: without a pose, or outside other columns"
     if unsure:
         note += f"; {', '.join(_MEANT[x] for x in unsure)} interpolated to the poses' times"
     if (later := np.unique(np.maximum.accumulate(found.time)).size) < _LEAST:
         said = f"at least {_LEAST} are needed, each later than those before"
-        raise RecordError(f"{path}: has {later} samples; {said}")
+        raise RecordError(f"{path}: has {counted(later, 'sample')}; {said}")
     if (span := np.ptp(found.time)) < _SHORTEST:
         raise RecordError(f"{path}: spans {span:g} s; at least {_SHORTEST:g} s are needed")
     if (none := np.flatnonzero(~found.quaternion.any(axis=1))).size:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ffsm_drake.common.errors import RecordError
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.audit.checks import Audit, Check, fault, undecided
 from ffsm_drake.plugins.audit.dynamics import Dynamics
 from ffsm_drake.plugins.audit.efforts import check_efforts
@@ -94,7 +95,7 @@ def _time(log: Log) -> tuple[list[Check], Log]:
     if (back := np.flatnonzero(steps <= 0.0)).size:
         kept = log.time > np.maximum.accumulate(np.concatenate([[-np.inf], log.time[:-1]]))
         said = (
-            f"{np.sum(~kept)} samples are not later than all before them, first after "
+            f"{counted(int(np.sum(~kept)), 'sample')} not later than all before, first after "
             f"{log.time[back[0]]:g} s"
         )
         if steps.min() > -digit:
@@ -108,9 +109,10 @@ def _time(log: Log) -> tuple[list[Check], Log]:
     if np.mean(np.abs(steps - period) <= alike) < _EVEN:
         said = f"{size} samples at steps of {steps.min():.4g} to {steps.max():.4g} s{log.note}"
     elif gaps.size:
+        missing = counted(int(times[gaps].sum()) - gaps.size, "sample")
         said = (
-            f"about {int(times[gaps].sum()) - gaps.size} samples are missing, in {gaps.size} gaps, "
-            f"the first after {log.time[gaps[0]]:g} s"
+            f"about {missing} missing, in {counted(gaps.size, 'gap')}, the first after "
+            f"{log.time[gaps[0]]:g} s"
         )
         return [fault("time", "dropped_samples", said)], log
     else:

@@ -13,6 +13,7 @@ import yaml
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import published, write_text
 from ffsm_drake.common.numbers import NONE, number, percent
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.charts import GRID_METRICS, chart_views, limits_of
 from ffsm_drake.plugins.campaign.evaluate import OUTCOMES, metric_tables
 from ffsm_drake.plugins.campaign.spec import Spec
@@ -71,7 +72,8 @@ def write_report(
         with published(directory) as folder:
             write_text(folder / "report.html", _page(store, findings))
             for name in tables:
-                store.export(folder / name)
+                with step(f"writing {name}"):
+                    store.export(folder / name)
     except RecordError as error:
         raise CampaignError(one_line(error)) from error
     files = [directory / name for name in ("report.html", *tables)]
@@ -117,6 +119,7 @@ def summary_text(findings: Findings) -> str:
     return "\n".join([*aligned(rates), "", *aligned(outcomes), *findings.unpredicted])
 
 
+@step("drawing the page")
 def _page(store: Store, findings: Findings) -> str:
     spec, views, found = findings.spec, chart_views(findings), findings.map
     content: dict[str, Any] = {

@@ -3,6 +3,8 @@
 import itertools
 import statistics
 
+from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
 from ffsm_drake.plugins.campaign.evaluate import (
     DRAKE_DIFFERENCE,
@@ -11,6 +13,7 @@ from ffsm_drake.plugins.campaign.evaluate import (
     NO_PREDICTION,
     OUTCOMES,
     Evaluator,
+    Row,
     dynamics_columns,
 )
 from ffsm_drake.plugins.campaign.run import MEMORY_LIMIT, check_cases, duration_text
@@ -32,16 +35,18 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     cases = make_cases(spec)
     first = list(itertools.islice(cases, _SHOWN))
     evaluator = Evaluator(spec)
-    for controller in spec.controllers:  # the first run pays for imports
-        evaluator.evaluate(first[0], controller)
-    rows = {name: evaluator.evaluate(first[-1], name) for name in spec.controllers}
+    rows = dict[str, Row]()
+    for case in (first[0], first[-1]):  # the first run pays for imports
+        for name in spec.controllers:
+            with step(f"case {case.index} with {name}"):
+                rows[name] = evaluator.evaluate(case, name)
     seconds = [row["wall_time"] for row in rows.values()]
     width = max(map(len, spec.names)) + 2
     tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
     lines = [
         spec.description or "campaign",
-        f"{spec.cases} cases ({spec.sampling}, seed {spec.seed}), each with "
-        f"{', '.join(spec.controllers)}: {spec.runs} runs",
+        f"{counted(spec.cases, 'case')} ({spec.sampling}, seed {spec.seed}), each with "
+        f"{', '.join(spec.controllers)}: {counted(spec.runs, 'run')}",
         f"settled: |e| within {tolerance} (rad, m) throughout the last {spec.settled.hold:g} s",
         "",
         f"{'value':<{width}}" + "".join(f"{f'case {case.index}':>14}" for case in first),
@@ -56,7 +61,8 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     )
     lines += [
         "",
-        f"one run: {per_run}; all of them with {workers} workers: about {duration_text(total)}",
+        f"one run: {per_run}; all of them with {counted(workers, 'worker')}: about "
+        f"{duration_text(total)}",
     ]
     lines += [
         f"case {first[-1].index} with {name}: error: {row['message']}"
@@ -77,7 +83,7 @@ def status_text(store: Store) -> str:
     done = store.num_results()
     lines = [
         f"{store.path}: {spec.description or 'campaign'}",
-        f"{done} of {store.runs} runs ({100.0 * done / max(store.runs, 1):.1f} %)"
+        f"{done} of {counted(store.runs, 'run')} ({100.0 * done / max(store.runs, 1):.1f} %)"
         + (f" of shard {store.shard}" if store.shard.count > 1 else ""),
         "",
         f"{'controller':<12}"
@@ -107,8 +113,8 @@ def status_text(store: Store) -> str:
             lines += [
                 "",
                 f"memory of a worker: mean {first[0]:.0f} MiB, largest {first[1]:.0f} MiB over the "
-                f"first {min(done, _WINDOW)} runs; {last[0]:.0f} and {last[1]:.0f} MiB over the "
-                f"last (replaced at {MEMORY_LIMIT:.0f} MiB)",
+                f"first {counted(min(done, _WINDOW), 'run')}; {last[0]:.0f} and {last[1]:.0f} MiB "
+                f"over the last (replaced at {MEMORY_LIMIT:.0f} MiB)",
             ]
     return "\n".join(lines)
 
@@ -124,7 +130,7 @@ def _compared(store: Store) -> list[str]:
     runs, difference, outcomes = next(store.query(select))
     other = f"SELECT count(*) FROM results WHERE {DYNAMICS} LIKE '{DRAKE}%'"
     ((left,),) = store.query(other)
-    lines = [f"dynamics: {store.spec.dynamics}; {left} runs left to Drake"]
+    lines = [f"dynamics: {store.spec.dynamics}; {counted(left, 'run')} left to Drake"]
     if runs:
         lines[0] += (
             f"; {runs} run with both: {outcomes:.0f} outcomes differ, errors by at most "

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
+from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.campaign.cases import make_case, scenario_of
 from ffsm_drake.plugins.campaign.spec import Spec
@@ -165,7 +166,8 @@ def predict_map(
         ):
             radius[controller] = np.full((size, size), np.nan)
         else:
-            radius[controller] = _refined(functools.partial(predicted, controller), size, finer)
+            with step(f"{controller}, controller {k + 1} of {len(spec.controllers)}"):
+                radius[controller] = _refined(functools.partial(predicted, controller), size, finer)
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(
@@ -185,7 +187,8 @@ def _refined(predict: Callable[[int, int], float], size: int, finer: int) -> np.
 
     def fill(i: int, j: int) -> None:
         if not known[i, j]:
-            grid[i, j], known[i, j] = predict(i, j), True
+            with step(lambda: f"point {known.sum() + 1} of at most {known.size}"):
+                grid[i, j], known[i, j] = predict(i, j), True
 
     coarse = range(0, size, finer)
     for i, j in itertools.product(coarse, coarse):

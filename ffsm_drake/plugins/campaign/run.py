@@ -15,6 +15,8 @@ from ffsm_drake.common.errors import (
     WorkersError,
 )
 from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.steps import step
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.plugins.campaign.cases import Case, make_cases, scenario_of
@@ -72,9 +74,8 @@ class Progress:
 
     def __str__(self) -> str:
         """Such as: 120 of 10000 runs (1.2 %), 5.1/s, 32 min left, 3 not settled, 1 error."""
-        parts = [
-            f"{self.done} of {self.total} runs ({100.0 * self.done / max(self.total, 1):.1f} %)"
-        ]
+        share = 100.0 * self.done / max(self.total, 1)
+        parts = [f"{self.done} of {counted(self.total, 'run')} ({share:.1f} %)"]
         if self.remaining is not None and self.done < self.total:
             parts += [
                 f"{self.session / self.elapsed:.2g}/s",
@@ -110,7 +111,8 @@ def check_cases(spec: Spec) -> None:
         problem: Exception | None = None
         for case in itertools.islice(make_cases(spec), _TRIED):
             try:
-                with guarded, time_limit(spec.time_limit):
+                name = f"building case {case.index} with {controller}"
+                with step(name), guarded, time_limit(spec.time_limit):
                     make_rollout(scenario_of(spec, case, controller)).release()
                 break
             except TimeLimit as error:
@@ -215,7 +217,8 @@ def merge_campaigns(databases: Sequence[Path], out: Path) -> None:
     """
     with open_store(databases[0]) as first:
         cases = (first.case(index) for index in range(first.spec.cases))
-        with create_store(out, first.spec, cases) as merged:
+        name = f"joining {counted(len(databases), 'database')}"
+        with step(name), create_store(out, first.spec, cases) as merged:
             merged.add_results_of(databases)
 
 
@@ -228,13 +231,13 @@ def _drive(
 ) -> None:
     campaign, start, total = store.spec.to_json(), time.perf_counter(), store.runs
     before = store.num_results()
-    counted = {"session": 0, "failed": 0, "unsettled": 0}
+    tally = {"session": 0, "failed": 0, "unsettled": 0}
 
     def report() -> None:
         if progress is not None:
             elapsed = time.perf_counter() - start
             progress(
-                Progress(done=before + counted["session"], total=total, elapsed=elapsed, **counted)
+                Progress(done=before + tally["session"], total=total, elapsed=elapsed, **tally)
             )
 
     report()
@@ -252,21 +255,22 @@ def _drive(
         split=lambda some: some.parts,
     )
     try:
-        with contextlib.closing(results):
+        runs = counted(total, "run")
+        with contextlib.closing(results), step(lambda: f"{before + tally['session']} of {runs}"):
             for some, result in results:
                 rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
                 store.add(some, rows)
                 outcomes = [row["outcome"] for row in rows]
-                counted["session"] += len(outcomes)
-                counted["failed"] += outcomes.count("error")
-                counted["unsettled"] += sum(map(outcomes.count, UNSETTLED))
+                tally["session"] += len(outcomes)
+                tally["failed"] += outcomes.count("error")
+                tally["unsettled"] += sum(map(outcomes.count, UNSETTLED))
                 report()
     except (CampaignError, WorkersError) as error:
-        if done := before + counted["session"]:
+        if done := before + tally["session"]:
             raise type(error)(f"{error}; {_stored(done, store)}") from error
         raise
-    if before + counted["session"] < total:
-        raise InterruptedCampaign(before + counted["session"], total)
+    if before + tally["session"] < total:
+        raise InterruptedCampaign(before + tally["session"], total)
     if (done := store.num_results()) < total:
         raise CampaignError(
             f"{store.path}: another program removed results while it ran; {_stored(done, store)}"
@@ -276,8 +280,8 @@ def _drive(
 def _stored(done: int, store: Store) -> str:
     """Description of the unfinished part of a stopped campaign."""
     return (
-        f"{done} of {store.runs} runs are stored, 'ffsm campaign resume {store.path}' runs "
-        "the others"
+        f"{done} of {counted(store.runs, 'run')} stored, 'ffsm campaign resume {store.path}' "
+        "runs the others"
     )
 
 
@@ -307,7 +311,8 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     stored = store.result(case.index, controller)
     start, log = time.perf_counter(), None
     try:
-        with guarded, time_limit(store.spec.time_limit):
+        name = f"case {case.index} with {controller}"
+        with step(name), guarded, time_limit(store.spec.time_limit):
             log = _run_again(scenario_of(store.spec, case, controller), store.spec.dynamics)
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.evaluate import (
     COMPLETED,
     DIVERGENCE,
@@ -69,6 +71,7 @@ class Table:
     values: Mapping[str, np.ndarray]
 
 
+@step("reading the runs")
 def read_table(store: Store) -> Table:
     """Read the results that a database holds so far."""
     columns = ("outcome_time", "wall_time", *metrics_of(store.spec), *predictions_of(store.spec))
@@ -208,6 +211,7 @@ class Sensitivity:
         return self.share > self.chance
 
 
+@step("influence of the values")
 def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
     """Every sampled value and controller; NaN if all runs have the same outcome."""
     return [
@@ -398,6 +402,7 @@ def find(
     )
 
 
+@step("the stability map")
 def _map(
     store: Store,
     axes: tuple[str, str],
@@ -419,7 +424,7 @@ def _map(
 def _unpredicted(store: Store) -> list[str]:
     select = "SELECT controller, count(*), min(message) FROM results WHERE instr(message, ?)"
     return [
-        f"{controller}: {count} of {store.spec.cases} runs have {NO_PREDICTION}"
+        f"{controller}: {count} of {counted(store.spec.cases, 'run')} with {NO_PREDICTION}"
         f"{message.partition(NO_PREDICTION)[2]}"
         for controller, count, message in store.query(f"{select} GROUP BY 1", (NO_PREDICTION,))
     ]

@@ -23,6 +23,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
 from ffsm_drake.common.files import made_folder, written_whole
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.campaign.cases import Case
 from ffsm_drake.plugins.campaign.evaluate import (
     DRAKE_OUTCOME,
@@ -109,9 +110,13 @@ class Store:
         self._check_columns()
         cases = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
         if cases != (self.spec.cases, 0, self.spec.cases - 1):
-            raise self._damaged(f"its {cases[0]} cases are not the {self.spec.cases} specified")
+            raise self._damaged(
+                f"it holds {counted(cases[0], 'case')}, not the {self.spec.cases} specified"
+            )
         if (stored := self.num_results()) > self.runs:
-            raise self._damaged(f"it holds {stored} results of {self.runs} runs")
+            raise self._damaged(
+                f"it holds {counted(stored, 'result')} of {counted(self.runs, 'run')}"
+            )
         view = "SELECT sql FROM sqlite_master WHERE name = 'runs'"
         if [sql for (sql,) in self.query(view)] != [_view(self.spec)]:
             raise self._damaged("its view runs is not a campaign's")

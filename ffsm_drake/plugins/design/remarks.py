@@ -60,6 +60,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     remarks = [
         *_cut_short(scenario),
         *_stops_nothing(scenario),
+        *_unnamed_target(scenario),
         *_overridden_mass(scenario, model.plant),
         *_coarse_steps(scenario),
         *_fast_disturbances(scenario),
@@ -292,6 +293,17 @@ def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
             f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s advances by "
             f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is aliased by the "
             f"integrator; take simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
+        )
+
+
+def _unnamed_target(scenario: Scenario) -> Iterator[str]:
+    """A line if a servicer holds the shipped target because the scenario names no other."""
+    model, usual = scenario.model, Scenario()
+    given = model.debris, scenario.payload.truth
+    if model.servicer is not None and given == (usual.model.debris, usual.payload.truth):
+        yield (
+            f"model.debris: not given, so {model.end_effector} holds the shipped target of "
+            f"{usual.payload.truth.mass:g} kg; give its URDF, or payload.truth"
         )
 
 

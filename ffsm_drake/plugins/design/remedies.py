@@ -143,9 +143,12 @@ def _first(
     every = list(trials)
     if every and may_help is not None and not holds(may_help, every[-1]):
         return
-    first = next((changes for changes in every if holds(helps, changes)), None)
-    if first is not None:
-        yield Advice(changes=first, reason=reason)
+    for k, changes in enumerate(every):
+        with step(f"{reason.partition(':')[0]}, {k + 1} of {len(every)}"):
+            is_enough = holds(helps, changes)
+        if is_enough:
+            yield Advice(changes=changes, reason=reason)
+            return
 
 
 def _radius(scenario: Scenario, leg: LegVerdict) -> float:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.numbers import counted
 
 # Least noise of a measurement, in units of acceleration, as a fraction of the larger of the other
 # measurement's and the walk's: below it double precision cannot solve the Riccati equation.
@@ -184,8 +185,9 @@ class _LateFilter:
         """
         samples, size = np.arange(math.lcm(*period)), len(self.transition)
         if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
+            period_of = counted(samples.size, "sample")
             raise np.linalg.LinAlgError(
-                f"a common period of {samples.size} samples and {size} states are too many"
+                f"a common period of {period_of} and {size} states are too many"
             )
         position, velocity = (
             (samples - late) % each == 0 for late, each in zip(self.late, period, strict=True)

@@ -166,6 +166,7 @@ def new(
       ffsm new mine --urdf my_robot.urdf --package
       my_robot_description=~/ws/src/my_robot_description
     """
+    from ffsm_drake.common.steps import step
     from ffsm_drake.plugins.design.verdict import verdict
     from ffsm_drake.plugins.new.asked import Asked
     from ffsm_drake.plugins.new.first_scenario import new_scenario
@@ -185,6 +186,7 @@ def new(
         asked=Asked.parsed(**words),
         xacro_args=xacro_args,
     )
-    mission = verdict(load_scenario(str(made.scenario_file)))
+    with step("the verdict"):
+        mission = verdict(load_scenario(str(made.scenario_file)))
     text = "\n".join([made.summary(), "", *mission.lines, mission.conclusion])
     print_result(as_json, made.data() | {"mission": mission.as_data()}, text)

@@ -164,7 +164,8 @@ class Draft:
         tip = find_frame(self.true.plant, self.data["model"]["end_effector"], key="tip")
         turn = RollPitchYaw(initial["base_rpy"]).ToRotationMatrix().matrix()
         best: tuple[float, str, dict[str, float], dict[str, Any]] = (-math.inf, "", {}, {})
-        for start, length in itertools.product(starts, _LENGTHS):
+        ways = [*itertools.product(starts, _LENGTHS)]
+        for k, (start, length) in enumerate(ways):
             self.true.plant.SetPositions(self.true.context, start)
             axis = turn @ tip.CalcPoseInWorld(self.true.context).rotation().matrix()[:, 2]
             place = np.array(initial["base_position"]) - length * axis
@@ -173,7 +174,8 @@ class Draft:
             approach["posture"] = {
                 **initial, "base_position": [rounded(x) for x in place.tolist()]
             }  # fmt: skip
-            near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
+            with step(f"approach {k + 1} of {len(ways)}"):
+                near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
             if near.distance > best[0]:
                 told = f"{near.first} and {near.second} come within {near.distance:.3g} m"
                 best = near.distance, told, initial["joints"], approach["posture"]
@@ -277,7 +279,8 @@ class Draft:
         while longer > reference["duration"]:
             if longer < math.inf:
                 reference["duration"] = longer
-            planned = self._planned()
+            with step(f"a motion of {reference['duration']:g} s"):
+                planned = self._planned()
             first = 0.0 if self.asked.capture is None else min(_SETTLE, 0.1 * planned.motion.end)
             self.peaks = _peaks(planned, first) + self._disturbance
             self._size_wheels()
@@ -356,9 +359,10 @@ class Draft:
             most = np.sqrt(left / _effective_inertia(matrices).max(axis=0) / noise / _NOISES)
         for part in coordinates.groups.values():
             omega[part] = np.minimum(omega[part], most[part].min(initial=np.inf))
-        for _ in range(_TRIES):
-            self._put_gains(omega, matrices)
-            fast = self._too_fast()
+        for k in range(_TRIES):
+            with step(f"bandwidth {k + 1} of at most {_TRIES}"):
+                self._put_gains(omega, matrices)
+                fast = self._too_fast()
             if not fast:
                 return
             omega[:fast] *= _SHRINK
@@ -390,9 +394,9 @@ class Draft:
         base, or all.
         """
         if self.asked.is_paper:
-            self.margins = {
-                name: stability(self._scenario(controller=name), postures=9) for name in BY_AXIS
-            }
+            for name in BY_AXIS:
+                with step(f"the stability of {name}"):
+                    self.margins[name] = stability(self._scenario(controller=name), postures=9)
             stable = all(each.verdict == "stable" for each in self.margins.values())
             return 0 if stable else self.peaks.size
         if linear_verdict(self.scenario).is_alarm:
@@ -438,7 +442,8 @@ class _Arm:
         ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
         found, distances = [], []
         for each in ranked:
-            distances.append(self.nearest(each, each if to is None else to).distance)
+            with step(f"candidate {len(distances) + 1} of {len(ranked)}"):
+                distances.append(self.nearest(each, each if to is None else to).distance)
             if distances[-1] >= _CLEAR:
                 found.append(each)
             if len(found) == count:

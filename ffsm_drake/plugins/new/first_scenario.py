@@ -19,6 +19,8 @@ import yaml
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.common.files import check_writable, published, write_text
 from ffsm_drake.common.interrupts import unfinished
+from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability import Margins
 from ffsm_drake.plugins.new.asked import Asked
@@ -97,7 +99,7 @@ class NewScenario:
         ]
         for tip in (found.tip, found.second, *found.other_tips):
             if tip is not None:
-                length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
+                length = f"{counted(len(tip.joints), 'joint')}, reach {tip.reach:.3g} m"
                 other = f"            or {tip.frame}, {length}: --tip {tip.frame}"
                 held = tip in (found.tip, found.second)
                 lines.append(f"tip         {tip.frame}, {length}" if held else other)
@@ -175,14 +177,16 @@ def new_scenario(
     if target is not None and (payload_mass, payload_size) != (None, None):
         raise ScenarioError("--target", "is a mass or a file, not both")
     bus = None if bus_mass is None else make_bus(bus_mass, bus_size)
-    held = None if target is None else read_target(Path(target), folders)
+    with step("reading the target"):
+        held = None if target is None else read_target(Path(target), folders)
     asked = asked or Asked()
     if asked.tips is not None and tip is not None:
         raise ScenarioError("--tip", "is one hand, and --tips are two; leave one of them out")
     first, second = asked.tips or (tip, None)
-    servicer = read_urdf(
-        urdf, tip=first, second=second, bus=bus, packages=folders, arguments=xacro_args
-    )
+    with step("reading the model"):
+        servicer = read_urdf(
+            urdf, tip=first, second=second, bus=bus, packages=folders, arguments=xacro_args
+        )
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name
@@ -248,7 +252,8 @@ def _make(
         """The largest cube of half the side, a quarter, ... that touches nothing."""
         sides = (rounded((given.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1))
         smaller = (cube(given.mass, each, servicer, share=_PAYLOAD_SHARE) for each in sides)
-        return next((each for each in smaller if not placed(each, place)[1].touching), None)
+        with step("a smaller target"):
+            return next((each for each in smaller if not placed(each, place)[1].touching), None)
 
     try:
         left_out, draft = placed(given, folder)
@@ -285,6 +290,7 @@ def _make(
     )
 
 
+@step("copying the model")
 def _write_models(
     data: dict[str, Any],
     servicer: Servicer,

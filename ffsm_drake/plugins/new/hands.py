@@ -16,7 +16,9 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import cross, rotation_error
+from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.urdf import SECOND, Target
 from ffsm_drake.plugins.new.urdf.formats.building import text
@@ -91,10 +93,10 @@ class Hands:
             if rank < len(self._rows):
                 raise ScenarioError(
                     "--tips",
-                    f"the arm of '{tip.frame}' has {alone.size} joints of its own, which give its "
-                    f"hand {rank} of the {len(self._rows)} motions that the target can have; an "
-                    "arm of a closed chain needs all of them, such as 6 joints in space or 3 in a "
-                    "plane",
+                    f"the arm of '{tip.frame}' has {counted(alone.size, 'joint')} of its own, for "
+                    f"its hand {rank} of the {len(self._rows)} motions that the target can have; "
+                    "an arm of a closed chain needs all of them, such as 6 joints in space or 3 in "
+                    "a plane",
                 )
 
     def _frame(self, name: str) -> Frame:
@@ -112,7 +114,9 @@ class Hands:
         """Put contacts, postures and a duration; whether there are any. The draft's ``touching``
         says what is wrong.
         """
-        draft, holds = self._draft, self._best()
+        draft = self._draft
+        with step(lambda: f"posture {self._drawings} of {_DRAWN} of both hands"):
+            holds = self._best()
         names = "' and '".join(tip.frame for tip in self._tips)
         if not holds:
             cube = f" (a cube of {self._target.side:g} m)" if self._target.side else ""
@@ -163,7 +167,7 @@ class Hands:
 
     def _holds(self) -> Iterator[_Hold]:
         first = self._arms[0]
-        for _ in range(_DRAWN):
+        for self._drawings in range(1, _DRAWN + 1):
             joints = self._rest.copy()
             joints[first] = np.round(self._drawn()[first], 3)
             dexterity = self._dexterity(0, joints)

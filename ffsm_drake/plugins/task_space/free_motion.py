@@ -21,6 +21,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 # Evaluations of the rate: at most so many, and for each second; motions of half a minute take
 # about 1500, of ten minutes 9000.
 _MOST, _MOST_PER_SECOND = 10_000, 100
+_LEAST_PART = 1.0  # s, integrated at once
 
 
 class MomentumMotion(PlannedMotion, abc.ABC):
@@ -50,8 +51,8 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         self._content = content
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
-        self._first, self._duration = position, end
-        # dense solutions q(t) over [0, end], [end, 2 end], ..., as far as needed
+        self._first, self._part = position, max(end, _LEAST_PART)
+        # dense solutions q(t) over one part of this duration, s, after the other, as far as needed
         self._parts = list[Any]()
         super().__init__(coordinates=model.coordinates, sample_time=sample_time, end=end)
 
@@ -102,9 +103,9 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         """The dense solution q(t) of the next part."""
         from scipy.integrate import solve_ivp  # slow to load, as below wherever SciPy is used
 
-        begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
+        begin, end = (self._part * (len(self._parts) + i) for i in (0, 1))
         first = self._parts[-1](begin) if self._parts else self._first
-        evaluations, most = 0, _MOST + _MOST_PER_SECOND * self._duration
+        evaluations, most = 0, _MOST + _MOST_PER_SECOND * self._part
 
         def rate(time: float, q: np.ndarray) -> np.ndarray:
             nonlocal evaluations
@@ -129,7 +130,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         """q (n, nq) at times (n,)."""
-        part = np.maximum(np.ceil(times / self._duration).astype(int) - 1, 0)
+        part = np.maximum(np.ceil(times / self._part).astype(int) - 1, 0)
         while len(self._parts) <= part.max():
             found = (
                 _solved(self._content, len(self._parts), motion=self)

@@ -17,6 +17,7 @@ from pydrake.multibody.tree import BodyIndex, Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import matrix_of, quaternion_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import Contact, closing_contacts
@@ -112,9 +113,9 @@ class ClosedChain:
         if rank < wanted:
             raise ScenarioError(
                 f"contacts.{name}",
-                f"its arm's {len(joints)} joints give its hand {rank} of the {wanted} motions that "
-                "the target can have; an arm of a closed chain needs all of them, such as 6 joints "
-                "in space or 3 in a plane",
+                f"its arm has {counted(len(joints), 'joint')}, for its hand {rank} of the {wanted} "
+                "motions that the target can have; an arm of a closed chain needs all of them, "
+                "such as 6 joints in space or 3 in a plane",
             )
 
     def jacobian_of(self, loop: Loop, context: Context) -> np.ndarray:

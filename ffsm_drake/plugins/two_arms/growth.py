@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import position_error
@@ -111,6 +112,6 @@ def growth_in_words(scenario: Scenario, law: ControlLaw, q: np.ndarray, poles: i
     if not math.isfinite(found.force[-1]) or found.force[-1] >= _HUGE:
         told = f"more than {_HUGE:g} N in {found.time[-1]:.3g} s"
     return (
-        f"internal force not controlled: {poles} poles at one; at rest {errors} let it grow to "
-        f"{told}, by {found.rate:.3g} N/s in the end; set chain.law: minimal"
+        f"internal force not controlled: {counted(poles, 'pole')} at one; at rest {errors} let "
+        f"it grow to {told}, by {found.rate:.3g} N/s in the end; set chain.law: minimal"
     )

@@ -462,7 +462,7 @@ def test_logs_that_cannot_be_read(true_log, tmp_path):
             audit(path, URDF)
     with pytest.raises(RecordError, match="has 3 samples; at least 10"):
         audit(write(path, taken(true_log, [0, 1, 2])), URDF)
-    with pytest.raises(RecordError, match="has 1 samples; at least 10 are needed, each later"):
+    with pytest.raises(RecordError, match="has 1 sample; at least 10 are needed, each later"):
         audit(write(path, scaled(true_log, 0.0, "time")), URDF)
     with pytest.raises(RecordError, match="joint_1 has no number"):
         audit(write(path, scaled(true_log, np.nan, "joint_1")), URDF)

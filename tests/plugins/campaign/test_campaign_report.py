@@ -12,6 +12,7 @@ import pytest
 from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 from scipy import stats
+from steps_seen import steps_seen
 
 from ffsm_drake.plugins.campaign import prediction
 from ffsm_drake.plugins.campaign.command import campaign
@@ -289,6 +290,22 @@ def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, m
     page = (tmp_path / "page/report.html").read_text()
     section = page.split("<h2>What drives failure</h2>")[1].split("<h2>")[0]
     assert {name for name in findings.influential if f">{name}</td>" in section} == matter
+
+
+def test_every_step_that_takes_time_has_a_name(tmp_path):
+    """Also which case, run or point of how many."""
+    with steps_seen() as seen:
+        path = run_here(write_spec(tmp_path / "small.yaml", cases=6), tmp_path / "small.db")
+        with open_store(path) as store:
+            write_report(store, tmp_path / "report")
+    assert seen[""] < 0.25 * seen.total(), seen
+    for name in (
+        "building case 0 with ",
+        r"\d+ of 12 runs",
+        r"the stability map: (tdc|asmc), controller [12] of 2: point \d+ of at most \d+",
+        "drawing the page",
+    ):
+        assert any(re.match(name, each) for each in seen), (name, seen)
 
 
 def test_a_report_of_nothing(database, tmp_path):

@@ -85,7 +85,7 @@ def test_rows_that_another_program_removes_are_missed(tmp_path):
 
         with pytest.raises(CampaignError, match="another program removed results") as error:
             start_campaign(load_spec(spec), path, workers=HERE, progress=remove)
-        stored = f"{6 - removed[0]} of 6 runs are stored, 'ffsm campaign resume {path}'"
+        stored = f"{6 - removed[0]} of 6 runs stored, 'ffsm campaign resume {path}'"
         assert stored in str(error.value)
         resume_campaign(path, workers=HERE)
         with open_store(path) as store:

@@ -8,6 +8,7 @@ from children import finished
 
 import ffsm_drake
 from ffsm_drake import load_scenario
+from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.runs.simulate import LimitWarning, StabilityWarning
 
 SHORT = ["duration=0.105", "sensing.delay=1"]  # no whole number of samples, and unstable
@@ -93,3 +94,22 @@ def test_the_command_line_shows_its_help_without_drake():
     )
     assert "click" in loaded
     assert loaded.isdisjoint((*HEAVY, "numpy", "pydrake", "scipy"))
+
+
+OTHER = "package://ffsm_drake/urdf/two_arms_target.urdf"
+
+
+@pytest.mark.parametrize(
+    ("more", "is_told"),
+    [
+        ([], True),
+        (["payload.nominal.mass=60"], True),
+        (["payload.truth.mass=60"], False),
+        ([f"model.debris={OTHER}", "model.grasp=debris::left_grasp"], False),
+    ],
+)
+def test_a_servicer_that_holds_the_shipped_target_unasked_is_told(more, is_told):
+    servicer = "model={directives: null, servicer: 'package://ffsm_drake/urdf/servicer.urdf'}"
+    told = plan_remarks(load_scenario("postcapture", [servicer, *more]))
+    assert any(line.startswith("model.debris: not given") for line in told) == is_told
+    assert not any("model.debris" in line for line in plan_remarks(load_scenario("postcapture")))

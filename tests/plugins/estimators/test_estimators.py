@@ -749,7 +749,7 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ),
         (
             "sensing.position_delay.joints=500",
-            "estimator: has no stationary filter (a common period of 1 samples and 504",
+            "estimator: has no stationary filter (a common period of 1 sample and 504",
         ),
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
         (

@@ -22,6 +22,7 @@ from outside_urdfs import (
     stage,
     two_armed,
 )
+from steps_seen import steps_seen
 
 from ffsm_drake import load_scenario, make_true_plant
 from ffsm_drake.cli import main
@@ -59,6 +60,16 @@ def made(tmp_path_factory):
         return new_scenario(urdf, folder / name)
 
     return make
+
+
+def test_every_step_that_takes_time_has_a_name(tmp_path):
+    """Also which try of how many."""
+    urdf = tmp_path / "craft.urdf"
+    urdf.write_text(OUTSIDE["six_joints"]())
+    with steps_seen() as seen:
+        new_scenario(urdf, tmp_path / "mine")
+    assert seen[""] < 0.2 * seen.total(), seen
+    assert any(re.search(r"bandwidth 1 of at most \d+", name) for name in seen), seen
 
 
 # Who flies each URDF; the margins of all controllers are asserted for each.

@@ -84,7 +84,7 @@ def test_limits_and_what_is_passed_over(tmp_path: Path) -> None:
     assert (shoulder.lower, shoulder.upper, shoulder.effort) == (-2.0, 1.0, 80.0)
     assert (boom.lower, boom.upper) == (0.0, 0.4)
     assert servicer.remarks == (
-        "passed over, of no effect in free flight: <plugin> (1 times), <sensor> (1 times)",
+        "passed over, of no effect in free flight: <plugin> (1 time), <sensor> (1 time)",
     )
     assert servicer.root.find("link[@name='bus']/visual/geometry/box") is not None
 
@@ -181,11 +181,46 @@ def test_xacro_with_arguments_and_packages(
     assert Path("out/craft.urdf").is_file()
 
 
+def test_one_message_names_every_missing_argument(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(8):
+        names = [f"a{k}" for k in range(rng.integers(2, 9))]
+        given, default, included = (rng.random(len(names)) < p for p in (0.25, 0.25, 0.3))
+        parts = {True: "", False: ""}  # in the included file, in the file itself
+        for k, name in enumerate(names):
+            if default[k]:
+                parts[False] += f'<xacro:arg name="{name}" default="1"/>'
+            used = (
+                f'<xacro:property name="p{k}" value="$(arg {name})"/><link name="l${{p{k}}}"/>',
+                f"<xacro:if value=\"${{'$(arg {name})' == 'x'}}\"><link name=\"n{k}\"/></xacro:if>",
+                f'<link name="m$(arg {name})"/>',
+            )[rng.integers(3)]
+            parts[bool(included[k])] += used
+        undefined = bool(rng.random() < 0.5)
+        parts[False] += '<xacro:include filename="more.xacro"/>' + "${nothing}" * undefined
+        for file, text in (("more", parts[True]), ("craft", parts[False])):
+            (tmp_path / f"{file}.xacro").write_text(
+                f'<robot name="c" xmlns:xacro="http://www.ros.org/wiki/xacro">{text}</robot>'
+            )
+        arguments = {name: "2" for name, is_given in zip(names, given, strict=True) if is_given}
+        missing = {name for k, name in enumerate(names) if not (given[k] or default[k])}
+        if not missing:
+            continue
+        with pytest.raises(ModelError) as caught:
+            read_urdf(tmp_path / "craft.xacro", arguments=arguments)
+        told = str(caught.value)
+        assert set(re.findall(r"--xacro-arg (\w+)=", told)) == missing, told
+        assert ("name 'nothing' is not defined" in told) == undefined, told
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         ('<xacro:arg name="a" default="1"/>${b}', "cannot be expanded: name 'b' is not defined"),
-        ('<link name="$(arg b)"/>', "give --xacro-arg NAME=VALUE"),
+        (
+            '<link name="$(arg b)"/>',
+            "1 argument missing, without a default: give --xacro-arg b=...",
+        ),
         ('<xacro:include filename="none.xacro"/>', "cannot be expanded: No such file"),
     ],
 )

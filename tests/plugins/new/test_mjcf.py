@@ -170,8 +170,30 @@ def test_includes_and_classes(tmp_path: Path) -> None:
 def test_without_effect_is_listed_in_one_line(tmp_path: Path) -> None:
     _, remarks = made(CASES["fingers"], tmp_path)
     (line,) = [remark for remark in remarks if "passed over" in remark]
-    for part in ("cone", "gravity", "timestep", "1 sensors", "1 keyframes"):
+    for part in ("cone", "gravity", "timestep", "1 sensor", "1 keyframe"):
         assert part in line
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_thing_and_two_things(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    kinds = {  # elements -> their name for one, for more
+        '<camera name="c{}"/>': ("camera", "cameras"),
+        '<light name="l{}"/>': ("light", "lights"),
+        '<body name="m{}" mocap="true"/>': ("mocap body", "mocap bodies"),
+    }
+    counts = dict(zip(kinds, rng.integers(1, 4, len(kinds)).tolist(), strict=True))
+    world = "".join(text.format(k) for text, n in counts.items() for k in range(n))
+    motors = int(rng.integers(1, 3))
+    drives = "".join(f'<motor joint="{each}"/>' for each in ("elbow", "shoulder")[:motors])
+    text = arm().replace("</worldbody>", f"{world}</worldbody><actuator>{drives}</actuator>")
+    _, remarks = made(text, tmp_path)
+    (line,) = [remark for remark in remarks if "passed over" in remark]
+    parts = line.partition(": ")[2].split(", ")
+    for kind, names in kinds.items():
+        assert f"{counts[kind]} {names[counts[kind] > 1]}" in parts
+    plural = "s" if motors > 1 else ""
+    assert f"{motors} actuator{plural} (but for their limits)" in parts
 
 
 def test_effort_and_range(tmp_path: Path) -> None:

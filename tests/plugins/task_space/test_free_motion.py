@@ -190,6 +190,19 @@ def test_a_motion_that_cannot_be_integrated_is_refused_within_a_bound(monkeypatc
         make_closed_loop(scenario)
 
 
+@pytest.mark.parametrize("duration", [1e-4, 3e-3, 0.04, 0.5, 3.0])
+def test_the_cost_of_a_motion_does_not_grow_as_it_becomes_shorter(duration, monkeypatch):
+    """Afterwards nothing moves, however long the run; at rest the momentum is none."""
+    _, _, motion = make(*JOINTS, f"reference.duration={duration}")
+    calls, usual = [], type(motion).velocity
+    monkeypatch.setattr(type(motion), "velocity", lambda *given: calls.append(1) or usual(*given))
+    rows = motion.rows(np.array([0.0, duration, 7.3, 40.0]))
+    assert 100 < len(calls) < 20_000
+    nq = len(motion.coordinates.position_names)
+    np.testing.assert_allclose(rows[2:, :nq], np.tile(rows[1, :nq], (2, 1)), atol=1e-8)
+    assert np.abs(rows[0, :nq] - rows[1, :nq]).max() > 0.01
+
+
 def test_a_target_turns_about_its_true_centre_of_mass():
     """It moves the grasp point, and with it where the base goes, though the plans differ in nothing
     else.

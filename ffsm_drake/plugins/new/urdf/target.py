@@ -94,9 +94,10 @@ def read_target(path: Path, packages: Mapping[str, Path] | None = None) -> Targe
                 faults.append(f"link '{name_of(link)}': has mass but no <inertia>; give it both")
         moving = [name_of(joint) for joint in root.findall("joint") if joint.get("type") != "fixed"]
         if moving:
-            faults.append(
-                f"a target is rigid, but joint '{', '.join(moving)}' moves; make it fixed"
-            )
+            joints = f"joint '{moving[0]}' moves; make it fixed"
+            if len(moving) > 1:
+                joints = f"joints {', '.join(moving)} move; make them fixed"
+            faults.append(f"a target is rigid, but {joints}")
         if not any(masses.values()):
             faults.append("one link must have the target's mass, not 0 (none)")
         frames = [name_of(frame) for frame in root.findall("frame")]

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
 from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of, package_folders
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
@@ -23,8 +24,8 @@ _NAMED_FILE = re.compile(
     r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
 )
 _REASONS = {
-    "dynamics": "damping and friction left out ({n} times): the equations of motion here have none",
-    "collision": "collision shapes left out ({n} times): contact is not modelled",
+    "dynamics": "damping and friction left out ({times}): the equations of motion here have none",
+    "collision": "collision shapes left out ({times}): contact is not modelled",
 }
 
 
@@ -115,8 +116,12 @@ def _has_rotor(transmission: Element) -> bool:
 def _omissions(left_out: Counter[str]) -> Iterator[str]:
     for tag, reason in _REASONS.items():
         if left_out[tag]:
-            yield reason.format(n=left_out[tag])
-    others = [f"<{tag}> ({n} times)" for tag, n in left_out.items() if tag not in _REASONS and n]
+            yield reason.format(times=counted(left_out[tag], "time"))
+    others = [
+        f"<{tag}> ({counted(n, 'time')})"
+        for tag, n in left_out.items()
+        if tag not in _REASONS and n
+    ]
     if others:
         yield f"left out, not used here: {', '.join(others)}"
 
@@ -186,7 +191,8 @@ def _copy_meshes(
                 Path(each).name if each.startswith(("/", "file:")) else each
                 for each in dict.fromkeys(addresses)
             ]
-            yield f"meshes {problem} ({len(addresses)} times, {', '.join(shown[:3])}): {remedy}"
+            times = counted(len(addresses), "time")
+            yield f"meshes {problem} ({times}, {', '.join(shown[:3])}): {remedy}"
 
 
 def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path | None:

@@ -13,6 +13,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
@@ -25,10 +26,9 @@ from ffsm_drake.spacecraft.checked_urdf import DRAKE, require
 
 _DRAWN_GROUPS = 3  # MuJoCo shows the geoms of groups 0 to 2
 _PASSED_OVER = {  # number in the compiled model -> what it counts
-    "nu": "actuators (but for their limits)", "ntendon": "tendons", "ncam": "cameras",
-    "nlight": "lights", "nsensor": "sensors", "nkey": "keyframes", "ntex": "textures",
-    "nskin": "skins", "npair": "contact pairs", "nmocap": "mocap bodies",
-    "nhfield": "height fields",
+    "nu": "actuator", "ntendon": "tendon", "ncam": "camera", "nlight": "light",
+    "nsensor": "sensor", "nkey": "keyframe", "ntex": "texture", "nskin": "skin",
+    "npair": "contact pair", "nmocap": "mocap body", "nhfield": "height field",
 }  # fmt: skip
 
 
@@ -209,7 +209,8 @@ class _Reader:
             yield f"options ({', '.join(other)})"
         for key, what in _PASSED_OVER.items():
             if number := int(getattr(m, key)):
-                yield f"{number} {what}"
+                kept = " (but for their limits)" if key == "nu" else ""
+                yield f"{counted(number, what)}{kept}"
         fixed = [self._name("body", k) for k in range(1, m.nbody) if k not in self.kept]
         if fixed:
             yield f"bodies fixed to the world ({listed(fixed)})"

@@ -17,6 +17,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from ffsm_drake.common.errors import one_line
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
@@ -54,7 +55,9 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     plant, springs = _parsed(tree, path, packages)
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
     frames = {frame.get("name", "") for frame in tree.iter("frame")}
-    faults = Faults([f"{springs} springs at joints; set spring_stiffness to 0"] if springs else [])
+    faults = Faults(
+        [f"{counted(springs, 'spring')} at joints; set spring_stiffness to 0"] if springs else []
+    )
     bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
     names = _unique(plant, bodies)
     for body in bodies:
@@ -80,7 +83,9 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
                     root, "frame", name=frame.name(), xyz=text(pose.translation()), rpy=text(rpy),
                     link=names[_scoped(plant, frame.body())],
                 )  # fmt: skip
-    shown = [f"<{tag}> ({count} times)" for tag, count in passed.items() if tag != "visual"]
+    shown = [
+        f"<{tag}> ({counted(count, 'time')})" for tag, count in passed.items() if tag != "visual"
+    ]
     remarks = [f"passed over, of no effect in free flight: {', '.join(shown)}"] if shown else []
     if lone := keep_servicer(root):
         remarks.append(f"bodies beside the servicer left out: {listed(lone)}")

@@ -2,11 +2,15 @@
 
 import contextlib
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf.elements import package_folders
+
+_MISSING = re.compile(r"Undefined substitution argument (\w+)")
 
 
 def expand(path: Path, arguments: Mapping[str, str], packages: Mapping[str, Path]) -> str:
@@ -33,14 +37,31 @@ def expand(path: Path, arguments: Mapping[str, str], packages: Mapping[str, Path
                 return str(folder.resolve())
         raise ModelError(f"$(find {package}): no such package; give --package {package}=FOLDER")
 
-    usual, substitution_args._eval_find = substitution_args._eval_find, find
-    try:
+    def expanded(known: Mapping[str, str]) -> str:
         with contextlib.redirect_stderr(io.StringIO()):
-            document = xacro.process_file(str(path), mappings=dict(arguments))
-        return str(document.toxml())
-    except Exception as error:  # whatever the expressions in the file raise
-        given = f" (given: {', '.join(arguments)})" if arguments else ""
-        advice = "; give --xacro-arg NAME=VALUE" if "Undefined substitution" in str(error) else ""
-        raise ModelError(f"cannot be expanded: {one_line(error)}{advice}{given}") from error
+            return str(xacro.process_file(str(path), mappings=dict(known)).toxml())
+
+    usual, substitution_args._eval_find = substitution_args._eval_find, find
+    missing, besides = dict[str, str](), ""  # a stand-in by name, so that one message names all
+    try:
+        while True:
+            try:
+                text = expanded({**arguments, **missing})
+                break
+            except Exception as error:  # whatever the expressions in the file raise
+                told = one_line(error)
+                found = _MISSING.search(told)
+                if found is None or found[1] in missing:
+                    if not missing:
+                        given = f" (given: {', '.join(arguments)})" if arguments else ""
+                        raise ModelError(f"cannot be expanded: {told}{given}") from error
+                    besides = f"; besides, {told}" if "is not defined" in told else ""
+                    break
+                missing[found[1]] = ""
     finally:
         substitution_args._eval_find = usual
+    if missing:
+        advice = " ".join(f"--xacro-arg {name}=..." for name in missing)
+        count = counted(len(missing), "argument")
+        raise ModelError(f"{count} missing, without a default: give {advice}{besides}")
+    return text
