@@ -13,6 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import make_plant
 
@@ -283,7 +284,7 @@ def true_logs(folder: Path, seed: int = 0) -> list[Case]:
         made, seed = craft(int(draw.integers(1000)), joints), int(draw.integers(1000))
         spin = draw.uniform(0.05, 0.5)
         log = by_mujoco(made, seed, period=period, integrator=integrator, spin=spin)
-        add(f"MuJoCo {integrator}, {joints} joints, {period} s", made, log)
+        add(f"MuJoCo {integrator}, {counted(joints, 'joint')}, {period} s", made, log)
     made = craft(int(draw.integers(1000)), 3)
     log = by_mujoco(made, int(draw.integers(1000)), spin=0.2)
     add("MuJoCo, rates in world axes, velocity in base axes", made, world_rates(body_velocity(log)))

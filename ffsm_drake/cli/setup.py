@@ -20,7 +20,6 @@ from ffsm_drake.cli.common import (
     print_result,
     rehearsal_option,
 )
-from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.plugins import SERVICES, optional
 
 
@@ -87,6 +86,7 @@ def validate(
       ffsm validate postcapture --set payload.truth.mass=-5
     """
     from ffsm_drake.common.errors import FfsmError
+    from ffsm_drake.common.numbers import counted
     from ffsm_drake.runs.limits import Closest
     from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 

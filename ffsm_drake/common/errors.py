@@ -8,8 +8,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ffsm_drake.common.numbers import counted
-
 _MAX_LENGTH = 1500  # characters of an error text
 
 
@@ -124,8 +122,7 @@ class InterruptedCampaign(KeyboardInterrupt):
 
     def __init__(self, done: int, total: int) -> None:
         super().__init__(
-            f"interrupted with {done} of {counted(total, 'run')} stored; 'ffsm campaign resume' "
-            "finishes them"
+            f"interrupted after run {done} of {total}; 'ffsm campaign resume' finishes them"
         )
 
 

@@ -147,7 +147,7 @@ def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
         output, _ = process.communicate(timeout=60)
         wait_for_end(workers)
     assert process.returncode == 143, output
-    assert f"interrupted with {count(path)} of 32 runs stored" in output
+    assert f"interrupted after run {count(path)} of 32" in output
     assert "Traceback" not in output
     with contextlib.closing(sqlite3.connect(path)) as connection:
         assert connection.execute(

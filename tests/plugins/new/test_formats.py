@@ -129,7 +129,7 @@ def test_all_faults_of_an_sdformat_file(tmp_path: Path) -> None:
     for name in ("upper", "fore"):
         assert f"link named {name} has invalid inertia" in str(error.value)
     spring = "<dynamics><spring_stiffness>3</spring_stiffness></dynamics>"
-    with pytest.raises(ModelError, match="1 springs at joints"):
+    with pytest.raises(ModelError, match="1 spring at joints"):
         read(sdf(limit=spring), tmp_path)
 
 
