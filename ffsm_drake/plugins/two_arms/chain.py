@@ -59,12 +59,14 @@ class ClosedChain:
 
         Raises:
           ModelError: a frame does not exist.
-          ScenarioError: an arm has two contacts, or too few joints.
+          ScenarioError: an arm has two contacts, or too few joints; a frame is not on the target.
         """
         self.plant = plant
         closing = closing_contacts(scenario)
         paths = {
-            name: _joints_to(plant, find_frame(plant, contact.effector, key=f"contacts.{name}"))
+            name: _joints_to(
+                plant, find_frame(plant, contact.effector, key=f"contacts.{name}.effector")
+            )
             for name, contact in scenario.contacts.items()
         }
         _check_apart(scenario, paths)
@@ -91,6 +93,8 @@ class ClosedChain:
             turn=matrix_of(quaternion_of(error)) if true and error.any() else None,
             place=tuple(contact.position_error) if true else (0.0, 0.0, 0.0),
         )
+        if not np.array_equal(_joints_to(self.plant, loop.grasp), self.carrying):
+            raise ScenarioError(f"{key}.frame", f"'{contact.frame}' is not fixed to the target")
         seen = np.hstack(list(self._drawn_jacobians(loop)))
         directions, sizes, _ = np.linalg.svd(seen, full_matrices=False)
         found = directions[:, sizes > _LEAST * sizes[0]].T
@@ -262,6 +266,11 @@ def _check_apart(scenario: Scenario, paths: dict[str, np.ndarray]) -> None:
     and each has some of its own.
     """
     for (name, joints), (other, others) in itertools.permutations(reversed(paths.items()), 2):
+        if not joints.size:
+            raise ScenarioError(
+                f"contacts.{name}.effector",
+                f"'{scenario.contacts[name].effector}' is on no arm; name an arm's hand",
+            )
         if set(joints.tolist()) <= set(others.tolist()):
             raise ScenarioError(
                 f"contacts.{name}.effector",

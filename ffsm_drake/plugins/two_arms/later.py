@@ -10,6 +10,7 @@ its memory, in the velocities of the chain.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -25,7 +26,7 @@ from ffsm_drake.runs.phases import Mission, Phase, Progress
 from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
-from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.scenario.contacts import closing_contacts, closing_times
 from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.side_by_side import NotAlike
@@ -139,11 +140,23 @@ class _LaterHands(Mission):
         reference = loop.diagram.GetOutputPort("desired_state").Eval(root_context)
         loop.resume(root_context, self.before, self.context, reference[None], afresh=(_BLOCK,))
 
+    def _of_all(self, values: np.ndarray | None, count: int) -> np.ndarray:
+        """Values (count, 6 for each contact that closes a loop) of all, from those of the first."""
+        (scenario,) = self._scenarios
+        closing = closing_contacts(dataclasses.replace(scenario, closed=math.inf))
+        names, found = list(closing), np.zeros((count, len(closing), 6))
+        if values is not None:
+            first = sorted(names, key=lambda name: closing[name].closes)[: values.shape[1] // 6]
+            found[:, sorted(map(names.index, first))] = values.reshape(count, -1, 6)
+        return found.reshape(count, -1)
+
     def _joined(self, copy: int) -> RunLog:
         last, first = self.logs[copy][-1], self.logs[copy][0]
         for k, log in enumerate(self.logs[copy]):  # zero for an open hand
             series = dict(log.series)
-            for name in (WRENCHES, GAP, CLOSING, LOSS, _FORCE):
+            for name in (WRENCHES, GAP):
+                series[name] = self._of_all(series.get(name), log.time.size)
+            for name in (CLOSING, LOSS, _FORCE):
                 if name in last.series and name not in series:
                     series[name] = np.zeros((log.time.size, last.series[name].shape[1]))
             if _OTHER in last.series and _OTHER not in series:

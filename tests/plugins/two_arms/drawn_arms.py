@@ -51,30 +51,30 @@ def two_arms(
             [signs[axis] * angle for axis, angle in zip(axes, joints, strict=True)],
         ),
     }
-    urdf = [f'<robot name="servicer"><link name="base">{_inertial(100, 20)}</link>']
+    urdf = [f'<robot name="servicer"><link name="base">{inertial(100, 20)}</link>']
     hands = {}
     for side, (own, start, angles) in arms.items():
         parent, at, turn, where = "base", start, Rotation.identity(), np.zeros(3)
         for k, (axis, length) in enumerate(zip(own, lengths, strict=False)):
             unit = np.array([axis == each for each in "xyz"], dtype=float)
             urdf.append(
-                f'<link name="{side}{k}">{_inertial(2, 0.02, along * length / 2)}</link>'
+                f'<link name="{side}{k}">{inertial(2, 0.02, along * length / 2)}</link>'
                 f'<joint name="{side}_{k + 1}" type="continuous">'
-                f'<parent link="{parent}"/><child link="{side}{k}"/><origin xyz="{_text(at)}"/>'
-                f'<axis xyz="{_text(unit)}"/></joint>'
+                f'<parent link="{parent}"/><child link="{side}{k}"/><origin xyz="{text(at)}"/>'
+                f'<axis xyz="{text(unit)}"/></joint>'
             )
             where, parent = where + turn.apply(at), f"{side}{k}"
             turn = turn * Rotation.from_rotvec(unit * angles[k])
             at = along * length
         where = where + turn.apply(at)
-        urdf.append(f'<frame name="{side}_hand" link="{parent}" xyz="{_text(at)}" rpy="0 0 0"/>')
+        urdf.append(f'<frame name="{side}_hand" link="{parent}" xyz="{text(at)}" rpy="0 0 0"/>')
         hands[side] = where, turn
     middle = 0.5 * (hands["left"][0] + hands["right"][0])
-    target = [f'<robot name="debris"><link name="debris">{_inertial(20, 2)}</link>']
+    target = [f'<robot name="debris"><link name="debris">{inertial(20, 2)}</link>']
     for side, (where, turn) in hands.items():
-        rpy = _text(turn.as_euler("xyz"))
+        rpy = text(turn.as_euler("xyz"))
         target.append(
-            f'<frame name="{side}_grasp" link="debris" xyz="{_text(where - middle)}" rpy="{rpy}"/>'
+            f'<frame name="{side}_grasp" link="debris" xyz="{text(where - middle)}" rpy="{rpy}"/>'
         )
     for name, lines in (("servicer", urdf), ("debris", target)):
         (folder / f"{name}.urdf").write_text("\n".join([*lines, "</robot>"]))
@@ -109,13 +109,13 @@ def two_arms(
     return load_scenario("postcapture", [given, *overrides])
 
 
-def _inertial(mass: float, inertia: float, place: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
+def inertial(mass: float, inertia: float, place: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
     moments = " ".join(f'i{axis}{axis}="{inertia}"' for axis in "xyz")
     return (
-        f'<inertial><origin xyz="{_text(np.array(place))}"/><mass value="{mass}"/>'
+        f'<inertial><origin xyz="{text(np.array(place))}"/><mass value="{mass}"/>'
         f'<inertia {moments} ixy="0" ixz="0" iyz="0"/></inertial>'
     )
 
 
-def _text(vector: np.ndarray) -> str:
+def text(vector: np.ndarray) -> str:
     return " ".join(map(repr, np.asarray(vector).tolist()))
