@@ -74,6 +74,7 @@ class Predicted:
     warnings: list[str] = dataclasses.field(default_factory=list)
     beside: list[str] = dataclasses.field(default_factory=list)  # remarks that are no alarm
     unknown: str = ""  # why there is no verdict
+    linear: str = ""  # status of the linear loop, without a rehearsal
     cpu: dict[str, float] = dataclasses.field(default_factory=dict)  # processor time by command, s
 
     @property
@@ -106,6 +107,7 @@ def predict(scenario: Scenario) -> Predicted:
         warnings=found.warnings if found.is_alarm else [],
         beside=remarks if found.is_alarm else [*remarks, *found.warnings],
         unknown=found.not_linear if nothing else "",
+        linear="" if found.linear is None else found.linear.status,
         cpu={"validate": time.process_time() - start},
     )
 

@@ -39,8 +39,8 @@ def benchmark(
     """Rank every law on published missions, three seeds each, beside lower bounds.
 
     MISSION is a name, or a scenario's file (default: every mission). Writes benchmark.html and
-    benchmark.json. Ctrl-C stops after the current runs; the same command continues. Laws that ran
-    before stay in the table.
+    benchmark.json. Ctrl-C stops after the current runs, whose table says which are missing; the
+    same command continues. Laws that ran before stay in the table.
 
     \b
     Examples:
@@ -49,9 +49,11 @@ def benchmark(
       ffsm benchmark --check
       ffsm benchmark paper --table out/paper.tex
     """
+    from ffsm_drake.common.errors import InterruptedCampaign
     from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.common.workers import local_workers, stop_on_signals
     from ffsm_drake.plugins.benchmark.missions import (
+        board_so_far,
         check_mission,
         load_mission,
         mission_names,
@@ -76,15 +78,20 @@ def benchmark(
     if check:
         loaded = [mission for mission in loaded if mission.checks]
     boards, texts = [], []
+    interrupted: InterruptedCampaign | None = None
     with stop_on_signals() as stop, local_workers(workers or processors()) as crew:
         for mission in loaded:
             laws = mission.checked_laws if check else controller
-            with closing(ProgressLine(mission.name)) as progress:
-                boards.append(
-                    run_mission(
-                        mission, laws, folder / "runs", workers=crew, stop=stop, progress=progress
-                    )
-                )
+            runs = folder / "runs"
+            try:
+                if interrupted is None:
+                    with closing(ProgressLine(mission.name)) as progress:
+                        board = run_mission(
+                            mission, laws, runs, workers=crew, stop=stop, progress=progress
+                        )
+            except InterruptedCampaign as error:
+                interrupted = error
+            boards.append(board_so_far(mission, laws, runs) if interrupted else board)
             texts.append(board_text(boards[-1]))
             if not as_json:
                 click.echo(f"{texts[-1]}\n")
@@ -96,4 +103,6 @@ def benchmark(
         write_table(board_columns(boards), table)
     print_result(as_json, data, "\n".join(aligned(published)) if checks else "")
     click.echo(f"Written to {folder}: benchmark.html, benchmark.json", err=as_json)
+    if interrupted is not None:
+        raise interrupted
     sys.exit(EXIT_GOOD if all(each.holds for each in checks) else EXIT_UNSTABLE)

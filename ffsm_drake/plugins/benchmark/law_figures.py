@@ -33,7 +33,8 @@ _LONGEST = 120.0  # s, for one figure
 
 
 def law_figures(scenario: str) -> dict[str, float | None]:
-    """The figures of a scenario's law, by name; None: there is none. Takes a scenario as YAML.
+    """The figures of a scenario's law, by name; None: there is none; NaN: cut, it takes longer than
+    two minutes. Takes a scenario as YAML.
 
     For the linear loop as wired, in the posture nearest to instability: ``spectral_radius`` at the
     gains expected after adaptation; at the starting gains ``payload_factor`` (tolerated further
@@ -54,9 +55,12 @@ def law_figures(scenario: str) -> dict[str, float | None]:
         return further * given.sample_time
 
     def found(figure: Callable[[], float]) -> float | None:
-        with contextlib.suppress(FfsmError, TimeLimit, ArithmeticError, ValueError):
-            with time_limit(_LONGEST):
-                value = figure()
+        with contextlib.suppress(FfsmError, ArithmeticError, ValueError):
+            try:
+                with time_limit(_LONGEST):
+                    value = figure()
+            except TimeLimit:
+                return math.nan
             return None if math.isnan(value) else value
         return None
 

@@ -53,6 +53,12 @@ from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
 
 SEEDS = 3
+# Outcomes of a seed: left out by an interruption, and longer than a campaign's time limit.
+NOT_RUN, CUT = "not run", "cut by the time limit"
+_MISSING = {
+    "outcome": NOT_RUN,
+    "message": "interrupted before every run was made; the same command goes on",
+}
 _MAX_FIGURES = 100_000  # bytes of a file of law_figures
 _AT_START, _PLANNED = "angular_momentum", "planned_time"
 _OF_RUNS = (
@@ -103,8 +109,8 @@ class Standing:
     """
 
     controller: str
-    outcomes: tuple[str, ...]  # outcome of each seed
-    figures: Mapping[str, float | None]  # by column; None: there is none
+    outcomes: tuple[str, ...]  # outcome of each seed; none: the law does not apply
+    figures: Mapping[str, float | None]  # by column; None: there is none; NaN: cut
     message: str = ""  # why it does not apply, or the first failure
 
     @property
@@ -115,6 +121,12 @@ class Standing:
     def ended_early(self) -> Mapping[str, int]:
         """Number of runs by outcome, completed runs left out."""
         return collections.Counter(name for name in self.outcomes if name not in COMPLETED)
+
+    @property
+    def ended(self) -> str:
+        """Runs that did not come to their end, in words."""
+        early = (f"{count} {name}" for name, count in self.ended_early.items())
+        return ", ".join(early) if self.outcomes else "does not apply"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -219,15 +231,7 @@ def run_mission(
     Raises:
       CampaignError, InterruptedCampaign, WorkersError: see ``start_campaign``.
     """
-    misfits, usable = dict[str, str](), list[str]()
-    for name in controllers or controller_names():
-        try:
-            check_cases(_spec(override_scenario(mission.scenario, [f"controller={name}"]), [name]))
-            usable.append(name)
-        except FfsmError as error:
-            if controllers:  # requested by name
-                raise
-            misfits[name] = one_line(error)
+    usable, misfits = _usable(mission, controllers)
     if usable:
         spec = _spec(mission.scenario, usable)
         path = folder / f"{mission.name}-{spec.fingerprint[:12]}.db"
@@ -237,6 +241,28 @@ def run_mission(
         resume_campaign(path, workers=workers, stop=stop, progress=progress)
         _find_figures(mission, usable, folder, workers=workers, stop=stop)
     return _board(mission, folder, misfits)
+
+
+def board_so_far(mission: Mission, controllers: Sequence[str], folder: Path) -> Board:
+    """What an interrupted ``run_mission`` leaves, with a row for each of its laws. Arguments and
+    errors: see there.
+    """
+    usable, misfits = _usable(mission, controllers)
+    return _board(mission, folder, misfits, usable)
+
+
+def _usable(mission: Mission, controllers: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """The laws that apply to a mission, and why others do not."""
+    misfits, usable = dict[str, str](), list[str]()
+    for name in controllers or controller_names():
+        try:
+            check_cases(_spec(override_scenario(mission.scenario, [f"controller={name}"]), [name]))
+            usable.append(name)
+        except FfsmError as error:
+            if controllers:  # requested by name
+                raise
+            misfits[name] = one_line(error)
+    return usable, misfits
 
 
 def _figures_of(mission: Mission, name: str, folder: Path) -> Path:
@@ -274,15 +300,18 @@ def _find_figures(
     with contextlib.closing(found):
         for name, figures in found:
             lost = isinstance(figures, WorkerLost)
-            given = dict.fromkeys(FIGURES) if lost else figures
+            given = dict.fromkeys(FIGURES, math.nan) if lost else figures
             write_text(_figures_of(mission, name, folder), json.dumps(given))
             done += 1
     if done < len(missing):
         raise InterruptedCampaign(done, len(missing))
 
 
-def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
-    rows = dict(_rows(mission, folder))
+def _board(
+    mission: Mission, folder: Path, misfits: Mapping[str, str], wanted: Sequence[str] = ()
+) -> Board:
+    """The results in a folder; laws that are wanted have a row without any, too."""
+    rows = {name: [_MISSING] * SEEDS for name in wanted} | _rows(mission, folder)
     standings = [
         _standing(name, found, _figures_of(mission, name, folder)) for name, found in rows.items()
     ]
@@ -294,7 +323,7 @@ def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
 
     def place(standing: Standing) -> tuple[Any, ...]:
         itae = standing.figures["itae"]  # None where no run came to its end
-        has_run = any(name != "error" for name in standing.outcomes)
+        has_run = any(name not in ("error", NOT_RUN, CUT) for name in standing.outcomes)
         return -standing.settled, not has_run, math.inf if itae is None else itae
 
     try:
@@ -311,10 +340,11 @@ def _board(mission: Mission, folder: Path, misfits: Mapping[str, str]) -> Board:
     )
 
 
-def _rows(mission: Mission, folder: Path) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """The finished runs of each law in a folder's databases of the current version of the
-    mission.
+def _rows(mission: Mission, folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The runs of each law in a folder's databases of the current version of the mission; of a law
+    in several, the most complete.
     """
+    found = dict[str, list[dict[str, Any]]]()
     for path in sorted(folder.glob(f"{mission.name}-*.db")):
         with contextlib.suppress(CampaignError), open_store(path) as store:
             if (
@@ -323,8 +353,17 @@ def _rows(mission: Mission, folder: Path) -> Iterator[tuple[str, list[dict[str, 
             ):
                 continue
             for name in store.spec.controllers:
-                with contextlib.suppress(CampaignError):  # interrupted
-                    yield name, [store.result(case, name) for case in range(SEEDS)]
+                rows = [_MISSING] * SEEDS
+                for case in range(SEEDS):
+                    with contextlib.suppress(CampaignError):  # interrupted
+                        rows[case] = store.result(case, name)
+                if rows.count(_MISSING) <= found.get(name, rows).count(_MISSING):
+                    found[name] = rows
+    return found
+
+
+def _is_cut(row: Mapping[str, Any]) -> bool:
+    return row["outcome"] == "error" and "(time_limit)" in row["message"]
 
 
 def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> Standing:
@@ -336,10 +375,10 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
         values = [row[column] for row in meant if row.get(column) is not None]
         return statistics.fmean(values) if values else None
 
-    of_law = _read_figures(figures) or dict.fromkeys(FIGURES)
+    of_law = _read_figures(figures) or dict.fromkeys(FIGURES, math.nan)
     return Standing(
         controller=name,
-        outcomes=tuple(row["outcome"] for row in rows),
+        outcomes=tuple(CUT if _is_cut(row) else row["outcome"] for row in rows),
         figures={column: mean(column) for column in _OF_RUNS} | of_law,
         message=next((row["message"] for row in rows if row["message"]), ""),
     )

@@ -25,6 +25,13 @@ _COLUMNS = {
 }
 
 
+_CUT = "cut"  # a figure that would take longer, or that an interruption left out
+
+
+def _is_cut(value: float | None) -> bool:
+    return value is not None and math.isnan(value)
+
+
 def _figures(board: Board, standing: Standing) -> dict[str, float | None]:
     """The figures of a law by column, with its ratios to the mission's bounds."""
     used, least = standing.figures["propellant"], board.propellant
@@ -33,15 +40,14 @@ def _figures(board: Board, standing: Standing) -> dict[str, float | None]:
 
 
 def _leaderboard(board: Board) -> list[list[str]]:
-    """The header and a row for each law that applies; no column without a number."""
-    applied = [(each, _figures(board, each)) for each in board.standings if each.outcomes]
+    """The header and a row for each law; no column without a number."""
+    applied = [(each, _figures(board, each)) for each in board.standings]
     columns = [name for name in _COLUMNS if any(found[name] is not None for _, found in applied)]
     rows = [["law", "settled", *(_COLUMNS[name] for name in columns)]]
     for standing, found in applied:
         cells = [_cell(name, found[name]) for name in columns]
-        early = [f"{count} {name}" for name, count in standing.ended_early.items()]
-        settled = ", ".join([f"{standing.settled} of {len(standing.outcomes)}", *early])
-        rows.append([standing.controller, settled, *cells])
+        runs = f"{standing.settled} of {len(standing.outcomes)}" if standing.outcomes else ""
+        rows.append([standing.controller, ", ".join(filter(None, (runs, standing.ended))), *cells])
     return rows
 
 
@@ -51,7 +57,6 @@ def board_columns(boards: Sequence[Board]) -> list[Column]:
         (board.mission.name, each, _figures(board, each))
         for board in boards
         for each in board.standings
-        if each.outcomes
     ]
     columns = [
         Column(name="mission", cells=[mission for mission, _, _ in found]),
@@ -59,10 +64,11 @@ def board_columns(boards: Sequence[Board]) -> list[Column]:
         Column(name="settled", cells=[each.settled for _, each, _ in found]),
         Column(name="runs", cells=[len(each.outcomes) for _, each, _ in found]),
     ]
+    if any(each.ended for _, each, _ in found):
+        columns.append(Column(name="others", cells=[each.ended for _, each, _ in found]))
     for key, heading in _COLUMNS.items():
-        cells = [figures[key] for _, _, figures in found]
-        if key == "law_time":
-            cells = [cell and 1e6 * cell for cell in cells]
+        scale = 1e6 if key == "law_time" else 1.0
+        cells = [_CUT if _is_cut(x := figures[key]) else x and scale * x for _, _, figures in found]
         name, _, unit = heading.rstrip("]").partition(" [")
         if any(cell is not None for cell in cells):
             columns.append(Column(name=name, unit=unit, cells=cells))
@@ -70,6 +76,8 @@ def board_columns(boards: Sequence[Board]) -> list[Column]:
 
 
 def _cell(name: str, value: float | None) -> str:
+    if _is_cut(value):
+        return _CUT
     if name == "law_time":
         return number(value and 1e6 * value, 2)
     if name == "delay_margin" and value == 0.0:
@@ -109,8 +117,6 @@ def board_text(board: Board) -> str:
     lines.append(_bounds(board))
     if board.mission.assumed:
         lines.append(f"assumed: {'; '.join(board.mission.assumed)}")
-    if left := [each.controller for each in board.standings if not each.outcomes]:
-        lines.append(f"does not apply: {', '.join(left)}")
     return "\n".join(lines)
 
 
@@ -144,6 +150,7 @@ def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dic
                     each.controller: {
                         "outcomes": list(each.outcomes),
                         **_figures(board, each),
+                        "cut": [name for name, value in each.figures.items() if _is_cut(value)],
                         "message": each.message,
                     }
                     for each in board.standings

@@ -16,12 +16,14 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.cli import main
-from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
 from ffsm_drake.plugins.benchmark import missions
+from ffsm_drake.plugins.benchmark.law_figures import FIGURES
 from ffsm_drake.plugins.benchmark.missions import (
     Mission,
     Published,
     Reproduced,
+    board_so_far,
     bounds_of,
     check_mission,
     least_propellant,
@@ -29,9 +31,15 @@ from ffsm_drake.plugins.benchmark.missions import (
     mission_names,
     run_mission,
 )
-from ffsm_drake.plugins.benchmark.page import benchmark_data, benchmark_page, board_text
+from ffsm_drake.plugins.benchmark.page import (
+    benchmark_data,
+    benchmark_page,
+    board_columns,
+    board_text,
+)
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import override_scenario, thrusters_of
+from ffsm_drake.show.table_files import write_table
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
@@ -87,7 +95,7 @@ def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
     (found,) = check_mission(board)
     assert found.found == tdc.figures["isv"]
     assert found.holds
-    assert "does not apply: no_such_law" in board_text(board)
+    assert re.search("no_such_law +does not apply", board_text(board))
 
 
 def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
@@ -102,6 +110,70 @@ def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
     again = run_mission(mission, laws, folder, workers=HERE)
     for first, second in zip(board.standings, again.standings, strict=True):
         assert first.figures == second.figures
+
+
+def written(boards, folder):
+    """A leaderboard as a table, on the page, as CSV and as LaTeX, without markup."""
+    for suffix in ("csv", "tex"):
+        write_table(board_columns(boards), folder / f"laws.{suffix}")
+        yield (folder / f"laws.{suffix}").read_text()
+    yield "".join(map(board_text, boards))
+    yield re.sub("<[^>]*>", " ", benchmark_page(boards, []).split("<details>")[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_law_that_was_cut_keeps_its_row(seed, mission, folder, tmp_path):
+    """By an interruption, or by the time limit of a campaign; and the figures of a law."""
+    rng, expected = np.random.default_rng([51, seed]), {}
+    (path,) = copied(folder, tmp_path).glob("*.db")
+    for law in ("tdc", "asmc"):
+        kinds = rng.choice(["kept", missions.NOT_RUN, missions.CUT], 3)
+        kinds[0] = rng.choice([missions.NOT_RUN, missions.CUT])
+        counts = {kind: int((kinds == kind).sum()) for kind in kinds if kind != "kept"}
+        expected[law] = [f"{count} {kind}" for kind, count in counts.items()]
+        for case, kind in enumerate(kinds):
+            row = f"case_index = {case} AND controller = '{law}'"
+            change = {
+                "kept": "SELECT 1",
+                missions.NOT_RUN: f"DELETE FROM results WHERE {row}",
+                missions.CUT: "UPDATE results SET outcome = 'error', message = 'TimeLimit: took "
+                f"longer than 600 s of wall time (time_limit)' WHERE {row}",
+            }[kind]
+            with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+                connection.execute(change)
+    cut = missions._figures_of(mission, "tdc", tmp_path)
+    cut.unlink() if seed % 2 else cut.write_text(json.dumps(dict.fromkeys(FIGURES, np.nan)))
+    board = board_so_far(mission, ["tdc", "asmc", "pd_plus"], tmp_path)
+    expected["pd_plus"] = ["3 not run"]
+    assert {each.controller for each in board.standings} == set(expected)
+    for text in written([board], tmp_path):
+        for law, words in expected.items():
+            (line,) = re.findall(rf"\b{law.replace('_', '.{0,2}_')}\b[^\n]*", text)
+            assert all(word in line for word in words), (text, words)
+        assert len(re.findall(r"\bcut\b(?! by)", text)) == 2 * len(FIGURES)
+
+
+@pytest.mark.slow
+def test_an_interrupted_command_writes_what_it_has(mission, tmp_path, monkeypatch):
+    """With a row for every law, also of a mission that was not begun."""
+
+    def interrupted(*_, **__):
+        raise InterruptedCampaign(0, 3)
+
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.yaml").write_text("extends: postcapture\nduration: 0.2\n")
+    monkeypatch.setattr(missions, "resume_campaign", interrupted)
+    files = [str(tmp_path / f"{name}.yaml") for name in ("first", "second")]
+    result = CliRunner().invoke(
+        main,
+        ["benchmark", *files, "-c", "tdc", "--workers", "1", "--out", str(tmp_path / "o"),
+         "--table", str(tmp_path / "laws.csv")],
+    )  # fmt: skip
+    assert result.exit_code not in (0, 3)
+    assert (tmp_path / "o" / "benchmark.html").read_text().count("0 of 3, 3 not run") == 2
+    _, *rows = (tmp_path / "laws.csv").read_text().splitlines()
+    assert [row[: row.index(",", 7)] for row in rows] == ["first,tdc", "second,tdc"]
+    assert all("3 not run" in row for row in rows)
 
 
 def test_a_users_law_gets_its_row(mission, folder, tmp_path, monkeypatch):
