@@ -8,6 +8,7 @@ from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.plugins.design.gains import Design, DesignPoint
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries
 from ffsm_drake.plugins.design.stability.disk import DiskMargins
+from ffsm_drake.plugins.design.stability.linear_loop import radius_told
 from ffsm_drake.plugins.design.stability.margins import AxisMargins, Margins
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.style import label_of
@@ -57,7 +58,9 @@ def margins_table(margins: Margins) -> str:
         (" at the K_s expected after adaptation", "spectral_radius_expected"),
     ]
     radii.append((" with every K_s at its bound", "spectral_radius_at_bounds"))
-    told = "; ".join(f"{data[key]:.5f}{where}" for where, key in radii if not math.isnan(data[key]))
+    told = "; ".join(
+        f"{radius_told(data[key])}{where}" for where, key in radii if not math.isnan(data[key])
+    )
     return "\n".join([*lines, "", f"spectral radius at the worst posture: {told}"])
 
 

@@ -482,20 +482,36 @@ def light_arm(folder, count=7, length=0.2, mass=0.8):
     return path
 
 
-@pytest.mark.parametrize("law", ["aismc", "asmc"])
-def test_a_light_motion_of_the_elbow_is_linearised_on_the_plan(tmp_path, law):
-    """The first samples of a warm-up, without an estimate, throw it off the plan. All axes have the
-    same gains, so the poles nearest to instability stay where they are at rest.
-    """
-    start = [0.5, 0.45, -0.25, -0.9, 0.4, 0.8, 0.35]
-    scenario = load_scenario("postcapture").replace(
-        model={"servicer": str(light_arm(tmp_path)), "directives": None,
+def light_scenario(folder, law, k_d=40.0, **arm):
+    start = [0.5, 0.45, -0.25, -0.9, 0.4, 0.8, 0.35][: arm.get("count", 7)]
+    gains = {"k_d": k_d} | ({} if law == "asmc" else {"k_p": k_d**2 / 4})
+    return load_scenario("postcapture").replace(
+        model={"servicer": str(light_arm(folder, **arm)), "directives": None,
                "end_effector": "servicer::tool"},
         initial_posture={"joints": {f"joint_{k}": x for k, x in enumerate(start, 1)}},
         target_posture={"joints": {f"joint_{k}": 2 * x for k, x in enumerate(start, 1)}},
         controller=law,
-        controllers={law: {"k_d": 40.0} | ({} if law == "asmc" else {"k_p": 400.0})},
+        controllers={law: gains},
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("law", ["aismc", "asmc", "tdc"])
+def test_a_light_motion_of_the_elbow_is_linearised_on_the_plan(tmp_path, law):
+    """The first samples of a warm-up, without an estimate, throw it off the plan. All axes have the
+    same gains, so the poles nearest to instability stay where they are at rest.
+    """
+    with Linearizer(light_scenario(tmp_path, law)) as linearizer:
+        radii = [loop.spectral_radius for loop in linearizer.along()]
+    assert max(radii) == pytest.approx(radii[-1], abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_light_arms_are_linearised_on_the_plan(tmp_path, seed):
+    rng = np.random.default_rng([51, seed])
+    law = ("tdc", "aismc", "asmc")[seed % 3]
+    arm = {"count": int(rng.integers(5, 8)), "length": rng.uniform(0.15, 0.3)}
+    scenario = light_scenario(tmp_path, law, rng.uniform(15, 45), mass=rng.uniform(0.6, 2), **arm)
     with Linearizer(scenario) as linearizer:
         radii = [loop.spectral_radius for loop in linearizer.along()]
-    assert max(radii) == pytest.approx(radii[-1], abs=3e-3)
+    assert max(radii) == pytest.approx(radii[-1], abs=2e-3)

@@ -339,7 +339,11 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
             3,
             "unstable: the sampled loop of tde_aismc",
         ),
-        (["stability", "--set", "payload.nominal.mass=1e5"], 3, "spectral radius inf"),
+        (
+            ["stability", "--set", "payload.nominal.mass=1e5"],
+            3,
+            "spectral radius none, since it diverges",
+        ),
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
         (
             ["stability", "--set", "controllers.tdc.kd=1"],

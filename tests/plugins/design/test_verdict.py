@@ -20,7 +20,7 @@ def settling():
 @pytest.mark.smoke
 def test_each_line_says_what_it_covers(settling):
     linear, run = settling.lines
-    assert linear.startswith("linear: motion: stable, spectral radius 0.98")
+    assert linear.startswith("linear: motion: stable for small errors, spectral radius 0.98")
     assert linear.endswith("moving as planned, without limits and noise")
     assert run.startswith("rehearsed (one run, limits and noise, given seed): Settled")
     assert settling.conclusion.startswith("expected to go as planned (checked: every leg")

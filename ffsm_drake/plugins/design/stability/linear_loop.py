@@ -12,9 +12,17 @@ import numpy as np
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
+WARM_UP = 5  # control samples on the plan before the map is taken, to fill every memory
 MARGINAL = 1e-6  # distance from the unit circle within which a pole neither grows nor decays
 _KEPT = 1e-7  # singular value of A - 1 that is zero, but for the differences' rounding
 STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
+
+
+def radius_told(radius: float) -> str:
+    """A spectral radius in words, which a loop without a finite one has too."""
+    if math.isfinite(radius):
+        return f"{radius:.5f}"
+    return f"none, since it diverges within {WARM_UP} samples of a start on the plan"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -34,7 +34,11 @@ from ffsm_drake.loop.blocks import FROM_ACTUATORS, is_rehearsed, parts_of, settl
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.plugins.actuators.drives import FRICTION
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, SampleMap
+from ffsm_drake.plugins.design.stability.linear_loop import (
+    WARM_UP,
+    LinearLoop,
+    SampleMap,
+)
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.loop_state import Memory, PlantState, difference
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
@@ -49,12 +53,10 @@ from ffsm_drake.systems.registry import Factory
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Step of a finite difference: rad, m, and per s; other states: relative to their size.
 _STEP = 1e-7
-# Control samples on the plan before the map is taken, to fill every memory.
-_WARM_UP = 5
-# Share of the plan's largest velocity, and least velocity (rad/s, m/s), by which the first samples,
-# without an estimate, throw a light coordinate off the plan: then the warm-up is twice as long, up
-# to 2^4 times.
-_OFF, _OFF_AT_LEAST, _LONGER = 0.2, 5e-3, 4
+# The first samples, without an estimate, throw a light coordinate off the plan. Where it still
+# accelerates so much beside the plan (rad/s^2, m/s^2), the warm-up is so many times as long, up to
+# the whole motion, unless that leaves it so many times as far off: an unstable loop.
+_OFF, _LONGER, _FARTHER = 0.5, 4, 2.0
 # Beyond these, an evaluation at one instant takes more than seconds, or much memory.
 _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, searched for user-supplied systems without a declared one, and
@@ -104,7 +106,7 @@ class Linearizer:
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self.begin, self.end = self.motion.begin, self.motion.end  # s
         if approach:  # its last instant is before the grasp
-            self.end = max(0.0, self.end - _WARM_UP * self.scenario.sample_time)
+            self.end = max(0.0, self.end - WARM_UP * self.scenario.sample_time)
         self._simulator = self._new_simulator()
         self._context = self._simulator.get_mutable_context()
         self._plant = PlantState(self.loop, self._context)
@@ -114,6 +116,8 @@ class Linearizer:
         self._find_law()
         self._find_memory(leaves)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
+        # held memory -> control sample -> context after a warm-up
+        self._warm = dict[Hashable, dict[int, Context]]()
         self._motions = dict[Hashable, np.ndarray]()
         self._loops = dict[Hashable, LinearLoop]()
         self._own_period: int | None = None  # period of user-supplied systems, once it is known
@@ -254,7 +258,7 @@ class Linearizer:
             samples = self._unknown()
         return LinearLoop(
             coordinates=self.loop.coordinates,
-            time=(first + _WARM_UP) * self.scenario.sample_time,
+            time=(first + WARM_UP) * self.scenario.sample_time,
             sample_time=self.scenario.sample_time,
             samples=samples,
             hidden=self.loop.split.names,
@@ -398,7 +402,7 @@ class Linearizer:
         """
         key = content_of((first, held))
         if key not in self._updates:
-            index = first + _WARM_UP
+            index = first + WARM_UP
             before, updates = self._warmed_up(index, held), dict[Hashable, _Update]()
             self._context.SetTimeStateAndParametersFrom(before)
             own = self._find_own_period(index, held)
@@ -416,29 +420,47 @@ class Linearizer:
 
     def _warmed_up(self, index: int, held: Mapping[str, np.ndarray]) -> Context:
         """A context just before the update at a control sample, after the shortest warm-up that
-        leaves the plant near the plan, or is better than one of twice its length.
+        leaves the plant on the plan, or the longest that does not lead away from it.
+
+        A warm-up begins on the plan or, where a former one ended on the way, goes on from there.
         """
-        start, least = round(self.begin / self.scenario.sample_time), math.inf
-        v_d = self.motion.evaluate(index * self.scenario.sample_time)[1]
-        driven = self.loop.coordinates.is_driven
-        for double in range(_LONGER + 1):
-            first = max(min(start, index - _WARM_UP), index - _WARM_UP * 2**double)
-            self._context.SetTimeStateAndParametersFrom(self._start)
-            self._context.SetTime(first * self.scenario.sample_time)
-            planned = self.motion.evaluate(first * self.scenario.sample_time)[:2]
-            self.loop.set_state(self._context, np.concatenate(planned))
-            self._quiet(held)
-            with contextlib.nullcontext() if double == 0 else self._until_divergence(self._plant):
+        start, count, least = round(self.begin / self.scenario.sample_time), WARM_UP, math.inf
+        former = self._warm.setdefault(content_of(held), {})
+        while True:
+            first = max(min(start, index - WARM_UP), index - count)
+            known = max((each for each in former if first <= each < index), default=None)
+            if known is None or count == WARM_UP:
+                self._context.SetTimeStateAndParametersFrom(self._start)
+                self._context.SetTime(first * self.scenario.sample_time)
+                planned = self.motion.evaluate(first * self.scenario.sample_time)[:2]
+                self.loop.set_state(self._context, np.concatenate(planned))
+                self._quiet(held)
+            else:
+                self._context.SetTimeStateAndParametersFrom(former[known])
+                first = start = known
+            is_short = count == WARM_UP
+            with contextlib.nullcontext() if is_short else self._until_divergence(self._plant):
                 for earlier in range(first, index):
+                    before = self._off_plan(earlier)
                     self._go_on(earlier, held)
-            off = np.abs(self._plant.known()[-len(v_d) :] - v_d)[driven].max(initial=0.0)
-            if double and not off < least:
+            off = np.abs(self._off_plan(index) - before) / self.scenario.sample_time
+            largest = float(off[self.loop.coordinates.is_driven].max(initial=0.0))
+            if not is_short and (
+                self._has_diverged(self._plant) or not largest <= _FARTHER * least
+            ):
                 break
-            found, least = self._context.Clone(), off
-            near = least <= max(_OFF_AT_LEAST, _OFF * np.abs(v_d).max()) or self.loop.tracks_frame
-            if near or first <= start or not math.isfinite(least):
+            former[index], least = self._context.Clone(), min(least, largest)
+            near = largest <= _OFF or self.loop.tracks_frame
+            if near or first <= start or not math.isfinite(largest):
                 break
-        return found
+            count *= _LONGER
+        return former[index]
+
+    def _off_plan(self, index: int) -> np.ndarray:
+        """The velocity beside the plan's at a control sample (nv)."""
+        v_d = self.motion.evaluate(index * self.scenario.sample_time)[1]
+        velocity: np.ndarray = self._plant.known()[-len(v_d) :] - v_d
+        return velocity
 
     def _go_on(self, index: int, held: Mapping[str, np.ndarray]) -> None:
         """Advance from just before the update at a control sample to just before the next one."""

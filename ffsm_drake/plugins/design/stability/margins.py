@@ -15,7 +15,7 @@ from ffsm_drake.plugins.design.stability.adaptation import (
     forecast_reaching_gain,
     is_euler,
 )
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, radius_told
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.moving import (
     GROWN,
@@ -137,12 +137,12 @@ class Margins:
             worst = self.worst
             return (
                 f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
-                f"{worst.spectral_radius:.4f} at the posture of t = {worst.time:g} s"
+                f"{radius_told(worst.spectral_radius)} at the posture of t = {worst.time:g} s"
             )
         if self._bounds_unstable:
             return (
                 "unstable with every K_s at its bound: the sampled loop has spectral radius "
-                f"{self.radius_at_bounds:.4f}"
+                f"{radius_told(self.radius_at_bounds)}"
             )
         if self.axes is None:
             return self._with_actuators

@@ -18,7 +18,7 @@ import numpy as np
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, radius_told
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.plugins.design.stability.moving import (
     GROWN,
@@ -226,10 +226,13 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
     worst = found.worst
     modes = worst.modes(1)
     where = f", mostly {next(iter(modes[0].coordinates))}" if modes else ""
-    radius = f"spectral radius {worst.spectral_radius:.5g} at t = {start + worst.time:.2f} s"
+    told = radius_told(worst.spectral_radius)
+    radius = f"spectral radius {told} at t = {start + worst.time:.2f} s"
     if status == "stable":
-        return f"stable, {radius}"
+        return f"stable for small errors, {radius}"
     if _resting_radius(found, leg) >= 1.0:
         return f"unstable at rest, {radius}{where}"
+    if not math.isfinite(found.growth):
+        return f"unstable, {radius}"
     grow = f"small errors {found.growing}, {radius}{where}"
     return f"unstable, {grow}" if status == "unstable" else grow
