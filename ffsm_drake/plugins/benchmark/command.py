@@ -39,8 +39,8 @@ def benchmark(
     """Rank every law on published missions, three seeds each, beside lower bounds.
 
     MISSION is a name, or a scenario's file (default: every mission). Writes benchmark.html and
-    benchmark.json. Ctrl-C stops after the current runs, whose table says which are missing; the
-    same command continues. Laws that ran before stay in the table.
+    benchmark.json. Ctrl-C stops after the current runs, and the table shows the missing ones;
+    the same command continues. Laws that ran before stay in the table.
 
     \b
     Examples:

@@ -25,7 +25,7 @@ _COLUMNS = {
 }
 
 
-_CUT = "cut"  # a figure that would take longer, or that an interruption left out
+_CUT = "cut"  # a figure beyond its time limit, or left out by an interruption
 
 
 def _is_cut(value: float | None) -> bool:

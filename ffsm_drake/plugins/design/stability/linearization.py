@@ -419,8 +419,8 @@ class Linearizer:
         return self._updates[key]
 
     def _warmed_up(self, index: int, held: Mapping[str, np.ndarray]) -> Context:
-        """A context just before the update at a control sample, after the shortest warm-up that
-        leaves the plant on the plan, or the longest that does not lead away from it.
+        """A context just before the update at a control sample, after the shortest warm-up with
+        the plant on the plan at its end, or the longest without leading it away.
 
         A warm-up begins on the plan or, where a former one ended on the way, goes on from there.
         """
