@@ -244,7 +244,7 @@ def run_mission(
 
 
 def board_so_far(mission: Mission, controllers: Sequence[str], folder: Path) -> Board:
-    """What an interrupted ``run_mission`` leaves, with a row for each of its laws. Arguments and
+    """The results that an interrupted ``run_mission`` leaves, a row for each law. Arguments and
     errors: see there.
     """
     usable, misfits = _usable(mission, controllers)
