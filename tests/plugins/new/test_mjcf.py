@@ -88,8 +88,12 @@ def made(text: str, folder: Path) -> tuple[Path, tuple[str, ...]]:
     return folder / "model.urdf", servicer.remarks
 
 
-def mass_matrices(xml: str, urdf: Path, base: str = "bus") -> tuple[np.ndarray, np.ndarray]:
-    """H by MuJoCo and by Drake in one configuration, in Drake's coordinates."""
+def mass_matrices(
+    xml: str, urdf: Path, base: str = "bus", held: dict[str, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """H by MuJoCo and by Drake in one configuration, in Drake's coordinates; without joints that
+    are ``held`` at a place, rad or m.
+    """
     model = mujoco.MjModel.from_xml_string(xml)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     directives = urdf.with_name("model.dmd.yaml")
@@ -108,7 +112,7 @@ def mass_matrices(xml: str, urdf: Path, base: str = "bus") -> tuple[np.ndarray, 
     angles = rng.uniform(-1.0, 1.0, len(joints))
     data.qpos[:7] = [*rng.normal(size=3), *quaternion]
     # MuJoCo's order of v is position, rotation (body axes), joints; Drake's rotation (world) first.
-    change = np.zeros((model.nv, model.nv))
+    change = np.zeros((model.nv, NUM_BASE_VELOCITIES + len(joints)))
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, quaternion)
     change[:3, 3:6], change[3:6, :3] = np.eye(3), turn.reshape(3, 3).T
@@ -116,6 +120,8 @@ def mass_matrices(xml: str, urdf: Path, base: str = "bus") -> tuple[np.ndarray, 
         joint = model.joint(name)
         data.qpos[joint.qposadr[0]] = model.qpos0[joint.qposadr[0]] + angles[k]
         change[joint.dofadr[0], NUM_BASE_VELOCITIES + k] = 1.0
+    for name, value in (held or {}).items():
+        data.qpos[model.joint(name).qposadr[0]] = value
     mujoco.mj_forward(model, data)
     columns = np.zeros((model.nv, model.nv))
     for unit, column in zip(np.eye(model.nv), columns, strict=True):
@@ -221,23 +227,30 @@ def test_all_that_cannot_be_represented_is_told_at_once(tmp_path: Path) -> None:
         assert fault in str(error.value)
 
 
-def test_followers_are_fixed_where_their_leader_rests(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_followers_are_fixed_where_their_leader_rests(seed: int, tmp_path: Path) -> None:
+    """Drives of fingers add an armature, which one that is fixed does not turn any more."""
+    rng = np.random.default_rng(seed)
+    armature = "" if seed == 0 else f'armature="{rng.uniform(0.01, 0.3)}"'
+    slope, offset = (-1.0, 0.0) if seed == 0 else (rng.uniform(-2, 2), rng.uniform(-0.01, 0.01))
     fingers = "".join(
         f'<body name="{name}" pos="0 {y} 0.6"><inertial pos="0 0 0.02" mass="0.1" '
         f'diaginertia="1e-4 1e-4 1e-5"/><joint name="{name}_slide" type="slide" axis="0 1 0" '
-        'range="0 0.04"/></body>'
+        f'range="0 0.04" {armature}/></body>'
         for name, y in (("left", 0.05), ("right", -0.05))
     )
     text = arm().replace('<joint name="elbow" axis="0 1 0"/>', f'<joint name="elbow"/>{fingers}')
     text = text.replace(
         "</mujoco>",
-        '<equality><joint joint1="right_slide" joint2="left_slide" polycoef="0 -1 0 0 0"/>'
-        "</equality></mujoco>",
+        '<equality><joint joint1="right_slide" joint2="left_slide" '
+        f'polycoef="{offset} {slope} 0 0 0"/></equality></mujoco>',
     )
-    file = tmp_path / "model.xml"
-    file.write_text(text)
-    servicer = read_urdf(file)
+    urdf, _ = made(text, tmp_path)
+    servicer = read_urdf(tmp_path / "model.xml")
     assert [joint.name for joint in servicer.joints] == ["shoulder", "elbow", "left_slide"]
+    held = {"right_slide": offset + slope * servicer.joints[2].rest}
+    expected, found = mass_matrices(text, urdf, held=held)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
     assert servicer.tip.frame == "fore"
     assert any("right_slide (follows left_slide)" in remark for remark in servicer.remarks)
 

@@ -4,7 +4,7 @@ import copy
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -75,12 +75,13 @@ def write_urdf(
 def _strip(root: Element) -> Counter[str]:
     """Remove unused elements. Returns the number of meaningful ones removed, by kind."""
     left_out: Counter[str] = Counter()
+    fixed = {name_of(joint) for joint in root.findall("joint") if joint.get("type") == "fixed"}
     for element in list(root):
         parent = element.find("parent")
         name = element.get("name") if element.tag == "link" else None
         if WORLD in (name, None if parent is None else parent.get("link")):
             root.remove(element)
-        elif element.tag == "transmission" and _has_rotor(element):
+        elif element.tag == "transmission" and _has_rotor(element, fixed):
             continue  # Drake adds its inertia to the joint's
         elif element.tag not in (
             "link",
@@ -109,8 +110,9 @@ def _strip(root: Element) -> Counter[str]:
     return left_out
 
 
-def _has_rotor(transmission: Element) -> bool:
-    return any(element.tag.endswith("rotor_inertia") for element in transmission.iter())
+def _has_rotor(transmission: Element, fixed: Container[str]) -> bool:
+    is_turned = all(joint.get("name") not in fixed for joint in transmission.findall("joint"))
+    return is_turned and any(each.tag.endswith("rotor_inertia") for each in transmission.iter())
 
 
 def _omissions(left_out: Counter[str]) -> Iterator[str]:
