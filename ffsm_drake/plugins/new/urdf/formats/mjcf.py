@@ -60,7 +60,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
     lone = keep_servicer(root)
     passed = [
         *reader.passed_over(),
-        *([f"missing files ({', '.join(missing)})"] if missing else []),
+        *([f"missing files ({listed(missing)})"] if missing else []),
     ]
     remarks = [f"passed over, of no effect in free flight: {', '.join(passed)}"] if passed else []
     if lone:
