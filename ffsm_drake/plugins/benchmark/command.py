@@ -51,6 +51,7 @@ def benchmark(
     """
     from ffsm_drake.common.errors import InterruptedCampaign
     from ffsm_drake.common.files import check_writable, write_text
+    from ffsm_drake.common.steps import step
     from ffsm_drake.common.workers import local_workers, stop_on_signals
     from ffsm_drake.plugins.benchmark.missions import (
         board_so_far,
@@ -85,7 +86,8 @@ def benchmark(
             runs = folder / "runs"
             try:
                 if interrupted is None:
-                    with closing(ProgressLine(mission.name)) as progress:
+                    name = mission.name
+                    with step(name), closing(ProgressLine(name)) as progress:
                         board = run_mission(
                             mission, laws, runs, workers=crew, stop=stop, progress=progress
                         )

@@ -21,7 +21,7 @@ _COLUMNS = {
     "payload_factor": "payload, linear",
     "delay_margin": "delay, linear [s]",
     "error_over_lqg": "of LQG's error",
-    "law_time": "law [µs]",
+    "law_time": "a sample [µs]",
 }
 
 

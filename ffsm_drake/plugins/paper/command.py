@@ -26,11 +26,20 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
       ffsm reproduce                 everything, in out/reproduction/reproduction.html
       ffsm reproduce table2 --seeds 5
     """
+    from ffsm_drake.common.numbers import counted
+    from ffsm_drake.common.steps import step
     from ffsm_drake.plugins.paper import reproduce as reproduce_paper
 
-    main_file = reproduce_paper(
-        what, out, seeds=seeds, workers=2, progress=_show_progress, tell=click.echo
-    )
+    reached = ["the first runs"]
+
+    def show(done: int, total: int, following: str) -> None:
+        reached[0] = f"{done} of {counted(total, 'run')}: {following}"
+        _show_progress(done, total, following)
+
+    with step(lambda: reached[0]):
+        main_file = reproduce_paper(
+            what, out, seeds=seeds, workers=2, progress=show, tell=click.echo
+        )
     click.echo(f"Written to {out}; open {main_file}")
 
 

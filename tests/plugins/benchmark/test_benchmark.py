@@ -3,6 +3,7 @@ published figures.
 """
 
 import contextlib
+import csv
 import dataclasses
 import json
 import re
@@ -358,6 +359,8 @@ def test_the_command(tmp_path, monkeypatch):
     assert (tmp_path / "o" / "benchmark.html").is_file()
     header, row = (tmp_path / "laws.csv").read_text().splitlines()
     assert header.startswith("mission,law,settled,runs,")
+    names = [each.partition(" [")[0] for each in next(csv.reader([header]))]
+    assert len(set(names)) == len(names), names
     assert row.startswith("short,tdc,3,3,")
     assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
     missed = Published(figure="isv", value=1.0, source="a test")

@@ -6,6 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from ffsm_drake.cli import main
+from ffsm_drake.common.steps import current_step
 from ffsm_drake.plugins.paper import reproduce
 
 
@@ -19,7 +20,9 @@ def test_reproduce_a_figure(tmp_path, monkeypatch):
     def asking(what, directory, **options):  # the figure itself: ``test_reproduction.py``
         inspect.signature(reproduce).bind(what, directory, **options)
         asked.update(options, what=what)
+        assert current_step() == "the first runs"
         options["progress"](2, 2, "tables, figures, page")
+        assert current_step() == "2 of 2 runs: tables, figures, page"
         return directory / "figure.png"
 
     monkeypatch.setattr("ffsm_drake.plugins.paper.reproduce", asking)

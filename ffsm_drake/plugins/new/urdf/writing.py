@@ -4,7 +4,7 @@ import copy
 import re
 import shutil
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -81,8 +81,10 @@ def _strip(root: Element) -> Counter[str]:
         name = element.get("name") if element.tag == "link" else None
         if WORLD in (name, None if parent is None else parent.get("link")):
             root.remove(element)
-        elif element.tag == "transmission" and _has_rotor(element, fixed):
-            continue  # Drake adds its inertia to the joint's
+        elif element.tag == "transmission" and _has_rotor(element):
+            # Drake adds its inertia to the joint's; a fixed joint does not turn it.
+            if any(joint.get("name") in fixed for joint in element.findall("joint")):
+                root.remove(element)
         elif element.tag not in (
             "link",
             "joint",
@@ -110,9 +112,8 @@ def _strip(root: Element) -> Counter[str]:
     return left_out
 
 
-def _has_rotor(transmission: Element, fixed: Container[str]) -> bool:
-    is_turned = all(joint.get("name") not in fixed for joint in transmission.findall("joint"))
-    return is_turned and any(each.tag.endswith("rotor_inertia") for each in transmission.iter())
+def _has_rotor(transmission: Element) -> bool:
+    return any(element.tag.endswith("rotor_inertia") for element in transmission.iter())
 
 
 def _omissions(left_out: Counter[str]) -> Iterator[str]:
