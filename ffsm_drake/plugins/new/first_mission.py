@@ -440,7 +440,7 @@ class _Arm:
         ``to`` another; where none is, the one with the largest distance.
         """
         ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
-        found, distances = [], []
+        found, distances = list[np.ndarray](), list[float]()
         for each in ranked:
             with step(f"candidate {len(distances) + 1} of {len(ranked)}"):
                 distances.append(self.nearest(each, each if to is None else to).distance)

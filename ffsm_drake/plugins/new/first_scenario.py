@@ -251,9 +251,13 @@ def _make(
     def clear(place: Path) -> Target | None:
         """The largest cube of half the side, a quarter, ... that touches nothing."""
         sides = (rounded((given.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1))
-        smaller = (cube(given.mass, each, servicer, share=_PAYLOAD_SHARE) for each in sides)
-        with step("a smaller target"):
-            return next((each for each in smaller if not placed(each, place)[1].touching), None)
+        for each in sides:
+            smaller = cube(given.mass, each, servicer, share=_PAYLOAD_SHARE)
+            with step(f"a target of {each:g} m"):
+                is_clear = not placed(smaller, place)[1].touching
+            if is_clear:
+                return smaller
+        return None
 
     try:
         left_out, draft = placed(given, folder)
