@@ -485,9 +485,12 @@ class _Contact(LeafSystem):
         after.set_value(found[self._rigid])
 
     def _gap(self, state: np.ndarray) -> np.ndarray:
-        """The gap (m) at the plant's state [q; v]."""
-        self._model.plant.SetPositionsAndVelocities(self._model.context, state)
-        return self._chain.gap(self._model.context)
+        """The gap (m) at the plant's state [q; v]; read twice where a period ends."""
+        kept = self._found(state).gap
+        if not kept:
+            self._model.plant.SetPositionsAndVelocities(self._model.context, state)
+            kept.append(self._chain.gap(self._model.context))
+        return kept[0]
 
     def _found(self, state: np.ndarray) -> "_Geometry":
         if (content := state.tobytes()) != self._kept[0]:
@@ -537,18 +540,19 @@ class _Contact(LeafSystem):
             soft[self._rigid] = 0.0
             given += soft @ jacobian
         if not self._rigid.size:
-            return _Geometry(jacobian, soft, given)
+            return _Geometry(jacobian, [], soft, given)
         wanted, rows = chain.bias(own), jacobian
         if self._soft.size:
             rows, wanted = jacobian[self._rigid], wanted[self._rigid]
         _, inverse, _ = dposv(plant.CalcMassMatrix(own), rows.T)  # H^-1 A'
-        return _Geometry(jacobian, soft, given, rows @ inverse, inverse, -wanted)
+        return _Geometry(jacobian, [], soft, given, rows @ inverse, inverse, -wanted)
 
 
 class _Geometry(NamedTuple):
     """The contacts' quantities that depend on the plant's state alone."""
 
     jacobian: np.ndarray  # A (m, nv)
+    gap: list[np.ndarray]  # (m), once it has been read
     soft: Any  # (m) multipliers of compliant contacts; None: there are none
     given: np.ndarray  # (nv) known forces: of compliant contacts, bias and damping
     inner: Any = None  # A H^-1 A' (r, r) of the rigid contacts; None: there are none
