@@ -16,7 +16,7 @@ from typing import Any
 
 import verdicts
 
-from ffsm_drake.common.time_limit import time_limit
+from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
 BASELINES = (
@@ -42,6 +42,8 @@ def results(
                     warnings.simplefilter("ignore")
                     predicted = verdicts.predict(scenario)
                     end = verdicts.fly(scenario)
+            except TimeLimit as error:
+                end = verdicts.End(kind="interrupted", time=0.0, message=str(error))
             except Exception as error:
                 end = verdicts.End(
                     kind="failed", time=0.0, message=f"{type(error).__name__}: {error}"
@@ -58,7 +60,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED, help="another seed draws others")
     parser.add_argument("--seconds", type=float, default=300.0, help="longest time of a mission")
     given = parser.parse_args()
-    misses, alarms, beyond = list[str](), list[str](), list[str]()
+    misses, alarms, beyond, cut = list[str](), list[str](), list[str](), list[str]()
     laws = tuple(given.controller or LAWS)
     for number, law, result in results(
         laws, missions=given.missions, seconds=given.seconds, seed=given.seed
@@ -69,6 +71,8 @@ def main() -> None:
         print(f"{row} {end['time']:6.2f} s  {end['message'][:60]}", flush=True)
         if end["kind"] == "diverged" and result["verdict"]["linear"] == "stable":
             beyond.append(row)
+        if end["kind"] == "interrupted":
+            cut.append(row)
         if verdicts.is_miss(result):
             misses.append(row)
         if verdicts.is_false_alarm(result):
@@ -76,6 +80,7 @@ def main() -> None:
     print(f"\nbad ends of which nothing was said: {len(misses)}", *misses, sep="\n")
     print(f"diverged though the linear loop is stable: {len(beyond)}", *beyond, sep="\n")
     print(f"warnings of runs that settled: {len(alarms)}", *alarms, sep="\n")
+    print(f"cut by the time limit (--seconds): {len(cut)}", *cut, sep="\n")
 
 
 if __name__ == "__main__":

@@ -142,6 +142,17 @@ def test_cases_with_other_dynamics_are_compared(monkeypatch, capsys):
 
 
 @pytest.mark.slow
+def test_a_random_mission_that_is_cut_keeps_its_row(monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    words = ["baselines.py", "--missions", "1", "-c", "tdc", "--seconds", "0.05"]
+    monkeypatch.setattr("sys.argv", words)
+    importlib.import_module("baselines").main()
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert re.search("0 +tdc +cannot say +interrupted +0.00 s +took longer than 0.05 s", first)
+    assert "cut by the time limit (--seconds): 1" in rest
+
+
+@pytest.mark.slow
 def test_fault_detection(monkeypatch, capsys, tmp_path):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     study = importlib.import_module("fault_detection")

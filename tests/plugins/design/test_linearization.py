@@ -515,3 +515,53 @@ def test_light_arms_are_linearised_on_the_plan(tmp_path, seed):
     with Linearizer(scenario) as linearizer:
         radii = [loop.spectral_radius for loop in linearizer.along()]
     assert max(radii) == pytest.approx(radii[-1], abs=2e-3)
+
+
+def kicked(folder, seed):
+    """A drawn light arm with a law of boundary layers: the first samples of a warm-up amid its fast
+    motion throw it out of the layers.
+    """
+    rng = np.random.default_rng([52, seed])
+    law = ("super_twisting", "terminal_sliding_mode", "fixed_time")[seed % 3]
+    count = int(rng.integers(5, 8))
+    start = rng.uniform(-0.6, 0.6, count)
+    end = start + rng.uniform(-1.4, 1.4, count)
+    arm = light_arm(folder, count, rng.uniform(0.2, 0.35), rng.uniform(0.5, 1.5))
+    center = [0.0, 0.0, 0.0]
+    return load_scenario("postcapture").replace(
+        model={"servicer": str(arm), "directives": None, "end_effector": "servicer::tool"},
+        payload={
+            "body": "debris::debris",
+            "truth": {"mass": 17.0, "center_of_mass": center, "inertia": [2.8, 2.8, 2.8]},
+            "nominal": {"mass": 15.0, "center_of_mass": center, "inertia": [2.4, 2.4, 2.4]},
+        },
+        initial_posture={"joints": {f"joint_{k}": float(x) for k, x in enumerate(start, 1)}},
+        target_posture={"joints": {f"joint_{k}": float(x) for k, x in enumerate(end, 1)}},
+        controller=law,
+        controllers={},
+        reference={"duration": 9.0},
+        duration=13.0,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 5, 6, 8])
+def test_a_loop_that_only_a_warm_up_throws_off_is_stable(tmp_path, seed):
+    """As its run is, which begins at rest."""
+    scenario = kicked(tmp_path, seed)
+    assert linear_verdict(scenario).status == "stable"
+    record = simulate(scenario, check_stability=False)
+    assert record.outcome.completed
+    error = np.abs(record.dataset["error"].values)
+    assert error.max() < 0.01
+    assert error[-100:].max() < 1e-3
+
+
+@pytest.mark.slow
+def test_a_loop_that_diverges_at_once_is_told_so(tmp_path):
+    scenario = kicked(tmp_path, 1)
+    assert simulate(scenario, check_stability=False).outcome.time < 0.2
+    found = linear_verdict(scenario)
+    assert found.status == "unstable"
+    assert "inf" not in found.sentence
+    assert "none, since it diverges within 5 samples of a start on the plan" in found.sentence

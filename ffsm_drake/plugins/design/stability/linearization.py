@@ -54,8 +54,8 @@ POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Step of a finite difference: rad, m, and per s; other states: relative to their size.
 _STEP = 1e-7
 # The first samples, without an estimate, throw a light coordinate off the plan. Where it still
-# accelerates so much beside the plan (rad/s^2, m/s^2), the warm-up is so many times as long, up to
-# the whole motion, unless that leaves it so many times as far off: an unstable loop.
+# accelerates so much beside the plan (rad/s^2, m/s^2), the warm-up is so many times as long; where
+# that leaves it so many times as far off, it is the whole motion, unless an unstable loop is too.
 _OFF, _LONGER, _FARTHER = 0.5, 4, 2.0
 # Beyond these, an evaluation at one instant takes more than seconds, or much memory.
 _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
@@ -422,14 +422,16 @@ class Linearizer:
         """A context just before the update at a control sample, after the shortest warm-up with
         the plant on the plan at its end, or the longest without leading it away.
 
-        A warm-up begins on the plan or, where a former one ended on the way, goes on from there.
+        A warm-up begins on the plan or, if a former one ended there on the way, goes on from it.
+        One from where the motion begins comes last: at rest the first samples do little harm.
         """
         start, count, least = round(self.begin / self.scenario.sample_time), WARM_UP, math.inf
-        former = self._warm.setdefault(content_of(held), {})
+        former, found = self._warm.setdefault(content_of(held), {}), self._start
         while True:
             first = max(min(start, index - WARM_UP), index - count)
             known = max((each for each in former if first <= each < index), default=None)
-            if known is None or count == WARM_UP:
+            is_short = count == WARM_UP
+            if known is None or is_short:
                 self._context.SetTimeStateAndParametersFrom(self._start)
                 self._context.SetTime(first * self.scenario.sample_time)
                 planned = self.motion.evaluate(first * self.scenario.sample_time)[:2]
@@ -438,23 +440,21 @@ class Linearizer:
             else:
                 self._context.SetTimeStateAndParametersFrom(former[known])
                 first = start = known
-            is_short = count == WARM_UP
             with contextlib.nullcontext() if is_short else self._until_divergence(self._plant):
                 for earlier in range(first, index):
                     before = self._off_plan(earlier)
                     self._go_on(earlier, held)
             off = np.abs(self._off_plan(index) - before) / self.scenario.sample_time
             largest = float(off[self.loop.coordinates.is_driven].max(initial=0.0))
-            if not is_short and (
-                self._has_diverged(self._plant) or not largest <= _FARTHER * least
-            ):
-                break
-            former[index], least = self._context.Clone(), min(least, largest)
-            near = largest <= _OFF or self.loop.tracks_frame
-            if near or first <= start or not math.isfinite(largest):
-                break
-            count *= _LONGER
-        return former[index]
+            stays = largest <= _FARTHER * least and not self._has_diverged(self._plant)
+            if stays or is_short:
+                found, least = self._context.Clone(), min(least, largest)
+            if stays and (largest <= _OFF or self.loop.tracks_frame):
+                former[index] = found
+                return found
+            if first <= start or self.loop.tracks_frame:
+                return found
+            count = count * _LONGER if stays else index - start
 
     def _off_plan(self, index: int) -> np.ndarray:
         """The velocity beside the plan's at a control sample (nv)."""
