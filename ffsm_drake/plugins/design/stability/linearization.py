@@ -118,6 +118,8 @@ class Linearizer:
         self._updates = dict[Hashable, tuple[_Update, ...]]()
         # held memory -> control sample -> context after a warm-up
         self._warm = dict[Hashable, dict[int, Context]]()
+        # held memory, and first control sample of a warm-up -> sample at which it has diverged
+        self._lost = dict[Hashable, int]()
         self._motions = dict[Hashable, np.ndarray]()
         self._loops = dict[Hashable, LinearLoop]()
         self._own_period: int | None = None  # period of user-supplied systems, once it is known
@@ -440,13 +442,22 @@ class Linearizer:
             else:
                 self._context.SetTimeStateAndParametersFrom(former[known])
                 first = start = known
+            way = content_of((held, first))
+            if not is_short and index >= self._lost.get(way, index + 1):
+                if first <= start:
+                    return found
+                count = index - start
+                continue
             with contextlib.nullcontext() if is_short else self._until_divergence(self._plant):
                 for earlier in range(first, index):
                     before = self._off_plan(earlier)
                     self._go_on(earlier, held)
             off = np.abs(self._off_plan(index) - before) / self.scenario.sample_time
             largest = float(off[self.loop.coordinates.is_driven].max(initial=0.0))
-            stays = largest <= _FARTHER * least and not self._has_diverged(self._plant)
+            diverged = self._has_diverged(self._plant)
+            if diverged:
+                self._lost[way] = index
+            stays = largest <= _FARTHER * least and not diverged
             if stays or is_short:
                 found, least = self._context.Clone(), min(least, largest)
             if stays and (largest <= _OFF or self.loop.tracks_frame):
