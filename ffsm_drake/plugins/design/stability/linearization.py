@@ -54,8 +54,8 @@ POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Step of a finite difference: rad, m, and per s; other states: relative to their size.
 _STEP = 1e-7
 # The first samples, without an estimate, throw a light coordinate off the plan. Where it still
-# accelerates so much beside the plan (rad/s^2, m/s^2), the warm-up is so many times as long; where
-# that leaves it so many times as far off, it is the whole motion, unless an unstable loop is too.
+# accelerates so much beside the plan (rad/s^2, m/s^2), the warm-up is so many times as long; the
+# whole motion, if it is then so many times as far off.
 _OFF, _LONGER, _FARTHER = 0.5, 4, 2.0
 # Beyond these, an evaluation at one instant takes more than seconds, or much memory.
 _MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
