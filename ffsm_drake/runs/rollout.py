@@ -310,6 +310,8 @@ class Rollout:
             simulator.clear_monitor()
         sample_time = loop.scenario.sample_time
         last = loop.scenario.num_control_periods if leg.last is None else leg.last
+        # A log that doubles its room when it is full copies itself.
+        self._logger.FindMutableLog(context).Reserve(last - leg.first + 1)
         # Stops at control samples do not change the steps.
         stop_periods = max(1, round(1.0 / sample_time))
         start = time.perf_counter()
