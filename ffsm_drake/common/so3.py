@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
 _VANISHES = 1e-15  # part of a unit quaternion that is only rounding
 
 
@@ -230,6 +231,12 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
+
+
+def cross_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b (..., 3); several times as fast as NumPy's."""
+    found: np.ndarray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+    return found
 
 
 def eigenaxis_motion(

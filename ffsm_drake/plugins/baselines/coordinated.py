@@ -21,6 +21,7 @@ import functools
 
 import numpy as np
 
+from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -63,7 +64,7 @@ class Coordinated(ControlLaw):
             return step_each(self, sample, state)
         internal, q, v, v_d = self.internal, sample.q, sample.v, sample.v_d
         acceleration = sample.a_d.copy()
-        acceleration[:3] += 0.5 * np.cross(v_d[:3], v[:3])  # see ``payload``
+        acceleration[:3] += 0.5 * cross_of(v_d[:3], v[:3])  # see ``payload``
         force = internal.calc_mass_matrix(q) @ acceleration
         force += 0.25 * (internal.calc_bias(q, v + v_d) - internal.calc_bias(q, v - v_d))
         force += self.k_d * sample.e_dot + self.k_p * sample.e

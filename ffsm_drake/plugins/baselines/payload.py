@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.common.so3 import skew
+from ffsm_drake.common.so3 import cross_of, skew
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -117,7 +117,7 @@ def force_of(
 def _with_turn(v: np.ndarray, v_r: np.ndarray, a_r: np.ndarray) -> np.ndarray:
     """a_r + [w_r x w; 0] / 2 (nv)."""
     result = a_r.copy()
-    result[:3] += 0.5 * np.cross(v_r[:3], v[:3])
+    result[:3] += 0.5 * cross_of(v_r[:3], v[:3])
     return result
 
 

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of, skew, turn_between
+from ffsm_drake.common.so3 import composed, cross_of, matrix_of, quaternion_of, skew, turn_between
 from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.orbit import Orbit
 
@@ -32,7 +32,6 @@ _STEP, _TURN = 0.25, 0.1  # s and rad; of the integration, at most
 FINE_TURN = 0.02  # rad; likewise, for a run's own target: off by some 1e-9 in 10 turns
 _THINNEST = 0.02  # least eigenvalue of G
 _FASTEST = 5.0  # rad/s; fastest estimate; its integration takes a step of 0.02 s
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
 _SMALL = 0.01  # share of a deviation, step of second derivatives
 _DIAGONAL, _OFF = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]), ((0, 1), (0, 2), (1, 2))
 
@@ -244,12 +243,6 @@ class Target:
         twice = F @ F
         found: np.ndarray = np.eye(SIZE) + F + 0.5 * twice + twice @ F / 6.0
         return found
-
-
-def cross_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b (..., 3); several times as fast as NumPy's."""
-    found: np.ndarray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
-    return found
 
 
 def _within(vector: np.ndarray, most: float) -> np.ndarray:

@@ -13,10 +13,10 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import composed, matrix_of, skew, turn_between
+from ffsm_drake.common.so3 import composed, cross_of, matrix_of, skew, turn_between
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.contact_force import Jaws
-from ffsm_drake.plugins.capture.free_body import Target, cross_of, inverse_inertia
+from ffsm_drake.plugins.capture.free_body import Target, inverse_inertia
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES

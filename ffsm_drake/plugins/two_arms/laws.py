@@ -17,6 +17,7 @@ from scipy.linalg.lapack import dgesv, dposv
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.products import times
+from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
@@ -158,14 +159,14 @@ class InternalControl:
         R, M = X_WB.rotation().matrix(), body.CalcSpatialInertiaInBodyFrame(context)
         p = R @ M.get_com()
         inertia = R @ M.CalcRotationalInertia().CopyToFullMatrix3() @ R.T
-        force = M.get_mass() * (linear + np.cross(alpha, p) + np.cross(w, np.cross(w, p)))
-        moment = inertia @ alpha + np.cross(w, inertia @ w) + M.get_mass() * np.cross(p, linear)
+        force = M.get_mass() * (linear + cross_of(alpha, p) + cross_of(w, cross_of(w, p)))
+        moment = inertia @ alpha + cross_of(w, inertia @ w) + M.get_mass() * cross_of(p, linear)
         wrenches = []
         for loop in self.model.chain.loops:
             X_WG = loop.grasp.CalcPoseInWorld(context)
             arm = X_WG.translation() - X_WB.translation()
             turn = X_WG.rotation().matrix().T
-            wrenches += [turn @ (moment - np.cross(arm, force)), turn @ force]
+            wrenches += [turn @ (moment - cross_of(arm, force)), turn @ force]
         return np.concatenate(wrenches) @ self.model.chain.wrench_map
 
 
