@@ -25,10 +25,11 @@ _HELD_BY_PORTS = ("1.51",)  # releases that need ``untie``
 
 def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
     """A callback for a system's event or output that does not keep the system alive."""
-    reference: Any = weakref.WeakMethod(method)
+    bound: Any = method
+    function, reference = bound.__func__, weakref.ref(bound.__self__)
 
     def call(*arguments: Any) -> None:
-        reference()(*arguments)
+        function(reference(), *arguments)  # a WeakMethod takes a microsecond more
 
     return call
 

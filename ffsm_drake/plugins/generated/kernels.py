@@ -34,7 +34,7 @@ class Kernels:
     def __init__(self, tree: Tree, width: int = 0) -> None:
         """Args: the tree, and the numbers that a register holds; 0: those of this processor's."""
         self.tree, of = tree, Registers(width) if width else registers()
-        self._code = Code(repr((of, tree)), functools.partial(_module_text, of, tree))
+        self._code = Code(repr((of, tree)), functools.partial(module_text, of, tree))
 
     def on(self, name: str, *arrays: np.ndarray) -> Callable[[], None]:
         """A function on arrays with a row for each copy, in memory row after row.
@@ -69,7 +69,7 @@ def _lengths(tree: Tree) -> dict[str, int]:
     return {**inputs, **rates, "desired": nq + nv, "actual": nq + nv, "e": nv, "e_dot": nv}
 
 
-def _module_text(registers: Registers, tree: Tree) -> str:
+def module_text(registers: Registers, tree: Tree) -> str:
     """The LLVM text of all functions of a tree."""
     functions = [_function_text(registers, tree, name) for name in _INPUTS]
     return "\n".join((*declarations(registers), *functions))

@@ -163,8 +163,9 @@ class ClosedChain:
 
     def jacobian(self, context: Context) -> np.ndarray:
         """A (m, nv) of all loops."""
-        none = np.empty((0, self.plant.num_velocities()))
-        return _stacked([self.jacobian_of(loop, context) for loop in self.loops] or [none])
+        if not self.loops:
+            return np.empty((0, self.plant.num_velocities()))
+        return _stacked([self.jacobian_of(loop, context) for loop in self.loops])
 
     def bias(self, context: Context) -> np.ndarray:
         """dA/dt v (m) of all loops."""

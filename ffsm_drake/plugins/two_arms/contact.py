@@ -530,8 +530,10 @@ class _Contact(LeafSystem):
         plant.SetPositionsAndVelocities(own, state)
         v = state[plant.num_positions() :]
         jacobian = chain.jacobian(own)
-        soft, given = None, np.zeros(v.size)
-        if self._known is None:
+        soft = None
+        if self._known is not None:
+            given = np.zeros(v.size)
+        else:
             given = -plant.CalcBiasTerm(own)
             if self._loss is not None:
                 given -= self._loss * v
