@@ -152,7 +152,7 @@ def test_a_random_mission_that_is_cut_keeps_its_row(monkeypatch, capsys):
     assert "cut by the time limit (--seconds): 1" in rest
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fault_detection(monkeypatch, capsys, tmp_path):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     study = importlib.import_module("fault_detection")

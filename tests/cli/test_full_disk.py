@@ -150,7 +150,7 @@ def test_a_full_disk_leaves_nothing_by_halves(before, place):
 @pytest.mark.parametrize(
     "count",
     [
-        pytest.param(40, marks=pytest.mark.slow),
+        pytest.param(40, marks=pytest.mark.long),
         pytest.param(1000, marks=pytest.mark.exhaustive),
     ],
 )

@@ -340,7 +340,7 @@ def test_some_records_are_read_or_refused(good, place):
     run_alone(fuzz, good, BATCH)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_records_are_read_or_refused(good, place):
     run_alone(fuzz, good, 200, inputs=200)
 

@@ -319,7 +319,7 @@ def test_what_lacks_a_linear_loop_says_so(tmp_path):
 
 @pytest.mark.parametrize(
     ("count", "number", "commands"),
-    [(50, 0, COMMANDS), pytest.param(150, 1, COMMANDS, marks=pytest.mark.slow)]
+    [(50, 0, COMMANDS), pytest.param(150, 1, COMMANDS, marks=pytest.mark.long)]
     + [pytest.param(6, k, LONG, marks=pytest.mark.slow) for k in range(4, 6)]
     + [pytest.param(500, k, COMMANDS + LONG, marks=pytest.mark.exhaustive) for k in range(10, 20)],
 )

@@ -32,8 +32,13 @@ def test_what_must_not_move(path):
 
 
 # Names of processors to OpenBLAS, whose products round differently.
-@pytest.mark.slow
-@pytest.mark.parametrize("processor", ["Haswell", "Nehalem"])
+@pytest.mark.parametrize(
+    "processor",
+    [
+        pytest.param("Haswell", marks=pytest.mark.long),
+        pytest.param("Nehalem", marks=pytest.mark.slow),
+    ],
+)
 def test_rounding_moves_nothing_further(processor):
     command = [sys.executable, golden.__file__, "--moves"]
     environment = {**os.environ, "OPENBLAS_CORETYPE": processor}

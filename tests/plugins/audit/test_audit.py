@@ -500,8 +500,10 @@ def test_a_small_scale_is_a_finding(factor, tmp_path):
         assert found.causes == ((cause,) if cause else ()), str(found)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=pytest.mark.long if k else pytest.mark.slow) for k in range(5)],
+)
 def test_sixty_drawn_logs(seed, tmp_path):
     """No true one is accused, none of the others passes, 39 of 40 are named; -s prints them."""
     cases = [*drawn_logs.true_logs(tmp_path, seed), *drawn_logs.wrong_logs(tmp_path, seed)]
