@@ -30,8 +30,8 @@ def tracking_errors(
     c, *axis = times_conjugate(desired[:4], actual[:4])
     s_square = dot(axis, axis)
     s, norm, near = square_root(s_square + _TINY), square_root(s_square + c * c), signed(c, 1.0)
-    tangent = s * (1.0 / (near + norm))  # of h / 2
-    tangent = tangent * (1.0 / (1.0 + square_root(1.0 + tangent * tangent)))  # of h / 4
+    tangent = s * (1.0 / (near + norm))  # tan(h / 2)
+    tangent = tangent * (1.0 / (1.0 + square_root(1.0 + tangent * tangent)))  # tan(h / 4)
     square, series = tangent * tangent, _SERIES[-1]
     for each in reversed(_SERIES[:-1]):
         series = each + square * series
