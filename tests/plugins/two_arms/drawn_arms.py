@@ -1,6 +1,7 @@
-"""Spacecraft with two equal arms, mirrored at the plane x = 0, that hold a target together."""
+"""Spacecraft whose arms hold a target together: two mirrored at the plane x = 0, or any."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,18 @@ ARMS = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Arm:
+    """Axes ("x", "y" or "z" of each joint), lengths of the links (m, along z, in a plane along y),
+    joints in the initial posture (rad), place on the base and turn of its first joint."""
+
+    axes: str
+    lengths: Sequence[float]
+    joints: Sequence[float]
+    place: Sequence[float] | np.ndarray
+    turn: Rotation = Rotation.identity()
+
+
 def two_arms(
     folder: Path,
     axes: str,
@@ -33,56 +46,62 @@ def two_arms(
 
     Args:
       folder: for the URDFs.
-      axes: "x", "y" or "z" of each joint of the left arm; links extend along z, in a plane along y.
-      lengths: of the links, m.
-      joints: the left arm's, in the initial posture, rad.
-      place: of the left arm on the base.
+      axes, lengths, joints, place: of the left arm, as in ``Arm``.
       moved: change of the left arm's joints to the target posture, rad.
       right: axes of the right arm, if others.
       overrides: further ones.
     """
-    along = np.array([0.0, 1.0, 0.0] if set(axes) == {"z"} else [0.0, 0.0, 1.0])
     signs = {"x": 1.0, "y": -1.0, "z": -1.0}
+    mirrored = [signs[axis] * angle for axis, angle in zip(axes, joints, strict=True)]
+    others = right or axes
     arms = {
-        "left": (axes, np.array(place), list(joints)),
-        "right": (
-            right or axes,
-            np.array(place) * [-1, 1, 1],
-            [signs[axis] * angle for axis, angle in zip(axes, joints, strict=True)],
+        "left": Arm(axes, lengths, joints, place),
+        "right": Arm(
+            others, lengths[: len(others)], mirrored[: len(others)], np.multiply(place, [-1, 1, 1])
         ),
     }
+    return held_together(folder, arms, moved=moved, overrides=overrides)
+
+
+def held_together(
+    folder: Path, arms: dict[str, Arm], *, moved: float, overrides: Sequence[str] = ()
+) -> Scenario:
+    """A scenario of a spacecraft with any arms around its target; ``moved`` turns the first arm."""
     urdf = [f'<robot name="servicer"><link name="base">{inertial(100, 20)}</link>']
     hands = {}
-    for side, (own, start, angles) in arms.items():
-        parent, at, turn, where = "base", start, Rotation.identity(), np.zeros(3)
-        for k, (axis, length) in enumerate(zip(own, lengths, strict=False)):
+    for side, arm in arms.items():
+        along = np.array([0.0, 1.0, 0.0] if set(arm.axes) == {"z"} else [0.0, 0.0, 1.0])
+        parent, turn, where = "base", arm.turn, np.array(arm.place)
+        at, rpy = where, turn.as_euler("xyz")
+        for k, (axis, length) in enumerate(zip(arm.axes, arm.lengths, strict=True)):
             unit = np.array([axis == each for each in "xyz"], dtype=float)
             urdf.append(
                 f'<link name="{side}{k}">{inertial(2, 0.02, along * length / 2)}</link>'
                 f'<joint name="{side}_{k + 1}" type="continuous">'
-                f'<parent link="{parent}"/><child link="{side}{k}"/><origin xyz="{text(at)}"/>'
+                f'<parent link="{parent}"/><child link="{side}{k}"/>'
+                f'<origin xyz="{text(at)}" rpy="{text(rpy)}"/>'
                 f'<axis xyz="{text(unit)}"/></joint>'
             )
-            where, parent = where + turn.apply(at), f"{side}{k}"
-            turn = turn * Rotation.from_rotvec(unit * angles[k])
-            at = along * length
-        where = where + turn.apply(at)
+            turn = turn * Rotation.from_rotvec(unit * arm.joints[k])
+            parent, at, rpy = f"{side}{k}", along * length, np.zeros(3)
+            where = where + turn.apply(at)
         urdf.append(f'<frame name="{side}_hand" link="{parent}" xyz="{text(at)}" rpy="0 0 0"/>')
-        hands[side] = where, turn
-    middle = 0.5 * (hands["left"][0] + hands["right"][0])
+        hands[side] = where, turn.as_euler("xyz")
+    middle = np.mean([where for where, _ in hands.values()], axis=0)
     target = [f'<robot name="debris"><link name="debris">{inertial(20, 2)}</link>']
-    for side, (where, turn) in hands.items():
-        rpy = text(turn.as_euler("xyz"))
-        target.append(
-            f'<frame name="{side}_grasp" link="debris" xyz="{text(where - middle)}" rpy="{rpy}"/>'
-        )
+    for side, (where, rpy) in hands.items():
+        pose = f'xyz="{text(where - middle)}" rpy="{text(rpy)}"'
+        target.append(f'<frame name="{side}_grasp" link="debris" {pose}/>')
     for name, lines in (("servicer", urdf), ("debris", target)):
         (folder / f"{name}.urdf").write_text("\n".join([*lines, "</robot>"]))
-    others = dict.fromkeys([f"joint_{k}" for k in range(1, 6)])
+    first, others = next(iter(arms)), dict.fromkeys([f"joint_{k}" for k in range(1, 6)])
     postures = [
         others
-        | {f"left_{k + 1}": angle + change for k, angle in enumerate(joints)}
-        | {f"right_{k + 1}": float(arms["right"][2][k]) for k in range(len(right or axes))}
+        | {
+            f"{side}_{k + 1}": float(angle) + change * (side == first)
+            for side, arm in arms.items()
+            for k, angle in enumerate(arm.joints)
+        }
         for change in (0.0, moved)
     ]
     given = {
@@ -90,12 +109,12 @@ def two_arms(
             "directives": None,
             "servicer": str(folder / "servicer.urdf"),
             "debris": str(folder / "debris.urdf"),
-            "end_effector": "servicer::left_hand",
-            "grasp": "debris::left_grasp",
+            "end_effector": f"servicer::{first}_hand",
+            "grasp": f"debris::{first}_grasp",
         },
         "contacts": {
             side: {"effector": f"servicer::{side}_hand", "frame": f"debris::{side}_grasp"}
-            for side in hands
+            for side in arms
         },
         "initial_posture": {"joints": postures[0]},
         "target_posture": {"joints": postures[1]},
