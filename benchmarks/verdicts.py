@@ -43,7 +43,7 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.limits import broken_limits
 from ffsm_drake.runs.simulate import prepare
 
-GOOD, WARNED, UNKNOWN = "stable", "warned", "cannot say"
+GOOD, WARNED, UNKNOWN = "no alarm", "alarm", "cannot say"
 KINDS: dict[str, Callable[[np.random.Generator], Mission]] = {
     "mission": functools.partial(random_missions.draw, "mission"),
     "capture": functools.partial(random_missions.draw, "capture"),
