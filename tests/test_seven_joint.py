@@ -184,7 +184,7 @@ def test_dynamics_agree_with_mujoco(payload):
 @pytest.mark.parametrize("controller", PAPER_LAWS)
 def test_sampled_loop_is_stable(controller):
     scenario = load_scenario("seven_joint", [f"controller={controller}"])
-    assert ffsm_drake.stability(scenario).verdict == "stable"
+    assert ffsm_drake.stability(scenario).verdict == "stable for small errors"
 
 
 @pytest.mark.parametrize(

@@ -349,7 +349,7 @@ def _finish(
     for record in records:
         if file := remedy_of(record, directory):
             click.echo(
-                f"{record.scenario.controller}: what helps, as a scenario: ffsm run {file}",
+                f"{record.scenario.controller}: what may help, as a scenario: ffsm run {file}",
                 err=True,
             )
         with suppress(ModelError):  # already among the remarks

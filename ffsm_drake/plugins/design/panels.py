@@ -103,7 +103,7 @@ def _told(result: Result, margins: Margins | None, problem: str) -> dict[str, An
         "tone": "bad"
         if not margins.is_stable
         else "good"
-        if margins.verdict == "stable"
+        if margins.verdict == "stable for small errors"
         else "warn",
         "verdict": margins.verdict,
         "limits": {

@@ -172,8 +172,8 @@ class Verdict:
                 )
             if self._linear_is_known and not self.is_linearly_unstable and self.run.fails:
                 yield (
-                    "they disagree: the linear loop is stable, so limits, noise or the transient "
-                    "at the start are the cause"
+                    "they disagree: the linear loop is stable for small errors, so limits, noise, "
+                    "an error that lasts or the transient at the start is the cause"
                 )
         if self.advice:
             yield helps(self.advice)
@@ -186,11 +186,14 @@ class Verdict:
 
     @property
     def conclusion(self) -> str:
-        """One line: the expectation and its scope."""
+        """One line: the expectation and its scope; how a mission ends is said of a run alone."""
         covers = [
             name
             for name, part in (
-                ("every leg, moving, without limits", self._linear_is_known or None),
+                (
+                    "small errors on every leg, moving, without limits",
+                    self._linear_is_known or None,
+                ),
                 ("the load after the grasp", self.load),
                 (f"{self.noises and self.noises.noises} noises under the limits", self.noises),
                 ("one run with limits and noise", self.run),
@@ -205,9 +208,11 @@ class Verdict:
             return f"cannot say how the mission goes{scope}"
         if self.is_linearly_unstable:
             return f"the run settles, though the linear loop is unstable{scope}"
-        if self.run is not None and not self.run.ending.is_settled:
+        if self.run is None:
+            return f"no alarm; not rehearsed, so how it ends is not known{scope}"
+        if not self.run.ending.is_settled:
             return f"expected to stay bounded, not to settle{scope}"
-        if self.run is not None and self.run.limits:
+        if self.run.limits:
             return f"expected to settle, not as planned: commands exceed the limits{scope}"
         return f"expected to go as planned{scope}"
 
@@ -319,13 +324,13 @@ def mission(scenario: Scenario, *, rehearsal: bool) -> tuple[dict[str, Any], lis
 
 
 def helps(found: Iterable[Advice]) -> str:
-    """Remedies for saturated actuators, in one line."""
-    return f"what helps: {'; '.join(map(str, found))}"
+    """Remedies for saturated actuators, in one line; none is rehearsed."""
+    return f"what may help: {'; '.join(map(str, found))}"
 
 
 def helps_alone(found: Iterable[Advice]) -> str:
-    """Changes of which each helps alone, in one line."""
-    return f"what helps, each alone: {'; '.join(map(str, found))}"
+    """Changes of which each may help alone, in one line."""
+    return f"what may help, each alone: {'; '.join(map(str, found))}"
 
 
 def helpful_remarks(record: RunRecord) -> list[str]:

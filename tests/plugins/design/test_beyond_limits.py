@@ -115,7 +115,7 @@ def test_a_limit_within_the_reach_of_the_noise_is_rehearsed_with_more():
         found = verdict(load_scenario("flight_sensors", [f"actuation.limit.base_rotation={limit}"]))
         assert found.run.ending.is_settled
         assert found.is_alarm
-        assert "of 64 runs" in found.warnings[0]
+        assert "of 64 noises" in found.warnings[0]
         shares[limit] = found.noises.share_diverged
     assert 0.02 < shares[2.6] < 0.25
     assert 0.5 < shares[2.45] < 0.95
@@ -137,7 +137,7 @@ def test_where_no_noise_diverges_the_chance_is_bounded_and_said():
     found = verdict(load_scenario("flight_sensors", ["actuation.limit.base_rotation=2.9"]))
     assert not found.is_alarm
     assert found.conclusion.startswith("expected to settle, not as planned: commands exceed")
-    assert any("in none of 64 runs (chance below 4.7 %" in line for line in found.lines)
+    assert any("with none of 64 noises (chance below 4.7 %" in line for line in found.lines)
 
 
 def test_noise_is_told_from_the_changes_of_the_commands():

@@ -62,7 +62,7 @@ def test_no_false_alarm():
     assert [*found.run.limits] == [CLEARANCE]  # base and target, rightly
     assert "rehearsed" in found.warnings[0]
     assert not any(word in found.warnings[0] for word in ("linear", "under its limits"))
-    assert found.margins.verdict.startswith("stable with its actuators: ")
+    assert found.margins.verdict.startswith("linearised loop stable with its actuators: ")
 
 
 def craft(*, torque, rate, law, panel, layout, stop, noise, seed):
@@ -142,7 +142,7 @@ def test_following_what_helps_makes_a_craft_settle(numbers):
     remarks = helpful_remarks(record)
     if record.ending.is_settled and not remarks:
         return
-    assert "what helps: --set " in remarks[0]
+    assert "what may help: --set " in remarks[0]
     found = verdict(scenario, rehearsal=False).advice
     if not found:  # predicted to settle, with other noises
         found = advice(scenario, {"wheels": 1.0}, settles=False)

@@ -1,6 +1,10 @@
 """The verdict on a mission: its lines say what they cover, and where they disagree."""
 
+import dataclasses
+import itertools
 import json
+import random
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -8,8 +12,18 @@ from click.testing import CliRunner
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.plugins.design.verdict import Verdict, verdict
+from ffsm_drake.runs.ending import DIVERGED, MISSED, NOT_SETTLED, SETTLED
 
 UNSTABLE_AT_START = ["controllers.tde_aismc.k_s_initial=150", "duration=21"]
+# Words on how a mission ends, and "stable" without its scope.
+ENDS = re.compile(
+    r"(?<!not )expected to|settles|bounded|(?<!moving )(?<!expected to go )as planned"
+)
+UNSCOPED = re.compile(r"(?<!un)(?<!loop )stable(?! for small errors| at rest)")
+LAWS = ("tde_aismc", "asmc", "tdc", "computed_torque", "pd_plus", "slotine_li", "coordinated")
+MISSIONS = ("postcapture", "flight_sensors", "tumbling_capture", "seven_joint", "free_floating")
+DRAWN = random.Random(51).sample(list(itertools.product(MISSIONS, LAWS)), 4)
+MISSING = ("tumbling_capture", "computed_torque")  # stable for small errors; the run misses
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +37,9 @@ def test_each_line_says_what_it_covers(settling):
     assert linear.startswith("linear: motion: stable for small errors, spectral radius 0.98")
     assert linear.endswith("moving as planned, without limits and noise")
     assert run.startswith("rehearsed (one run, limits and noise, given seed): Settled")
-    assert settling.conclusion.startswith("expected to go as planned (checked: every leg")
+    assert settling.conclusion.startswith(
+        "expected to go as planned (checked: small errors on every leg"
+    )
     assert settling.warnings == []
     assert not settling.is_alarm
 
@@ -33,6 +49,42 @@ def test_without_a_rehearsal_no_run_is_spoken_of():
     assert found.run is None
     assert len(found.lines) == 1
     assert "run" not in found.conclusion
+
+
+@pytest.mark.parametrize("load", [None, 0.2, 1.5])
+@pytest.mark.parametrize("status", [None, "stable", "errors grow", "cannot say", "unstable"])
+@pytest.mark.parametrize("end", [None, SETTLED, NOT_SETTLED, DIVERGED, MISSED])
+def test_success_is_said_of_a_run_alone(settling, load, status, end):
+    """A verdict with any parts; ``end``: of the rehearsed run, None: no run was looked at."""
+    linear, run = settling.linear, settling.run
+    legs = tuple(dataclasses.replace(leg, status=status) for leg in linear.legs)
+    ending = dataclasses.replace(run.ending, status=end or SETTLED)
+    found = dataclasses.replace(
+        settling, load=load, linear=status and dataclasses.replace(linear, legs=legs),
+        run=end and dataclasses.replace(run, ending=ending),
+    )  # fmt: skip
+    said = found.conclusion
+    if end is None:
+        assert not ENDS.search(said)
+        assert said.startswith(("no alarm; not rehearsed", "not expected", "cannot say"))
+    elif end != SETTLED:
+        assert not re.search(r"(?<!not )expected to (settle|go)|the run settles", said)
+    else:
+        assert ENDS.search(said) or found.is_alarm
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "law"), [MISSING, *DRAWN])
+def test_without_a_run_no_command_speaks_of_success(name, law):
+    for command in ("validate", "stability"):
+        result = CliRunner().invoke(
+            main, [command, name, "--set", f"controller={law}", "--no-rehearsal"]
+        )
+        assert result.exit_code in (0, 3), result.output
+        for line in result.output.splitlines():
+            assert not ENDS.search(line), line
+            assert not UNSCOPED.search(line), line
+        assert "not rehearsed" in result.output or "not expected to go as planned" in result.output
 
 
 def test_a_disagreement_is_the_finding():

@@ -132,7 +132,7 @@ class Margins:
 
     @property
     def verdict(self) -> str:
-        """One line: "stable", or the cause of instability."""
+        """One line: "stable for small errors", or the cause of instability."""
         if not self.starts_stable:
             worst = self.worst
             return (
@@ -158,7 +158,7 @@ class Margins:
         if self.axes.may_leave.any():
             i = int(np.argmax(self.axes.may_leave))
             return (
-                f"predicted stable, but nothing stops K_s before its limit "
+                f"stable for small errors, but nothing stops K_s before its limit "
                 f"({self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
             )
         return self._with_actuators
@@ -175,7 +175,7 @@ class Margins:
         if found is None and self.motion is not None and self.growth > GROWN:
             return f"stable at rest; while the frame moves, small errors {self.motion.growing}"
         if found is None:
-            return "stable"
+            return "stable for small errors"
         if found.share_diverged > 0.0:
             unstable = "unstable" if found.share_diverged >= 0.5 else "at the edge of stability"
             return f"{unstable} with its actuators: {found}"
@@ -186,17 +186,17 @@ class Margins:
         ])  # fmt: skip
         i = int(np.argmax(found.largest_error / tolerance))
         if found.largest_error[i] <= tolerance[i]:
-            return f"stable with its actuators: {found}"
+            return f"linearised loop stable with its actuators: {found}"
         return (
-            f"stable with its actuators, but not expected to settle: {names[i]} is off by up to "
-            f"{found.largest_error[i]:.2g} {found.coordinates.units[i]} at the end, beyond its "
-            "tolerance of "
-            f"{tolerance[i]:g}; {found}"
+            "linearised loop stable with its actuators, but not expected to settle: "
+            f"{names[i]} is off by up to {found.largest_error[i]:.2g} "
+            f"{found.coordinates.units[i]} at the end, beyond its tolerance of {tolerance[i]:g}; "
+            f"{found}"
         )
 
     @property
     def is_stable(self) -> bool:
-        """Whether the run starts inside its margin and is expected to stay there."""
+        """Whether the linear loop is stable, and remains so as adaptation goes on."""
         return (
             self.starts_stable
             and not self._bounds_unstable
@@ -225,7 +225,7 @@ def stability(
       >>> from ffsm_drake import load_scenario, stability
       >>> margins = stability(load_scenario("postcapture", ["controller=tdc"]), postures=3)
       >>> margins.verdict, margins.is_stable
-      ('stable', True)
+      ('stable for small errors', True)
     """
     if linearizer is None:
         scenario = checked(scenario)

@@ -87,9 +87,9 @@ class Rehearsal:
         if self.noises == 1:
             return "it diverges" if count else "it does not diverge"
         if count:
-            return f"it diverges in {count} of {self.noises} runs"
+            return f"it diverges with {count} of {self.noises} noises"
         return (
-            f"it diverges in none of {self.noises} runs (chance below "
+            f"it diverges with none of {self.noises} noises (chance below "
             f"{percent(_CONFIDENCE / self.noises)}, at 95 % confidence)"
         )
 
