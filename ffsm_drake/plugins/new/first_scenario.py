@@ -26,6 +26,7 @@ from ffsm_drake.plugins.design.stability import Margins
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_mission import Draft
 from ffsm_drake.plugins.new.urdf import (
+    SECOND,
     Joint,
     Servicer,
     Target,
@@ -248,9 +249,10 @@ def _make(
         draft.place(target)
         return left_out, draft
 
+    sides = [rounded((given.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1)]
+
     def clear(place: Path) -> Target | None:
         """The largest cube of half the side, a quarter, ... that touches nothing."""
-        sides = (rounded((given.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1))
         for each in sides:
             smaller = cube(given.mass, each, servicer, share=_PAYLOAD_SHARE)
             with step(f"a target of {each:g} m"):
@@ -272,7 +274,13 @@ def _make(
             elif other is not None:
                 draft.touching += f"; --target {other.mass:g}kg,{other.side:g}m keeps clear"
         if not draft.is_held:
-            raise ScenarioError("--tips", draft.touching)
+            tried = ", ".join(f"{each:g}" for each in sides)
+            raise ScenarioError(
+                "--tips",
+                f"{draft.touching}{f'; nor one of {tried} m' if given.side else ''}; what may "
+                "help: wider limits of the joints, longer arms, other hands, or "
+                + ("another --target KG,M" if given.side else f"another place of '{SECOND}'"),
+            )
         draft.fill()
         scenario, forces = draft.scenario, draft.motion_forces()
     except FfsmError as error:

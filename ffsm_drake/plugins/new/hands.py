@@ -31,6 +31,8 @@ _CONTACTS = ("first", "second")  # their names
 _DRAWN, _HELD = 300, 4  # postures of the first arm; ways to hold, of which the best is taken
 _TRIALS = 12  # trials of the inverse kinematics for each of these postures, at least
 _STEPS, _LONGEST = 25, 0.3  # steps of the inverse kinematics; rad or m
+_SLOW = 5, 0.7  # steps that leave more than this share of a distance: out of reach
+_MOST_STEPS, _MOST_MOTIONS = 40_000, 12  # of the search for one size of the target
 _REACHED, _ALIGNED = 1e-11, 1e-6  # rad and m
 _DEXTROUS = 0.08  # least singular value of an arm, with its reach as the unit of length
 _SHARES = (1.0, 0.7, 0.45, 0.3, 0.2)  # shares of the step to an initial posture
@@ -81,6 +83,7 @@ class Hands:
         self._rest = np.round([joint.rest for joint in joints], 3)
         self._low, self._high = np.array([joint.range for joint in joints]).T
         self._random = np.random.default_rng(0)
+        self._drawings = self._steps = self._ways = self._motions = 0  # done so far
         # directions of the second hand's twist in the target's frame that postures can move
         parts = list[np.ndarray]()
         for _ in range(4):
@@ -118,11 +121,11 @@ class Hands:
         with step(lambda: f"posture {self._drawings} of {_DRAWN} of both hands"):
             holds = self._best()
         names = "' and '".join(tip.frame for tip in self._tips)
+        cube = f" (a cube of {self._target.side:g} m)" if self._target.side else ""
         if not holds:
-            cube = f" (a cube of {self._target.side:g} m)" if self._target.side else ""
             draft.touching = (
-                f"'{names}' cannot both hold the target{cube}: none of {_DRAWN} postures drawn of "
-                "the first arm lets the second one reach"
+                f"'{names}' cannot both hold the target{cube}: none of {self._drawings} postures "
+                "drawn of the first arm lets the second one reach"
             )
             return False
         file = Path(draft.source).parent / draft.data["model"]["debris"]
@@ -141,11 +144,12 @@ class Hands:
             draft.data["target_posture"]["joints"] = self._by_name(hold.joints)
             if hold.distance < 0.0:
                 draft.touching = "no posture of both hands that is free of contact was found"
-            if self._start(hold):
-                return True
+            with step(lambda: f"motion {self._motions} of at most {_MOST_MOTIONS} of both hands"):
+                if self._start(hold):
+                    return True
         draft.touching = (
-            f"'{names}' cannot move the target together: none of {_WAYS * len(_SHARES)} motions "
-            "near a posture of both is within the reach and limits of both arms"
+            f"'{names}' cannot move the target{cube} together: none of {self._ways} motions near "
+            f"{counted(len(holds), 'posture')} of both is within the reach and limits of both arms"
         )
         return False
 
@@ -168,6 +172,8 @@ class Hands:
     def _holds(self) -> Iterator[_Hold]:
         first = self._arms[0]
         for self._drawings in range(1, _DRAWN + 1):
+            if self._steps >= _MOST_STEPS:
+                return
             joints = self._rest.copy()
             joints[first] = np.round(self._drawn()[first], 3)
             dexterity = self._dexterity(0, joints)
@@ -216,7 +222,9 @@ class Hands:
         shoulder = self._shoulder.CalcPose(self._context, self._body).translation()
         if np.linalg.norm(X_PG.translation() - shoulder) > tip.reach:
             return None
+        sizes = list[float]()
         for _ in range(_STEPS):
+            self._steps += 1
             X_PH = self._place()
             if turned:
                 now = X_PH.rotation().matrix()[:, 2]
@@ -230,6 +238,9 @@ class Hands:
             if np.abs(wanted).max() < _REACHED:
                 left = np.abs(off - self._rows.T @ wanted)  # no posture moves these
                 return joints if left[: 3 if turned else 6].max() < _ALIGNED else None
+            sizes.append(float(np.linalg.norm(wanted)))
+            if len(sizes) > _SLOW[0] and sizes[-1] > _SLOW[1] * sizes[-1 - _SLOW[0]]:
+                return None
             jacobian = self._rows @ kept @ self._jacobian(self._hands[1], self._body)[:, second]
             step = np.linalg.lstsq(jacobian, wanted, rcond=1e-6)[0]
             step *= min(1.0, _LONGEST / max(np.abs(step).max(), 1e-300))
@@ -253,6 +264,9 @@ class Hands:
         draft, data, best, n = self._draft, self._draft.data, None, hold.joints.size
         for share, _ in itertools.product(_SHARES, range(_WAYS)):
             size = _STEP * share * self._random.uniform(0.5, 1.0, n)
+            if self._motions == _MOST_MOTIONS:
+                break
+            self._ways += 1
             change = np.round(size * self._random.choice([-1.0, 1.0], n), 3)
             begin = hold.joints.copy()
             begin[self._arms[0]] += change[self._arms[0]]
@@ -263,6 +277,7 @@ class Hands:
                 continue
             data["initial_posture"]["joints"] = self._by_name(np.round(closed, 6))
             scenario = draft.scenario
+            self._motions += 1
             try:
                 motion = make_motion(scenario, draft.coordinates)
             except ScenarioError:

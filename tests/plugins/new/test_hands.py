@@ -1,6 +1,7 @@
 """Crafts whose two arms hold the target together."""
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,11 @@ from ffsm_drake.scenario import load_scenario
 
 RANGE = 'lower="-2.6" upper="2.6" effort="60" velocity="1"'
 SPATIAL = "zyyxyx"  # axes of an arm's joints
+BOX = robot(
+    link("box", mass=30, inertia=(1, 1, 1)),
+    '<frame name="grasp" link="box" xyz="-0.2 0 0" rpy="0 1.5707963 0"/>',
+    '<frame name="grasp_2" link="box" xyz="0.2 0 0" rpy="0 -1.5707963 0"/>',
+)
 
 
 def craft(axes: str, *, other: str | None = None, torso: bool = False, reach: float = 1.6) -> str:
@@ -85,12 +91,7 @@ def test_arms_of_other_kinds_settle(tmp_path: Path, axes: str, torso: bool) -> N
 
 @pytest.mark.long
 def test_a_target_from_a_file_is_held_at_its_two_frames(tmp_path: Path) -> None:
-    target = robot(
-        link("box", mass=30, inertia=(1, 1, 1)),
-        '<frame name="grasp" link="box" xyz="-0.2 0 0" rpy="0 1.5707963 0"/>',
-        '<frame name="grasp_2" link="box" xyz="0.2 0 0" rpy="0 -1.5707963 0"/>',
-    )
-    (tmp_path / "box.urdf").write_text(target)
+    (tmp_path / "box.urdf").write_text(BOX)
     new = made(tmp_path, craft(SPATIAL), target=tmp_path / "box.urdf")
     assert new.scenario.contacts["second"].frame == "debris::grasp_2"
     assert settles(new)
@@ -153,7 +154,36 @@ def test_hands_that_cannot_both_reach(tmp_path: Path) -> None:
     assert "'left_hand' and 'right_hand' cannot both hold the target (a cube of 0.1 m)" in (
         result.output
     )
+    assert "; nor one of 0.05, 0.025, 0.0125 m; what may help: " in result.output
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.long)]
+)
+def test_the_search_for_hands_that_hardly_reach_is_short(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """The second hand gets near the target and cannot turn to it, with any number of joints: the
+    inverse kinematics, each of whose steps solves for joint rates, give up early.
+    """
+    solved, solve = [0], np.linalg.lstsq
+
+    def count(*arguments: object, **options: object) -> object:
+        solved[0] += 1
+        return solve(*arguments, **options)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(np.linalg, "lstsq", count)
+    rng = np.random.default_rng(seed)
+    text = craft(SPATIAL + "".join(rng.choice(list("xyz"), rng.integers(0, 4))))
+    narrow = re.sub(
+        r'(name="right_[4-9]_joint".*?lower="-)2.6(" upper=")2.6', r"\g<1>0.2\g<2>0.2", text
+    )
+    (tmp_path / "box.urdf").write_text(BOX)
+    with pytest.raises(ModelError, match="cannot both hold the target: none of 300") as error:
+        made(tmp_path, narrow, target=tmp_path / "box.urdf")
+    assert "or another place of 'grasp_2'" in str(error.value)
+    assert 1_000 < solved[0] < 15_000
 
 
 @pytest.mark.parametrize(
