@@ -28,6 +28,7 @@ from ffsm_drake.plugins.udp.packets import (
     FRAME,
     HAS_FRAME,
     HAS_NEW,
+    HOLDS,
     IS_FIRST,
     LARGEST,
     Packet,
@@ -69,6 +70,7 @@ class External(LeafSystem):
             )
         given = {name: setup.settings[name]["all"] for name in setup.settings}
         self._settings, self._period = Settings(**given), setup.sample_time
+        self._phase = HOLDS * setup.scenario.holds
         self.set_name(setup.name)
         nv, nq = len(setup.coordinates.names), len(setup.coordinates.position_names)
         self._undriven = np.flatnonzero(~setup.coordinates.is_driven)
@@ -85,7 +87,8 @@ class External(LeafSystem):
         if self.tracks_frame:
             self._optional[HAS_FRAME] = self.DeclareVectorInputPort("desired_frame", FRAME)
         self._force = self.DeclareDiscreteState(nv)
-        self._has_previous = self.DeclareDiscreteState(1)
+        # number of the run, 0 before the first sample; flag HOLDS of the last sample
+        self._before = self.DeclareDiscreteState(2)
         self.DeclareAbstractState(Value(0))  # the other process's: nothing to linearise
         self.DeclareStateOutputPort("generalized_force", self._force)
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, weak_callback(self._update))
@@ -94,10 +97,16 @@ class External(LeafSystem):
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         state = context.get_discrete_state()
-        is_first = not state.value(self._has_previous).item()
-        if is_first or self._link is None:
-            self._link = _Link(self._settings, host=self.host, log=Path(self.log))
-        flags, values = IS_FIRST * is_first, []
+        sample, (run, phase) = round(context.get_time() / self._period), state.value(self._before)
+        is_new = run == 0.0
+        if is_new:
+            run = float(1 + int.from_bytes(os.urandom(6), "little"))
+        if self._link is None or self._link.run != run:  # each phase has a system, and a link
+            self._link = _Link(self._settings, host=self.host, log=Path(self.log), run=int(run))
+        if sample == 0:
+            Path(self.log).unlink(missing_ok=True)  # an earlier run's
+        is_first = is_new or phase != self._phase
+        flags, values = self._phase | IS_FIRST * is_first, []
         for port in self._needed:
             values.append(
                 port.Eval(context) if port.HasValue(context) else state.value(self._force)
@@ -106,11 +115,12 @@ class External(LeafSystem):
             if port.HasValue(context):
                 flags |= flag
                 values.append(port.Eval(context))
-        sample = round(context.get_time() / self._period)
-        force = self._link.exchange(
-            sample, context.get_time(), flags, np.concatenate(values), size=self._force_size(state)
-        )
-        discrete_values.set_value(self._has_previous, np.ones(1))
+        packet = Packet(
+            run=int(run), sample=sample, time=context.get_time(), flags=flags,
+            values=np.concatenate(values),
+        )  # fmt: skip
+        force = self._link.exchange(packet, size=self._force_size(state), is_new=is_new)
+        discrete_values.set_value(self._before, [run, self._phase])
         if force is not None:
             force[self._undriven] = 0.0
             discrete_values.set_value(self._force, force)
@@ -120,46 +130,47 @@ class External(LeafSystem):
 
 
 class _Link:
-    """The connection of one run."""
+    """The connection of one phase of a run."""
 
-    def __init__(self, settings: Settings, *, host: str, log: Path) -> None:
-        self._settings, self._log = settings, log
-        self._run = int.from_bytes(os.urandom(8), "little")
+    def __init__(self, settings: Settings, *, host: str, log: Path, run: int) -> None:
+        self.run, self._settings, self._log = run, settings, log
         self._place = (host, int(settings.port))
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect(self._place)
         self._answered: set[int] = set()
         self._begin: float | None = None
-        self._noted = 0
-        log.unlink(missing_ok=True)  # an earlier run's
+        self._asked_again, self._again = -1, 0  # sample of the first request; how often again
 
     def __del__(self) -> None:
         if hasattr(self, "_socket"):
             self._socket.close()
 
-    def exchange(
-        self, sample: int, at: float, flags: int, values: np.ndarray, *, size: int
-    ) -> np.ndarray | None:
-        """The force (size) of a sample; None: none came in time.
+    def exchange(self, packet: Packet, *, size: int, is_new: bool) -> np.ndarray | None:
+        """The force (size) of a request; None: none came in time.
 
-        Raises BlockError: nothing answers the first request, or a force is not finite.
+        Raises BlockError: nothing answers the first request (``is_new``), or a force is not finite.
         """
-        packet = Packet(run=self._run, sample=sample, time=at, flags=flags, values=values)
+        sample, at = packet.sample, packet.time
         if self._settings.real_time and self._begin is not None:
             time.sleep(max(0.0, self._begin + at - time.monotonic()))
-        first = not self._answered
-        deadline = time.monotonic() + (self._settings.connect if first else self._settings.timeout)
+        longest = self._settings.connect if is_new else self._settings.timeout
+        deadline = time.monotonic() + longest
         self._send(packet)
         while (left := deadline - time.monotonic()) > 0.0:
-            reply = self._receive(min(left, 0.1) if first else left)
+            reply = self._receive(min(left, 0.1) if is_new else left)
             if reply is None:
-                if first:  # nobody may have listened yet
+                if is_new:  # nobody may have listened yet
                     self._send(packet)
+                    self._again += 1
                 continue
-            if reply.run != self._run:
+            if reply.run != self.run:
                 continue
             if reply.sample != sample:
-                self._note(sample, at, "doubled" if reply.sample in self._answered else "late")
+                is_known = reply.sample in self._answered
+                if is_known and reply.sample == self._asked_again and self._again:
+                    self._again -= 1  # one of the replies to a request that was sent again
+                else:
+                    self._note(sample, at, "doubled" if is_known else "late")
                 continue
             if reply.values.size != size or not np.isfinite(reply.values).all():
                 raise BlockError(
@@ -167,10 +178,12 @@ class _Link:
                     "numbers"
                 )
             self._answered.add(sample)
+            if is_new:
+                self._asked_again = sample
             if self._begin is None:
                 self._begin = time.monotonic() - at
             return reply.values
-        if first:
+        if is_new:
             raise BlockError(
                 "no external controller answers at {}:{}; start it, such as by 'python -m "
                 "ffsm_drake.plugins.udp.fly SCENARIO'".format(*self._place)
@@ -195,9 +208,9 @@ class _Link:
             return None
 
     def _note(self, sample: int, at: float, fault: str) -> None:
-        with self._log.open("a" if self._noted else "w", newline="", encoding="utf-8") as file:
+        is_new = not self._log.exists()
+        with self._log.open("a", newline="", encoding="utf-8") as file:
             rows = csv.writer(file)
-            if not self._noted:
+            if is_new:
                 rows.writerow(["sample", "time", "fault"])
             rows.writerow([sample, f"{at:.6f}", fault])
-        self._noted += 1

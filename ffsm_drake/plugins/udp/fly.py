@@ -8,11 +8,12 @@ request that comes again gets the same reply, without another step of the law.
 
 import argparse
 import contextlib
+import dataclasses
 import socket
 from collections.abc import Sequence
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.udp.packets import IS_FIRST, LARGEST, Packet, inputs_of, read
+from ffsm_drake.plugins.udp.packets import HOLDS, IS_FIRST, LARGEST, Packet, inputs_of, read
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import SampledController, make_controller
@@ -20,39 +21,52 @@ from ffsm_drake.systems.controllers.law import State
 
 
 class Pilot:
-    """A law with its memory, from request to reply."""
+    """A law with its memory, from request to reply, without the target and with it."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises the errors of ``make_controller``, and FfsmError: it is not a control law."""
-        controller = make_controller(scenario, make_nominal_plant(scenario))
-        if not isinstance(controller, SampledController):
-            raise FfsmError(f"{scenario.controller} is a Drake system, not a control law")
-        self._controller = controller
+        self._controllers = {
+            holds: _controller(dataclasses.replace(scenario, holds=bool(holds)))
+            for holds in ((0, HOLDS) if scenario.grasps else (HOLDS,))
+        }
         coordinates = make_nominal_plant(scenario).coordinates
         self._sizes = len(coordinates.position_names), len(coordinates.names)
         self._memory: State = {}
         self._last: Packet | None = None
+        self._holds = HOLDS  # at the last request
 
     def reply(self, request: Packet) -> Packet | None:
         """The reply to a request; None to one older than the last.
 
-        Raises ValueError: the request is for another spacecraft.
+        Raises ValueError: the request is for another spacecraft, or another mission.
         """
+        inputs, holds = inputs_of(request, *self._sizes), request.flags & HOLDS
+        if (controller := self._controllers.get(holds)) is None:
+            raise ValueError("a request of a phase without a target: the mission has no capture")
         last = self._last
         if last is None or last.run != request.run:
-            self._memory, last = self._controller.law.initial_state(), None
+            self._memory, last = controller.law.initial_state(), None
         if last is not None and request.sample <= last.sample:
             return last if request.sample == last.sample else None
-        force, self._memory = self._controller.step(
-            inputs_of(request, *self._sizes),
-            self._memory,
-            is_first=bool(request.flags & IS_FIRST),
-            time=lambda: request.time,
+        is_first = bool(request.flags & IS_FIRST)
+        if last is not None and holds != self._holds:
+            law, is_first = self._controllers[self._holds].law, True
+            self._memory = controller.law.resume(self._memory, law, inputs["desired_state"])
+        self._holds = holds
+        force, self._memory = controller.step(
+            inputs, self._memory, is_first=is_first, time=lambda: request.time
         )
         self._last = Packet(
             run=request.run, sample=request.sample, time=request.time, flags=0, values=force
         )
         return self._last
+
+
+def _controller(scenario: Scenario) -> SampledController:
+    controller = make_controller(scenario, make_nominal_plant(scenario))
+    if not isinstance(controller, SampledController):
+        raise FfsmError(f"{scenario.controller} is a Drake system, not a control law")
+    return controller
 
 
 def fly(pilot: Pilot, address: tuple[str, int]) -> None:

@@ -3,8 +3,10 @@
 A head of 32 bytes: b"FFSM", version (uint16), flags (uint16), run (uint64), sample k (uint64), time
 t_k (float64, s). A request then holds estimated_state (nq + nv), desired_state (nq + nv),
 desired_acceleration (nv), applied_force (nv), and, if flagged, measurement_is_new (nq + nv) and
-desired_frame (19), as at the ports of a controller. A reply holds the generalized force (nv), N m
-and N. ``run`` is another number in each run; a reply repeats that and k.
+desired_frame (19), as at the ports of a controller. The flag HOLDS says that the target is in the
+gripper, IS_FIRST that this is the first sample of a run, or the first after a grasp, where
+velocities jump. A reply holds the generalized force (nv), N m and N. ``run`` is another number
+where a law starts without memory; a reply repeats that and k.
 """
 
 import dataclasses
@@ -14,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 
 VERSION = 1
-IS_FIRST, HAS_NEW, HAS_FRAME = 1, 2, 4  # flags
+IS_FIRST, HAS_NEW, HAS_FRAME, HOLDS = 1, 2, 4, 8  # flags
 LARGEST = 65_507  # bytes of a UDP packet
 FRAME = 19
 _HEAD = struct.Struct("<4sHHQQd")

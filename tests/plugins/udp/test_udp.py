@@ -4,6 +4,7 @@ are lost, late or doubled are survived, and written down.
 
 import contextlib
 import csv
+import dataclasses
 import socket
 import sys
 import threading
@@ -15,7 +16,7 @@ from children import PIPE, child
 
 from ffsm_drake import BlockError, load_scenario, simulate
 from ffsm_drake.plugins.udp.fly import Pilot
-from ffsm_drake.plugins.udp.packets import HAS_NEW, Packet, inputs_of, read
+from ffsm_drake.plugins.udp.packets import HAS_NEW, HOLDS, Packet, inputs_of, read
 
 EXTERNAL = "controller=ffsm_drake.plugins.udp.external:External"
 LENGTH = "duration=0.6"
@@ -59,7 +60,7 @@ def test_a_request_that_comes_again_makes_no_step():
 
     def request(sample):
         values = np.concatenate([state, state, 1e-4 * random.normal(size=22)])
-        return Packet(run=1, sample=sample, time=0.01 * sample, flags=0, values=values)
+        return Packet(run=1, sample=sample, time=0.01 * sample, flags=HOLDS, values=values)
 
     first, second = request(0), request(1)
     one = flying.reply(first)
@@ -69,20 +70,82 @@ def test_a_request_that_comes_again_makes_no_step():
     again = Pilot(load_scenario("postcapture", ["controller=tde_aismc"]))
     again.reply(first)
     assert np.array_equal(again.reply(second).values, after.values)
+    with pytest.raises(ValueError, match="the mission has no capture"):
+        again.reply(dataclasses.replace(request(2), flags=0))
+
+
+CLOSING = ("capture.closing={joints: controlled}", "duration=9.5")
+SHORT = ("capture.approach.duration=8", "duration=8.5", "disturbance.amplitude_scale=0")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("scenario", "law"), [("postcapture", "tde_aismc"), ("slow_navigation", "tdc")]
+    ("scenario", "law", "settings"),
+    [
+        ("postcapture", "tde_aismc", ()),
+        ("slow_navigation", "tdc", ()),
+        ("tumbling_capture", "tde_aismc", SHORT),
+        ("tumbling_capture", "computed_torque", (*SHORT, *CLOSING)),
+    ],
 )
-def test_it_has_the_bits_of_the_run_with_the_law(scenario, law):
-    own = simulate(load_scenario(scenario, [LENGTH, f"controller={law}"]), check_stability=False)
-    with pilot(scenario, "-c", law) as port:
+def test_it_has_the_bits_of_the_run_with_the_law(scenario, law, settings):
+    given = [LENGTH, f"controller={law}", *settings]
+    own = simulate(load_scenario(scenario, given), check_stability=False)
+    if settings:
+        assert own.dataset["phase"].values[-1] == "stop"
+    with pilot(scenario, "-c", law, *(f"--set={each}" for each in settings)) as port:
         for _ in range(2):  # the second begins anew
-            record = flown(port, scenario=scenario)
+            record = flown(port, *settings, scenario=scenario)
             for name in ("position", "velocity", "generalized_force", "error"):
                 assert np.array_equal(record.dataset[name], own.dataset[name]), name
             assert record.metrics["itae"] == own.metrics["itae"]
+
+
+@pytest.mark.slow
+def test_faults_before_the_grasp_stay_written_down(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    flying = pilot("tumbling_capture", *(f"--set={each}" for each in SHORT))
+    with flying as port, faulty(port) as through:
+        record = flown(through, *SHORT, scenario="tumbling_capture")
+    assert record.dataset["phase"].values[-1] == "stop"
+    with open("udp_faults.csv") as file:
+        rows = [(int(row["sample"]), row["fault"]) for row in csv.DictReader(file)]
+    assert rows.count((10, "lost")) == rows.count((20, "lost")) == 1
+    assert sorted(fault for _, fault in rows) == ["doubled", "late", "lost", "lost"]
+
+
+def slow_answers(back, ends):
+    """Answers every request, also one that comes again; the first 0.35 s late."""
+    back.settimeout(0.1)
+    while not ends.is_set():
+        with contextlib.suppress(TimeoutError):
+            data, sender = back.recvfrom(65_507)
+            request = read(data)
+            if request.sample == 0 and not ends.late:
+                ends.late = True
+                time.sleep(0.35)
+            force = np.zeros(11)
+            reply = Packet(run=request.run, sample=request.sample, time=0.0, flags=0, values=force)
+            back.sendto(reply.to_bytes(), sender)
+
+
+@pytest.mark.slow
+def test_answers_to_requests_sent_again_are_no_faults(tmp_path, monkeypatch):
+    """The first request goes out again while nobody answers."""
+    monkeypatch.chdir(tmp_path)
+    ends = threading.Event()
+    ends.late = False
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
+        back.bind(("127.0.0.1", 0))
+        thread = threading.Thread(target=slow_answers, args=(back, ends), daemon=True)
+        thread.start()
+        try:
+            flown(back.getsockname()[1], "duration=0.2", "controllers.External.timeout=5")
+        finally:
+            ends.set()
+            thread.join()
+    assert ends.late
+    assert not (tmp_path / "udp_faults.csv").exists()
 
 
 @contextlib.contextmanager
