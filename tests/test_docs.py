@@ -4,6 +4,7 @@ complete.
 That the site builds, with all links inside it, is ``sphinx-build -W``'s to say.
 """
 
+import ast
 import functools
 import importlib
 import importlib.util
@@ -111,6 +112,35 @@ def check_overrides(scenario: str, overrides: list[str]) -> None:
 
 
 COMMANDS = sorted(set(shell_commands()))
+
+
+TESTS = re.compile(r"`pytest ((?:[^`-]|-(?!m ))*?)`")  # without -m: quick tests alone
+
+
+def slow_tests(command: str) -> list[str]:
+    """The tests of a command's files and -k that run with -m only."""
+    words, found = shlex.split(command), []
+    wanted = words[words.index("-k") + 1] if "-k" in words else ""
+    for place in (ROOT / word for word in words if re.match("tests/[a-z]", word)):
+        for file in sorted(place.rglob("test_*.py")) if place.is_dir() else [place]:
+            for node in ast.walk(ast.parse(file.read_text())):
+                if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                    marks = " ".join(map(ast.unparse, node.decorator_list))
+                    if wanted in node.name and re.search(r"mark\.(slow|long|exhaustive)", marks):
+                        found.append(node.name)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_of_tests_run_all_that_they_name(page):
+    for command in TESTS.findall(page.read_text()):
+        left_out = slow_tests(command)
+        assert not left_out, f"pytest {command} leaves out {left_out}; say -m"
+
+
+def test_slow_tests_are_seen():
+    assert "test_it_has_the_bits_of_the_run_with_the_law" in slow_tests("tests/plugins/udp")
+    assert not slow_tests("tests/plugins/udp -k misspelt")
 
 
 def test_commands_are_found():
