@@ -14,7 +14,7 @@ from children import PIPE, finished
 from click.testing import CliRunner
 from entry_points import is_there, needs
 
-from ffsm_drake import FfsmError, RunRecord
+from ffsm_drake import FfsmError, RunRecord, load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.cli.common import forgiving_stderr, show_life
 from ffsm_drake.common.plugins import SERVICES, optional
@@ -170,16 +170,20 @@ def test_plot_overlays_runs(run, tmp_path):
     assert drawn == {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
 
 
-def test_figures_fit_a_page(run, tmp_path):
+@pytest.mark.parametrize("scenario", ["postcapture", "seven_joint", "two_arms"])
+def test_figures_fit_a_page(scenario, run, tmp_path):
     """The given width, larger than no label, and no heading, which the caption of a page has."""
-    run("postcapture", "duration=0.01").save(tmp_path / "one")
+    run(scenario, "duration=0.01").save(tmp_path / "one")
     words = ("plot", tmp_path / "one", "--format", "svg", "--width", "7.16")
     assert ffsm(*words).exit_code == 0
     for name in ("trajectories", "errors", "efforts", "gains"):
         text = (tmp_path / "one" / f"{name}.svg").read_text()
-        width = re.search(r'<svg[^>]* width="([\d.]+)pt"', text)[1]
+        width, height = re.search(
+            r'<svg[^>]* width="([\d.]+)pt" height="([\d.]+)pt"', text
+        ).groups()
         assert float(width) == pytest.approx(7.16 * 72.0, rel=1e-3)
-        assert "Post-capture" not in text
+        assert float(height) < 9.3 * 72.0
+        assert load_scenario(scenario).description not in text
 
 
 def test_diagram(tmp_path):

@@ -61,7 +61,14 @@ def _works(log: Log, dynamics: Dynamics) -> list[_Work]:
 
 
 def check_efforts(log: Log, found: Momentum, tolerance: float) -> list[Check]:
-    """The checks of the joints' efforts; long logs in stretches at their own steps."""
+    """The checks of the joints' efforts; long logs in stretches at their own steps. The loops of a
+    closed chain are springs, or rigid: what fits better.
+    """
+    if log.chain.any():
+        rigid = log.driven().replace(chain=0.0 * log.chain)
+        tried = [check_efforts(each, found, tolerance)
+                 for each in (rigid, log.replace(chain=rigid.chain))]  # fmt: skip
+        return max(tried, key=lambda checks: min(_WORST.index(each.verdict) for each in checks))
     count = 1 if len(log.time) <= MOST else _PARTS
     length = len(log.time) if count == 1 else MOST // _PARTS
     starts = np.linspace(0, len(log.time) - length, count).astype(int)

@@ -35,6 +35,7 @@ class Log:
     torque: Array  # (n, 3) on the base, world axes, N m
     force: Array  # (n, 3) on the base at its origin, world axes, N
     disturbance: Array  # (n, 6 + joints) generalized force beside all these
+    chain: Array  # (n, joints) part of it, of the loops of a closed chain
     stated: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """Axes that the log states, such as angular -> body axes."""
     missing: tuple[str, ...] = ()  # arrays that are not logged
@@ -58,6 +59,16 @@ class Log:
         """The log with arrays interpolated or differentiated from every second value."""
         changed = {what: getattr(self, what) + change for what, change in self.unsure.items()}
         return self.replace(**changed)
+
+    def driven(self) -> "Log":
+        """The log with the force of a rigid chain, which is that before each sample and jumps with
+        the efforts, as a part of those of the sample before; its change in a period is not known.
+        """
+        rest = self.disturbance.copy()
+        rest[:, -self.chain.shape[1] :] -= self.chain
+        held = np.concatenate([self.chain[1:], self.chain[-1:]])
+        unsure = {**self.unsure, "efforts": 0.5 * (held - self.chain)}
+        return self.replace(disturbance=rest, efforts=self.efforts + held, unsure=unsure)
 
     def shaken(self) -> "Log":
         """The log with half a last digit added or subtracted at random, held for equal values."""

@@ -53,6 +53,7 @@ _NAMES = {
     "torque": ("base_torque_{}", "applied_force.base_rotation_{}"),
     "force": ("base_force_{}", "applied_force.base_position_{}"),
     "disturbance": ("disturbance_force.{}",),
+    "chain": ("force_contacts.{}",),
 }  # fmt: skip
 _MEANT = {  # quantities, in words
     "quaternion": "the base's attitude",
@@ -65,6 +66,7 @@ _MEANT = {  # quantities, in words
     "torque": "the torque on the base",
     "force": "the force on the base",
     "disturbance": "the disturbance",
+    "chain": "the closed chain's force",
 }
 _BASE = [f"base_{what}_{x}" for what in ("rotation", "position") for x in "xyz"]
 # Basilisk's names, and the usual numbering of their components: the label; from 0; from 1. Joints
@@ -158,7 +160,7 @@ def read_log(
     digits, said = _other_attitude(file)
     sets: dict[str, Sequence[str]] = {
         "quaternion": "wxyz", "angles": joints, "rates": joints, "efforts": joints,
-        "disturbance": [*_BASE, *joints],
+        "disturbance": [*_BASE, *joints], "chain": joints,
         **dict.fromkeys(("position", "angular", "linear", "torque", "force"), "xyz"),
     }  # fmt: skip
     log: dict[str, Any] = {}

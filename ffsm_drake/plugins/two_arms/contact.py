@@ -113,7 +113,7 @@ class Contacts(Part):
                 name=WRENCHES,
                 unit="N m or N",
                 meaning="moment and force of the hand on the target at each contact, in the axes "
-                "of the contact's frame",
+                "of the contact's frame, before this sample's control acts",
                 components=names,
                 held=False,
                 panels=units,

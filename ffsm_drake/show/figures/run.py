@@ -31,6 +31,7 @@ from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 
 FORMATS = ("png", "pdf", "svg")
 _EFFORTS = {"N m": "torque", "N": "force"}
+_TALLEST = 1.28  # height of a page's figure, of its width
 _DOTS = {"png": 130, "pdf": 300, "svg": 300}  # per inch, in vector files of noisy curves only
 # without the date: the same run gives the same file
 _METADATA: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
@@ -74,18 +75,24 @@ def save_figures(
 
 
 def _fit(figure: Figure, width: float) -> None:
-    """Fit a figure to a page's width, inches: labels of 7 pt, no heading."""
+    """Fit a figure to a page of a width, inches: labels of 7 pt, of 5.5 pt on a full page, no
+    heading.
+    """
     scale = width / figure.get_figwidth()
-    figure.set_size_inches(width, 1.2 * scale * figure.get_figheight())
+    height = 1.2 * scale * figure.get_figheight()
+    is_tall = height > _TALLEST * width
+    figure.set_size_inches(width, min(height, _TALLEST * width))
     for text in [*figure.texts]:  # the heading among them
         text.remove()
     for axes in figure.axes:
         axes.tick_params(which="both", labelsize=6, width=0.6, pad=1)
         axes.yaxis.labelpad = 0
+        if is_tall:
+            axes.tick_params(labelbottom=bool(axes.get_xlabel()))
         if hasattr(axes, "zaxis"):
             axes.set_box_aspect(None, zoom=0.9)  # type: ignore[call-arg]
     for text in figure.findobj(Text):
-        text.set_fontsize(min(text.get_fontsize(), 7))
+        text.set_fontsize(min(text.get_fontsize(), 5.5 if is_tall else 7))
     for line in figure.findobj(Line2D):
         line.set_linewidth(0.7 * line.get_linewidth())
 
@@ -195,11 +202,13 @@ def _plot_coordinates(
     """For each coordinate its upper chart and below it its lower one, and the runs' legend."""
     columns = 3
     rows = -(-(len(upper) + 1) // columns)
-    height = 3.1 * rows + 1.1
+    alone = len(upper) % columns == 0  # the legend, in its row
+    heights = [1.0] * (rows - 1) + [0.45 if alone else 1.0]
+    height = 3.1 * sum(heights) + 1.1
     figure = _figure(runs[0].record, title, (12.0, height), layout=None)
     grid = figure.add_gridspec(
         rows, columns, left=0.075, right=0.985, bottom=0.55 / height, top=1.0 - 1.05 / height,
-        wspace=0.3, hspace=0.3,
+        wspace=0.3, hspace=0.3, height_ratios=heights,
     )  # fmt: skip
     for k, charts in enumerate(zip(upper, lower, strict=True)):
         cell = grid[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2), hspace=0.12)
@@ -210,13 +219,16 @@ def _plot_coordinates(
         upper_axes.set_ylabel(f"{what or _EFFORTS[unit]} [{unit}]", fontsize=8)
         lower_axes.set_ylabel(lower_what, fontsize=8)
         lower_axes.set_xlabel("time [s]" if k + columns >= len(upper) else "", fontsize=8)
-    empty = figure.add_subplot(grid[len(upper) // columns, len(upper) % columns])
+    empty = figure.add_subplot(grid[-1, :] if alone else grid[-1, len(upper) % columns])
     empty.set_axis_off()
     handles = [
         Line2D([], [], linewidth=1.3, label=plain(_ended(run)), **run.style.matplotlib)
         for run in runs
     ]
-    empty.legend(handles=handles, loc="center", fontsize=10, handlelength=3.2, frameon=False)
+    empty.legend(
+        handles=handles, loc="lower center" if alone else "center", fontsize=10, handlelength=3.2,
+        frameon=False, ncols=3 if alone else 1,
+    )  # fmt: skip
     return figure
 
 

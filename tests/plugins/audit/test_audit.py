@@ -523,3 +523,32 @@ def test_a_disturbance_of_a_record_is_accounted_for(tmp_path):
     simulate(load_scenario("postcapture", ["duration=1.5"])).save(tmp_path / "run")
     found = audit(tmp_path / "run" / "record.nc", models_dir() / "postcapture.dmd.yaml")
     assert found.verdict == "yes", str(found)
+
+
+CHAINS = {
+    "cannot tell": ["controller=tdc", "duration=1.5"],
+    "yes": ["controller=asmc", "chain.law=plain", "sensing.position_bias={left_2: 1e-4}",
+            "duration=5"],
+    "yes, a spring": ["contacts.right.kind=compliant", "chain.law=plain", "duration=1.5",
+                      "simulator_config.max_step_size=1e-3"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CHAINS)
+def test_a_record_of_a_closed_chain_is_accounted_for(case, tmp_path):
+    """The force of its loops jumps with the efforts, or is smooth; no wrong effort passes."""
+    run = simulate(load_scenario("two_arms", CHAINS[case]), check_stability=False)
+    model = tmp_path / "two.dmd.yaml"
+    urdf = "package://ffsm_drake/urdf/two_arms"
+    model.write_text(f"""
+directives:
+- add_model: {{name: servicer, file: {urdf}.urdf}}
+- add_model: {{name: debris, file: {urdf}_target.urdf}}
+- add_weld: {{parent: servicer::left_hand, child: debris::left_grasp}}
+""")
+    run.save(tmp_path / "run")
+    found = audit(tmp_path / "run" / "record.nc", model)
+    assert found.verdict == case.partition(",")[0], str(found)
+    run.dataset["applied_force"].loc[{"coordinate": "right_2"}] *= 1.2
+    run.save(tmp_path / "wrong")
+    assert audit(tmp_path / "wrong" / "record.nc", model).verdict != "yes"

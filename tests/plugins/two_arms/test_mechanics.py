@@ -132,6 +132,23 @@ def test_momentum_and_gap_over_a_run() -> None:
         assert_allclose(momentum, momentum[:1].repeat(len(momentum), axis=0), rtol=0, atol=1e-9)
 
 
+def test_the_recorded_wrench_moves_the_recorded_state() -> None:
+    """Under the control of the sample before: the acceleration along it keeps the loop closed."""
+    given = load_scenario("two_arms_capture", ["duration=0.5"])
+    data = simulate(given, check_stability=False).dataset
+    model = make_true_plant(given)
+    chain = ClosedChain(model.plant, given, true=True)
+    for k in range(1, 50):
+        q, v = data["position"].values[k], data["velocity"].values[k]
+        force = data["applied_force"].values[k - 1] + data["force_disturbance"].values[k]
+        model.plant.SetPositionsAndVelocities(model.context, np.r_[q, v])
+        A = chain.jacobian(model.context)
+        acts = -data["contact_wrench"].values[k] @ A
+        assert_allclose(data["force_contacts"].values[k], acts, atol=1e-9)
+        rate = np.linalg.solve(model.calc_mass_matrix(q), force + acts - model.calc_bias(q, v))
+        assert_allclose(A @ rate, -chain.bias(model.context), atol=1e-6)
+
+
 def test_a_run_repeats_its_bits() -> None:
     given = load_scenario("two_arms", ["duration=0.5"])
     first, again = (simulate(given, check_stability=False) for _ in range(2))
