@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from outside_urdfs import TURN, joint, link, robot
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
-from ffsm_drake.plugins.new.urdf import read_target, read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf import make_bus, read_target, read_urdf, write_urdf
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -99,6 +101,30 @@ def test_a_base_held_by_joints_becomes_free(
     told = [each for each in new.remarks if "slides in a plane" in each]
     assert bool(told) == (parts is not FLOATING)
     assert any("not one of two axes" in each for each in told) == (parts is TILTED)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    mass=st.floats(0.5, 2000.0),
+    parts=st.sampled_from([(), SLIDES, PLANAR, FLOATING]),
+    share=st.sampled_from([0.0, 0.1, 0.6, 0.9]),
+)
+def test_only_an_arm_is_mounted_on_a_bus(
+    tmp_path_factory: pytest.TempPathFactory, mass: float, parts: tuple[str, ...], share: float
+) -> None:
+    """A free base, also of links fixed to each other, is known by its mass."""
+    pieces = ((1.0 - share) * mass, share * mass)
+    own, box = (link(name, mass=m, inertia=3 * (m,))
+                for name, m in zip(("bus", "box"), pieces, strict=True))  # fmt: skip
+    more = (box, joint("screws", "bus", "box", kind="fixed")) if share else ()
+    file = written(tmp_path_factory.mktemp("mounted"), arm(*parts, *more, bus=own))
+    if mass < 8.0 and not parts:  # the foot of an arm of 8 kg
+        assert read_urdf(file, bus=make_bus(400.0)).base_mass == pytest.approx(400.0 + mass)
+    elif mass >= 8.0:
+        with pytest.raises(ModelError, match=r"has a free base, 'bus' with .* --bus-mass") as told:
+            read_urdf(file, bus=make_bus(400.0))
+        assert str(told.value).startswith(str(file))
+        assert read_urdf(file).base_mass == pytest.approx(mass)
 
 
 def test_a_sliding_base_of_its_own_mass_or_rotor_is_refused(tmp_path: Path) -> None:

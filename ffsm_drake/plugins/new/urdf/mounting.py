@@ -1,11 +1,13 @@
 """Mounting an arm on a bus: a box of uniform density, with the arm on its +z face."""
 
+import copy
 import dataclasses
 import math
 from xml.etree.ElementTree import Element, SubElement
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, vector
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, read_mass, vector
+from ffsm_drake.plugins.new.urdf.simplifying import free_base
 from ffsm_drake.spacecraft.checked_urdf import require
 
 DENSITY = 50.0  # kg/m^3, of a bus without a given size; that of the shipped servicer
@@ -49,8 +51,10 @@ def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
 def mount(root: Element, bus: Bus) -> str:
     """Join the arm of a parsed URDF to a new base link, moving world-fixed links to its +z face.
 
-    Returns: the link of the bus. Raises ModelError if the arm's foot is ambiguous.
+    Returns: the link of the bus. Raises ModelError if the arm's foot is ambiguous, or the model is
+    a spacecraft.
     """
+    _check_is_arm(root)
     links = [name_of(link) for link in root.findall("link")]
     for joint in root.findall("joint[@type='floating']"):
         if joint.find(f"parent[@link='{WORLD}']") is not None:
@@ -82,6 +86,27 @@ def mount(root: Element, bus: Bus) -> str:
         SubElement(joint, "origin", xyz=f"0 0 {height:.12g}", rpy="0 0 0")
     root.append(_link(name, bus))
     return name
+
+
+def _check_is_arm(root: Element) -> None:
+    """Raise ModelError where a free root has half of the mass or more, and so is a spacecraft."""
+    free = copy.deepcopy(root)
+    free_base(free)
+    joints = free.findall("joint")
+    masses = {name_of(link): read_mass(link) for link in free.findall("link")}
+    children = {end_of(joint, "child") for joint in joints}
+    roots = [name for name in masses if name not in children and name != WORLD]
+    if len(roots) != 1 or any(end_of(joint, "parent") == WORLD for joint in joints):
+        return
+    group, fixed = roots.copy(), [each for each in joints if each.get("type") == "fixed"]
+    for name in group:  # grows during the loop
+        group += [end_of(each, "child") for each in fixed if end_of(each, "parent") == name]
+    own, total = sum(masses.get(name, 0.0) for name in group), sum(masses.values())
+    require(
+        own < 0.5 * total or own == total,  # all of it: no arm, which is said later
+        f"has a free base, '{roots[0]}' with {own:.4g} of {total:.4g} kg; leave out --bus-mass, "
+        f"or join the foot of an arm to a link '{WORLD}' by a fixed joint",
+    )
 
 
 def _link(name: str, bus: Bus) -> Element:
