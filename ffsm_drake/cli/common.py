@@ -351,8 +351,12 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @contextmanager
-def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
-    """Add the source of a scenario key, file or override, to errors raised after loading."""
+def located_errors(
+    scenario: str, overrides: Sequence[str] = (), controller: str = ""
+) -> Iterator[None]:
+    """Add the source of a scenario key, file or override, to errors raised after loading;
+    ``controller`` is that of the controller's name, if it is not the scenario's own.
+    """
     from ffsm_drake.scenario import Scenario, place_of, schema_fields
 
     try:
@@ -360,7 +364,8 @@ def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[Non
     except ScenarioError as error:
         if re.split(r"[.\[]", error.key)[0] not in (schema_fields(Scenario) or {}):
             raise
-        raise error.located(place_of(error.key, scenario, overrides)) from error
+        place = controller if error.key == "controller" else ""
+        raise error.located(place or place_of(error.key, scenario, overrides)) from error
     except ModelError as error:
         place = place_of(str(error).partition(":")[0], scenario, overrides)
         raise ModelError(f"{place}: {error}") from error

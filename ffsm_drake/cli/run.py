@@ -154,6 +154,7 @@ def compare(
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import record_stamp
+    from ffsm_drake.runs.simulate import check_start
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
@@ -174,6 +175,9 @@ def compare(
         check_pictures(base.model)
     # checked before any of them runs
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]
+    for chosen in scenarios:
+        with located_errors(scenario, overrides, "--controller"):
+            check_start(chosen)
     _warn_replaced(
         zip([directory / folder for folder in folders], scenarios, strict=True), directory
     )
@@ -233,7 +237,7 @@ def _stem_of(scenario: "Scenario") -> str:
 def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
     """Warn if a planned run will replace one with other settings."""
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.runs.simulate import repeatable_scenario
+    from ffsm_drake.runs.simulate import check_start, repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
 
     for folder, scenario in planned:
@@ -251,6 +255,7 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
                 "a run with other settings "
                 f"({', '.join(keys[:3])}{', ...' if len(keys) > 3 else ''})"
             )
+        check_start(scenario)
         click.echo(
             f"warning: {directory}: {old} will be replaced; give another --out to keep it",
             err=True,

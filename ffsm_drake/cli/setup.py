@@ -119,7 +119,7 @@ def _validated(
     name: str, overrides: tuple[str, ...], *, rehearsal: bool
 ) -> tuple[dict[str, Any], list[str]]:
     """The results of ``validate`` for a scenario, as plain data, and lines on the mission."""
-    from ffsm_drake.runs.simulate import prepare
+    from ffsm_drake.runs.simulate import check_start
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
 
@@ -128,10 +128,7 @@ def _validated(
     with warnings.catch_warnings(record=True) as caught:
         scenario = load_scenario(name, overrides)
         check_pictures(scenario.model)
-        rollout = prepare(scenario, check_stability=False)
-        rollout.check()
-        loop = rollout.loop
-        rollout.release()
+        loop = check_start(scenario)
         if (mission := optional(SERVICES, "mission")) is not None:
             found, lines = mission(loop.scenario, rehearsal=rehearsal)
     told = [*(str(item.message) for item in caught), *found["warnings"]]

@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     help="Fit the figures, with three panels side by side, to a page's width from 5 inches on, "
     "such as 7.16 of two columns: small labels, no headings.",
 )
-@out_option(help="Default: the first RUN_DIR.")
+@out_option(help="Default: RUN_DIR; of several runs the folder that holds them all.")
 def plot(runs: tuple[Path, ...], formats: str, width: float | None, out: Path | None) -> None:
-    """Draw the figures of a recorded run, or of several overlaid.
+    """Draw the figures of a recorded run, or of several overlaid: those given, or in a folder.
 
     \b
     Examples:
       ffsm plot out/postcapture
+      ffsm plot out/compare_paper
       ffsm plot out/compare_paper/tdc out/compare_paper/tde_aismc --out out/figures
       ffsm plot out/postcapture --format pdf --width 7.16
     """
@@ -52,21 +53,24 @@ def plot(runs: tuple[Path, ...], formats: str, width: float | None, out: Path | 
         raise click.UsageError(
             f"--format: '{unknown[0]}' is unknown; give one or several of {', '.join(FORMATS)}"
         )
-    if len(runs) > 1:  # as from FOLDER/*
-        others = [run for run in runs if not (run / MANIFEST_FILE).is_file()]
-        runs = tuple(run for run in runs if run not in others) or runs[:1]
-        for other in others:
-            if other not in runs:
-                click.echo(f"{other}: is not the folder of a run; skipped", err=True)
-    directory = out or runs[0]
+    found = list[Path]()
+    for run in runs:
+        files = [*run.glob(MANIFEST_FILE)] or sorted(run.glob(f"*/{MANIFEST_FILE}"))
+        found += [file.parent for file in files]
+        if not files and len(runs) > 1:
+            click.echo(f"{run}: is not the folder of a run; skipped", err=True)
+    found = found or [runs[0]]
+    if out is None and len({run.parent for run in found}) > 1:
+        raise click.UsageError("--out: give a folder; the runs are not in one")
+    directory = out or (found[0] if len(found) == 1 else found[0].parent)
     check_writable(directory)
-    records = [RunRecord.load(run) for run in runs]
-    for run, record in zip(runs, records, strict=True):
+    records = [RunRecord.load(run) for run in found]
+    for run, record in zip(found, records, strict=True):
         if (
             record.dataset.coordinate.values.tolist()
             != records[0].dataset.coordinate.values.tolist()
         ):
-            raise RecordError(f"{run}: has other joints than {runs[0]}; draw them separately")
+            raise RecordError(f"{run}: has other joints than {found[0]}; draw them separately")
     written = save_figures(records, directory, kinds, width=width)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
 

@@ -16,6 +16,7 @@ from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import block_sources
+from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.log import RunLog
@@ -126,6 +127,17 @@ def prepare(
         return rollout
 
 
+def check_start(scenario: Scenario) -> ClosedLoop:
+    """Build and start a scenario's closed loop, without a run; errors as ``simulate``."""
+    rollout = prepare(scenario, check_stability=False)
+    try:
+        rollout.check()
+        loop: ClosedLoop = rollout.loop
+    finally:
+        rollout.release()
+    return loop
+
+
 @step("making the record")
 def make_record(
     log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None
@@ -175,6 +187,8 @@ def compare(
       ['tdc', 'asmc']
     """
     chosen = [dataclasses.replace(scenario, controller=name) for name in controllers]
+    for each in chosen:  # before the first run
+        check_start(each)
     return [simulate(each, progress=progress) for each in chosen]
 
 

@@ -129,6 +129,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be
         computed, or the plan cannot be read.
     """
+    for name, posture in scenario.postures.items():
+        coordinates.check_names(posture.joints, key=f"{name}.joints")
     reference, period = scenario.reference, scenario.sample_time
     approach: PlannedMotion | None = None
     if scenario.grasp_time > 0.0:

@@ -1,13 +1,16 @@
 """The command line: what it prints, writes and answers with."""
 
+import contextlib
 import csv
 import json
 import re
+import shutil
 import sys
 import threading
 import time
 from contextlib import nullcontext
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 from children import PIPE, finished
@@ -160,6 +163,16 @@ def test_plot_overlays_runs(run, tmp_path):
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
         "trajectories.png", "errors.png", "efforts.png", "gains.png",
     }  # fmt: skip
+    for given, written in (((".",), "."), (("one", "two"), "."), (("one",), "one")):
+        with contextlib.chdir(tmp_path):
+            result = ffsm("plot", *given, "--format", "svg")
+            assert f"Written to {written}: trajectories.svg, " in result.output
+            assert len(list(Path(written).glob("*.svg"))) == 4
+            assert given != (".",) or not list(tmp_path.glob("*/*.svg"))
+    shutil.move(tmp_path / "two", tmp_path / "figures")
+    result = ffsm("plot", tmp_path / "one", tmp_path / "figures")
+    assert result.exit_code == 2
+    assert "--out: give a folder; the runs are not in one" in result.output
     for folder in ("vectors", "again"):
         words = ("plot", tmp_path / "one", "--format", "pdf,svg", "--out", tmp_path / folder)
         assert ffsm(*words).exit_code == 0

@@ -7,7 +7,16 @@ import pytest
 from click.testing import CliRunner
 
 from ffsm_drake.cli import main
-from ffsm_drake.common.errors import warnings_as_lines
+from ffsm_drake.common.errors import ScenarioError, warnings_as_lines
+from ffsm_drake.runs.simulate import prepare
+from ffsm_drake.scenario import (
+    PerCoordinate,
+    Scenario,
+    load_scenario,
+    scenario_to_dict,
+    schema_fields,
+)
+from ffsm_drake.scenario.resolving import without_null
 
 SHARED = {"controller", "overrides", "seed"}
 
@@ -104,3 +113,55 @@ def test_errors_after_loading_name_the_file_that_is_extended(tmp_path):
     (tmp_path / "mine.yaml").write_text("extends: base.yaml\ncontroller: tdc\n")
     result = CliRunner().invoke(main, ["validate", str(tmp_path / "mine.yaml"), "--no-rehearsal"])
     assert f"{tmp_path / 'base.yaml'}: controllers.tdc.k_dd: unknown" in result.stderr
+
+
+def mappings(schema, data, path=""):
+    """The keys of all mappings by coordinate in the sections that a scenario has."""
+    schema = without_null(schema)
+    for key, kind in (schema_fields(schema) or {}).items():
+        if data is not None:
+            yield from mappings(kind, data.get(key), f"{path}.{key}" if path else key)
+    if schema == PerCoordinate:
+        yield path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["capture_on_thrusters", "tumbling_capture"])
+def test_a_misspelt_coordinate_is_named_with_its_whole_key(name):
+    warnings.simplefilter("ignore")
+    keys = list(mappings(Scenario, scenario_to_dict(load_scenario(name))))
+    assert {f"{key}.joints" for key in load_scenario(name).postures} < set(keys)
+    for key in keys:
+        if key.startswith("planning."):  # of another command
+            continue
+        with pytest.raises(ScenarioError) as caught:
+            prepare(load_scenario(name, [f"{key}.elbo=0.3"])).release()
+        given = (f"{key}.elbo", "capture.servicer_velocity")  # without effect there
+        assert caught.value.key in given, (key, str(caught.value))
+
+
+@pytest.mark.parametrize("key", ["initial_posture", "target_posture", "capture.approach.posture"])
+def test_a_run_is_checked_before_the_one_that_it_replaces_is_named(key, tmp_path):
+    (tmp_path / "manifest.json").write_text("{}")
+    given = ["--set", f"{key}.joints.elbo=0.3", "--out", str(tmp_path)]
+    result = CliRunner().invoke(main, ["run", "tumbling_capture", *given])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: override: {key}.joints.elbo: unknown coordinate")
+
+
+@pytest.mark.parametrize(
+    ("second", "given", "problem"),
+    [
+        ("tdk", (), "--controller: controller: 'tdk' is unknown; choose one of tdc, "),
+        ("asmc", ("--set", "controllers.asmc.k_x=1"), "override: controllers.asmc.k_x: unknown"),
+        ("nowhere:Law", (), "controller 'nowhere:Law' cannot be loaded"),
+    ],
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_compare_checks_every_law_before_the_first_run(second, given, problem, order, tmp_path):
+    laws = [f"--controller={law}" for law in ("tdc", second)[::order]]
+    out = ["--out", str(tmp_path / "both")]
+    result = CliRunner().invoke(main, ["compare", "postcapture", *laws, *given, *out])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: {problem}"), result.stderr
+    assert not list(tmp_path.iterdir())
