@@ -87,10 +87,7 @@ def plan_limits(scenario: Scenario) -> list[str]:
     Raises: as ``plan_remarks``.
     """
     model = make_true_plant(scenario)
-    limits, found = joint_limits(scenario, model.plant), list[str]()
-    for name, posture in scenario.postures.items():
-        held = {POSITION: configuration(model.plant, posture, key=name)[None, 1:]}
-        found += remarks_on(limits, held, lambda _: "", who=(f"{name}.joints", ""))
+    limits, found = joint_limits(scenario, model.plant), posture_limits(scenario)
     if scenario.blocks.reference is not None:
         return found
     motion = make_motion(scenario, model.coordinates)
@@ -106,6 +103,31 @@ def plan_limits(scenario: Scenario) -> list[str]:
     if motion.begin > 0.0:
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
         found += part(begin=0.0, end=motion.begin - scenario.sample_time)
+    return found
+
+
+def posture_limits(scenario: Scenario) -> list[str]:
+    """A line for each posture outside the joints' limits, and for each angle that seems to be in
+    degrees. Raises: as ``plan_remarks``.
+    """
+    plant, found = make_true_plant(scenario).plant, list[str]()
+    limits = joint_limits(scenario, plant)
+    bounds = tightest(limits, POSITION)
+    for key, posture in scenario.postures.items():
+        values = configuration(plant, posture, key=key)[1:]
+        found += remarks_on(
+            limits, {POSITION: values[None]}, lambda _: "", who=(f"{key}.joints", "")
+        )
+        turned = np.radians(values)
+        inside, inside_turned = (
+            bounds.used(each[None])[0] <= 1.0 + SLACK for each in (values, turned)
+        )
+        for i in np.flatnonzero(~inside & inside_turned & (np.abs(values) > 2.0 * np.pi)):
+            if bounds.units[i] == "rad":
+                found.append(
+                    f"{key}.joints.{bounds.names[i]}: {values[i]:.4g} rad looks like degrees: "
+                    f"{turned[i]:.3g} rad"
+                )
     return found
 
 

@@ -17,6 +17,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.plugins.design.remarks import posture_limits
 from ffsm_drake.plugins.design.stability.adaptation import axis_law, expected_gains, is_euler
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
@@ -41,9 +42,12 @@ Changes = dict[str, Any]
 @step("a search for changes that help")
 def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
     """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
-    seconds, but no time for a mission expected to go as planned.
+    seconds, but no time for a mission expected to go as planned, nor for one whose postures are
+    outside the joints' limits, which is the cause.
     """
     try:
+        if posture_limits(scenario):
+            return ()
         return _found(scenario, fails, tuple(files_read(scenario)))
     except FfsmError:  # the loop cannot be linearised or built
         return ()

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario
+from ffsm_drake.plugins.design.remarks import plan_limits
 from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.scenario import override_scenario
+from ffsm_drake.spacecraft.limits import POSITION, tightest, urdf_limits
+from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.plant import coordinates_of
 
 # base, overrides, a key that is among what helps
 UNSTABLE = {
@@ -95,3 +99,24 @@ def test_unknown_faults_are_to_be_known():
         assert verdict(
             override_scenario(scenario, [each.changes]), advises=False
         ).run.ending.is_settled
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_angle_in_degrees_is_the_cause_and_no_search_begins(seed, monkeypatch):
+    draw = np.random.default_rng(seed)
+    plain = load_scenario("envisat")
+    plant = make_true_plant(plain).plant
+    lower, upper = tightest(urdf_limits(plain.model, plant), POSITION).joints
+    joint, key = draw.integers(upper.size), draw.choice(["initial_posture", "target_posture"])
+    name = coordinates_of(plant).joints[joint]
+    # in degrees; a little outside; far outside, in degrees too
+    angle = draw.choice([-1.0, 1.0]) * draw.uniform(0.2, 0.9) * upper[joint]
+    for value in (float(np.degrees(angle)), 1.1 * lower[joint], 200.0 * upper[joint]):
+        scenario = override_scenario(plain, [f"{key}.joints.{name}={value}"])
+        told = [line for line in plan_limits(scenario) if line.startswith(f"{key}.joints")]
+        assert f"outside the URDF's position limits: {name} " in told[0]
+        meant = f"{key}.joints.{name}: {value:.4g} rad looks like degrees: {angle:.3g} rad"
+        assert told[1:] == ([meant] if value == float(np.degrees(angle)) else [])
+        with monkeypatch.context() as patch:
+            patch.setattr("ffsm_drake.plugins.design.remedies._found", None)  # a call would fail
+            assert remedies(scenario, fails=True) == ()
