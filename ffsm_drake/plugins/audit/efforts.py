@@ -12,6 +12,7 @@ from ffsm_drake.plugins.audit.dynamics import MOST, Dynamics
 from ffsm_drake.plugins.audit.log import Log, only
 from ffsm_drake.plugins.audit.misfit import (
     NAMED,
+    SURE,
     Estimate,
     Followed,
     Mistake,
@@ -98,6 +99,7 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
                 for why, how in (("digits", Log.shaken), ("sampling", Log.resampled))
             },
             drifts=lambda: found.excuses_efforts,
+            sure=0.0 if "efforts" in log.unsure else SURE,
         )
         for j, (work, size) in enumerate(zip(works, sizes, strict=True))
     ]  # fmt: skip

@@ -62,12 +62,15 @@ class Log:
 
     def driven(self) -> "Log":
         """The log with the force of a rigid chain, which is that before each sample and jumps with
-        the efforts, as a part of those of the sample before; its change in a period is not known.
+        the efforts, as a part of those of the sample before. In a period it turns with the posture:
+        by at most about its size times the change of the joints, of which half is not known.
         """
         rest = self.disturbance.copy()
         rest[:, -self.chain.shape[1] :] -= self.chain
         held = np.concatenate([self.chain[1:], self.chain[-1:]])
-        unsure = {**self.unsure, "efforts": 0.5 * (held - self.chain)}
+        turned = np.gradient(self.angles, axis=0)
+        sizes = np.linalg.norm(held, axis=1) * np.linalg.norm(turned, axis=1)
+        unsure = {**self.unsure, "efforts": np.tile(0.5 * sizes[:, None], held.shape[1])}
         return self.replace(disturbance=rest, efforts=self.efforts + held, unsure=unsure)
 
     def shaken(self) -> "Log":

@@ -150,6 +150,7 @@ def named(
     doubt: float,
     *,
     share: float = NAMED,
+    sure: float = SURE,
 ) -> Estimate | None:
     """The mistake with the fewest sizes among those about as good as the best; None if none
     explains the residual up to a share of it, or nearly all of a residual within the doubt.
@@ -158,7 +159,7 @@ def named(
     tried = [estimate(missed, each, lag) for each in mistakes]
     tried = [each for each in tried if each.is_possible]
     best = min((each.left for each in tried), default=math.inf)
-    if best > (max(share * before, doubt) if before > doubt else min(share, SURE) * before):
+    if best > (max(share * before, doubt) if before > doubt else min(share, sure) * before):
         return None
     enough = max(2.0 * best, 0.5 * doubt, _CLEAR * before)
     return min(
@@ -233,6 +234,7 @@ class Followed:
     others: Mapping[str, Callable[[], Any]]  # doubt -> samples with other digits or interpolation
     size: float = 0.0  # residuals are shares of this size; 0: the motion's own
     drifts: Callable[[], bool] = lambda: False  # True: integrator drift may explain it
+    sure: float = SURE  # 0: the doubt may look like a mistake
 
     @functools.cached_property
     def parts(self) -> Motion:
@@ -314,7 +316,8 @@ class Followed:
 
     def named(self, mistakes: Iterable[Mistake]) -> Estimate | None:
         """The mistake that explains the residual; the columns are per period (n - 1, k)."""
-        return named(self.missed, self.lag, map(self._along, mistakes), self.doubt[0])
+        mistakes = map(self._along, mistakes)
+        return named(self.missed, self.lag, mistakes, self.doubt[0], sure=self.sure)
 
     def _along(self, mistake: Mistake) -> Mistake:
         return dataclasses.replace(mistake, columns=[self.path(x) for x in mistake.columns])

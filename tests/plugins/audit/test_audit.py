@@ -527,6 +527,8 @@ def test_a_disturbance_of_a_record_is_accounted_for(tmp_path):
 
 CHAINS = {
     "cannot tell": ["controller=tdc", "duration=1.5"],
+    "cannot tell, a force that grows": ["controller=asmc", "chain.law=plain", "duration=1.5",
+                                        "sensing.position_bias={left_2: 1e-4}"],
     "yes": ["controller=asmc", "chain.law=plain", "sensing.position_bias={left_2: 1e-4}",
             "duration=5"],
     "yes, a spring": ["contacts.right.kind=compliant", "chain.law=plain", "duration=1.5",

@@ -287,7 +287,8 @@ class _Tree:
         faults, loaded = Faults(), {name for tip in tips for name in tip.joints}
         if not sum(self.masses[name] for name in self.rigid_group(self.base)):
             faults.append(
-                f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia"
+                f"the base '{self.base}' has no mass; give it an <inertial> with mass and "
+                "inertia, or mount the arm on a bus with --bus-mass KG"
             )
         for joint in self.joints:
             if joint.moves and joint.name not in loaded and not self.mass_below(joint.child):
