@@ -377,8 +377,9 @@ def _finish(
     if as_json:
         print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:
+        files = f"{directory}, {table}" if table else directory
         click.echo(
-            f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if written else "")
+            f"\nWritten to {files}" + (f"; open {directory / REPORT_FILE}" if written else "")
         )
     broken = [broken_limits(record.scenario, record.dataset) for record in records]
     for record, beyond in zip(records, broken, strict=True):

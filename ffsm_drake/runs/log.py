@@ -191,6 +191,7 @@ class RunLog:
             effort=self.generalized_force,
             period=self.scenario.sample_time,
             group=self.coordinates.group_of,
+            unit=self.coordinates.units,
             tracked=self.tracked,
         )
 

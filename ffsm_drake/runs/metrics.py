@@ -126,6 +126,7 @@ class Tracking:
     effort: np.ndarray  # tau held from each to the next (n, nv), N m or N
     period: float  # s
     group: Sequence[str]  # group of each coordinate (nv)
+    unit: Sequence[str]  # its unit, rad or m
     tracked: Tracked  # errors that count
 
     def sizes(self, figure: str) -> np.ndarray:
@@ -138,8 +139,12 @@ class Tracking:
         return np.abs(self.error if figure == "peak_error" else self.effort).max(axis=0)
 
 
-def _of_group(figure: str, group: str, run: Tracking) -> float | None:
-    members = [i for i, other in enumerate(run.group) if other == group]
+def _of_group(figure: str, group: str, run: Tracking, unit: str = "") -> float | None:
+    members = [
+        i
+        for i, (own, its) in enumerate(zip(run.group, run.unit, strict=True))
+        if own == group and unit in ("", its)
+    ]
     return float(run.sizes(figure)[members].max()) if members else None
 
 
@@ -152,9 +157,13 @@ def _of_unit(figure: str, unit: str, run: Tracking) -> float:
 
 # Figure -> headings on a campaign's page, with units, by group.
 _HEADINGS = {
-    "peak_error": ("peak attitude error [rad]", "", "peak joint error [rad]"),
+    "peak_error": ("peak attitude error [rad]", "", "peak joint error [rad or m]"),
     "final_error": ("", "", ""),
-    "peak_effort": ("peak base torque [N m]", "peak base force [N]", "peak joint torque [N m]"),
+    "peak_effort": (
+        "peak base torque [N m]",
+        "peak base force [N]",
+        "peak joint effort [N m or N]",
+    ),
 }
 _in_table = functools.partial(Metric, key="", column="")
 # Figures of merit of every run: those with a key in ``metrics.json``, with a label in tables, with
@@ -184,11 +193,15 @@ METRICS = (
         for unit in ("rad", "m")
     ),
     *(
-        _in_table(label=label, unit=unit, of=functools.partial(_of_group, "peak_effort", group))
-        for label, unit, group in (
-            ("peak force", "base, N", "base_position"),
-            ("peak torque", "base, N m", "base_rotation"),
-            ("peak torque", "joints", "joints"),
+        _in_table(
+            label=label, unit=shown,
+            of=functools.partial(_of_group, "peak_effort", group, unit=unit),
+        )
+        for label, shown, group, unit in (
+            ("peak force", "base, N", "base_position", "m"),
+            ("peak torque", "base, N m", "base_rotation", "rad"),
+            ("peak torque", "joints, N m", "joints", "rad"),
+            ("peak force", "joints, N", "joints", "m"),
         )
     ),
 )  # fmt: skip
@@ -222,6 +235,7 @@ def tracking_of(dataset: "Labelled") -> Tracking:
         effort=dataset["generalized_force"].values,
         period=float(dataset.attrs["sample_time"]),
         group=dataset["group"].values.tolist(),
+        unit=dataset["unit"].values.tolist(),
         tracked=tracked_of(dataset),
     )
 

@@ -48,6 +48,7 @@ def results_columns(
             if metric.label
         ),
     ]
+    columns = [each for each in columns if set(each.cells) != {None}]  # no joints of this kind
     for first in ranked_figures(records):
         sizes = [size_of(record, first) for record in records]
         columns.append(

@@ -123,6 +123,7 @@ def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
         assert record.scenario.controller == name
         assert record.scenario.random_seed == 2
     assert (tmp_path / "report.html").is_file()
+    assert f"Written to {tmp_path}, {table}; open " in result.output
     rows = list(csv.DictReader(table.read_text().splitlines()))
     itae = [float(row["ITAE"]) for row in rows]
     assert len(rows) == 4

@@ -6,9 +6,17 @@ import xarray as xr
 
 from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.runs.dataset import make_table
-from ffsm_drake.runs.metrics import compute_metrics, isv, itae, momentum_residual
+from ffsm_drake.runs.metrics import (
+    METRICS,
+    Tracking,
+    compute_metrics,
+    isv,
+    itae,
+    momentum_residual,
+)
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.table import Table
+from ffsm_drake.runs.tracking import Tracked
 
 PERIOD, DURATION = 0.01, 20.0
 TIME = PERIOD * np.arange(2000)
@@ -143,3 +151,23 @@ def test_impulse_of_a_smooth_force(rate):
     for residual in momentum_residual(table).values():
         # that of a cubic, twice
         assert np.abs(residual).max() < PERIOD**4 * max(rate, 1.0) ** 3 / 200
+
+
+@pytest.mark.parametrize("units", [("rad",) * 3, ("rad", "m", "rad"), ("m", "m"), ()])
+def test_every_effort_in_the_table_has_its_unit(units):
+    draw = np.random.default_rng(len(units))
+    names = ("rad",) * 3 + ("m",) * 3 + units
+    effort = draw.normal(size=(5, len(names)))
+    tracked = Tracked(error=effort, names=names, groups=names, units=names)
+    group = ("base_rotation",) * 3 + ("base_position",) * 3 + ("joints",) * len(units)
+    run = Tracking(
+        time=np.arange(5.0), error=effort, effort=effort, period=1.0, group=group, unit=names,
+        tracked=tracked,
+    )  # fmt: skip
+    shown = {each.unit: each.of(run) for each in METRICS if each.unit[:1] in ("b", "j")}
+    for whose, part in (("base", slice(0, 6)), ("joints", slice(6, None))):
+        for unit, what in (("rad", "N m"), ("m", "N")):
+            own = [i for i in range(len(names))[part] if names[i] == unit]
+            largest = np.abs(effort[:, own]).max() if own else None
+            assert shown.pop(f"{whose}, {what}") == largest
+    assert not shown

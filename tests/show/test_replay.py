@@ -152,8 +152,8 @@ def test_the_page_holds_what_was_asked_for(record):
     assert len(recording_html(record, speed=4.0, path=False)) < len(full)
     forces = recording_html(record, speed=4.0, forces=True)
     assert len(forces) > len(full)
-    assert "control torque" in forces
-    assert "control torque" not in full
+    assert "applied torque" in forces
+    assert "applied torque" not in full
 
 
 def test_the_caption_is_text_not_markup(record, tmp_path):
@@ -233,7 +233,7 @@ def test_the_legend_names_colour_magnification_and_peak(meshcat, record):
 
 def test_its_peaks_are_those_of_the_table(meshcat, record):
     applied = record.dataset["applied_force"]
-    of = {"base_position": "control force", "base_rotation": "control torque"}
+    of = {"base_position": "applied force", "base_rotation": "applied torque"}
     for group, line in zip(of, legend(view(meshcat, record, forces=True).arrows), strict=False):
         peak = np.abs(applied.where(applied["group"] == group, drop=True).values).max()
         assert f"{of[group]}, peak {number(peak)} N" in line

@@ -41,9 +41,9 @@ class ArrowKind:
 
 
 ARROW_KINDS = (
-    ArrowKind("control force", "applied_force", "base_position", "N", "green", (0.25, 0.90, 0.35)),
+    ArrowKind("applied force", "applied_force", "base_position", "N", "green", (0.25, 0.90, 0.35)),
     ArrowKind(
-        "control torque", "applied_force", "base_rotation", "N m", "blue", (0.25, 0.60, 1.00)
+        "applied torque", "applied_force", "base_rotation", "N m", "blue", (0.25, 0.60, 1.00)
     ),
     ArrowKind(
         "disturbance force", "disturbance_force", "base_position", "N", "red", (1.00, 0.25, 0.20)

@@ -276,6 +276,17 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
     assert len(re.findall(r"plotly\.js v\d", page)) == 1
     assert (tmp_path / "runs.csv").read_text().count("\n") == 25
     assert f"ffsm campaign rerun {database} --case" in page
+    assert "Every controller ran the same cases." in page
+    assert "rad or m (joints)" in page
+
+
+def test_one_controller_is_not_said_to_run_the_same_cases(tmp_path):
+    spec = write_spec(tmp_path / "one.yaml", cases=1, controllers=["tdc"])
+    with open_store(run_here(spec, tmp_path / "one.db")) as store:
+        write_report(store, tmp_path / "page")
+    page = (tmp_path / "page/report.html").read_text()
+    assert "each with\nTDC." in page
+    assert "the same cases" not in page
 
 
 def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, monkeypatch):
