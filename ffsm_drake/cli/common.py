@@ -355,7 +355,7 @@ def located_errors(
     scenario: str, overrides: Sequence[str] = (), controller: str = ""
 ) -> Iterator[None]:
     """Add the source of a scenario key, file or override, to errors raised after loading;
-    ``controller`` is that of the controller's name, if it is not the scenario's own.
+    ``controller``: source of the controller's name, unless the scenario gives it.
     """
     from ffsm_drake.scenario import Scenario, place_of, schema_fields
 

@@ -107,8 +107,9 @@ def plan_limits(scenario: Scenario) -> list[str]:
 
 
 def posture_limits(scenario: Scenario) -> list[str]:
-    """A line for each posture outside the joints' limits, and for each angle that seems to be in
-    degrees. Raises: as ``plan_remarks``.
+    """A line for each posture outside the joints' limits, and for each angle seemingly in degrees.
+
+    Raises: as ``plan_remarks``.
     """
     plant, found = make_true_plant(scenario).plant, list[str]()
     limits = joint_limits(scenario, plant)

@@ -42,8 +42,8 @@ Changes = dict[str, Any]
 @step("a search for changes that help")
 def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
     """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
-    seconds, but no time for a mission expected to go as planned, nor for one whose postures are
-    outside the joints' limits, which is the cause.
+    seconds, but no time for a mission expected to go as planned, nor with a posture outside the
+    joints' limits: the cause is known.
     """
     try:
         if posture_limits(scenario):
