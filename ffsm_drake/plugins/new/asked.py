@@ -6,13 +6,17 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.design.rounding import rounded
+from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, thruster_layouts
 from ffsm_drake.scenario.actuation import DRIVEN, Wheel
 
 _CAPTURE = "tumbling_capture"  # the estimator through a grasp
 _THRUST = 0.0125  # m/s^2, of a thruster sized for a base, as 5 N on the shipped servicer
+_LAYOUT_BOX, _FITS = np.array([0.6, 0.6, 0.95]), 0.01  # m; half the base of the shipped layouts
 _TOLERANCE = 5e-3  # m, of a base that thrusters hold in place
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _POSITIVE = rf"(?=[\d.]*[1-9]){_NUMBER}"
@@ -138,28 +142,31 @@ class Asked:
         # force outlasts that, one of acceleration does not.
         return grasp if self.capture is not None and grasp.sensing == found.sensing else found
 
-    def _thrusters(self, mass: float, half_side: float) -> dict[str, Any]:
-        """A shipped layout with the given number and thrust; else one with the number, scaled."""
+    def thruster_settings(self, mass: float, box: BaseBox) -> dict[str, Any]:
+        """A shipped layout with the given number and thrust where it fits a base of a mass (kg) in
+        a box; else one with the number, moved and sized to fit.
+        """
         count, force = self.thrusters or (0, None)
         layouts = {name: name for name in thruster_layouts() if name.startswith(f"{count}x")}
-        if force is not None and (layout := layouts.get(f"{count}x{force:g}N")):
-            return {"layout": layout}
-        like = thruster_layouts()[next(iter(layouts))]
+        shipped = layouts.get(f"{count}x{force:g}N") if force is not None else None
+        if shipped and not np.abs([*(box.half - _LAYOUT_BOX), *box.centre]).max() > _FITS:
+            return {"layout": shipped}
+        like = thruster_layouts()[shipped or next(iter(layouts))]
         force = rounded(_THRUST * mass) if force is None else force
+        scale = box.half / _LAYOUT_BOX
         units = {
             name: {
-                "position": [rounded(half_side * x) for x in unit.position],
+                "position": [rounded(x) for x in (box.centre + scale * unit.position).tolist()],
                 "direction": unit.direction,
                 "force": force,
+                **({"specific_impulse": unit.specific_impulse} if shipped else {}),
             }
             for name, unit in like.items()
         }
         return {"layout": None, "units": units}
 
-    def fill(self, data: dict[str, Any], *, mass: float, half_side: float) -> None:
-        """Fill the sections that depend on the spacecraft at most by the mass (kg) of its base and
-        half the side (m) of the cube of that inertia; an empty one is left out.
-        """
+    def fill(self, data: dict[str, Any]) -> None:
+        """Fill the sections that do not depend on the spacecraft; an empty one is left out."""
         estimator, tolerance = _own(self.source.estimator), data["tolerance"]
         if estimator or self.thrusters is None:
             data["estimator"] = estimator
@@ -170,7 +177,6 @@ class Asked:
             data["sensing"], tolerance = _own(self.source.sensing), dict(self.source.tolerance)
         if self.thrusters is not None:
             tolerance["base_position"] = max(tolerance.get("base_position", 0.0), _TOLERANCE)
-            data["actuation"]["thrusters"] = self._thrusters(mass, half_side)
         data["tolerance"] = {} if tolerance == Scenario().tolerance else tolerance
         if not self.drives("all"):
             data["actuation"]["driven"] = list(self.driven)

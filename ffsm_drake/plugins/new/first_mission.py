@@ -22,11 +22,12 @@ from ffsm_drake.plugins.design.stability import Margins, stability
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.new.asked import Asked
+from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.hands import Hands
 from ffsm_drake.plugins.new.urdf import Servicer, Target
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, scenario_from_dict
-from ffsm_drake.scenario.actuation import Wheel
+from ffsm_drake.scenario.actuation import Thrusters, Wheel, thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance, Nearest
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
@@ -61,6 +62,7 @@ _OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
 _SHRINK, _TRIES = 0.7, 8
 _NOISES = 3.0  # standard deviations of the noise, times I omega^2, that the actuators give
 _K_S, _SWITCHING = 0.1, 2e-4  # K_s as a share of omega; bound of G
+_COVER = 0.1  # m, of a part that covers a thruster
 # Panels: of the base's inertia; m; Hz.
 _PANEL_SHARE, _PANEL_LENGTH, _PANEL_FREQUENCY = 0.3, (0.3, 3.0), 0.25
 _PANEL_SIDES = ([0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
@@ -99,7 +101,8 @@ class Draft:
 
     @step("a search for postures free of contact")
     def place(self, target: Target) -> None:
-        """Panels, postures, and the way to the grasp; the place of a second hand on a target."""
+        """Thrusters, panels, postures, and the way to the grasp; where a second hand holds."""
+        self._thrusters()
         self._panels()
         if self.servicer.second is not None:
             self.is_held = Hands(self, target, clear=_CLEAR).place()
@@ -190,44 +193,81 @@ class Draft:
             )
 
     @property
-    def _bus(self) -> tuple[RigidBody, np.ndarray, float, np.ndarray]:
-        """The base's heaviest body: its centre of mass (3, m), mass (kg) and moments (3, kg m^2)
-        about it.
-        """
+    def _bus(self) -> tuple[RigidBody, float, np.ndarray]:
+        """The base's heaviest body: its mass (kg) and moments (3, kg m^2)."""
         links = map(self.true.plant.GetBodyByName, self.servicer.base_links)
         body = max(links, key=lambda link: float(link.default_mass()))
         inertia = body.default_spatial_inertia()
         moments = inertia.Shift(inertia.get_com()).CalcRotationalInertia().get_moments()
-        return body, inertia.get_com(), float(inertia.get_mass()), moments
+        return body, float(inertia.get_mass()), moments
+
+    def _box(self, body: str) -> BaseBox:
+        """The box of the base in the frame of one of its bodies."""
+        found = self.servicer
+        return BaseBox.of(self.scenario.model, found.base_links, body, side=found.half_side)
+
+    def _thrusters(self) -> None:
+        """Thrusters on the box of the base, and a remark on those that a part of it covers."""
+        if self.asked.thrusters is None:
+            return
+        box = self._box(self.servicer.base)
+        found = self.asked.thruster_settings(self.servicer.base_mass, box)
+        self.data["actuation"]["thrusters"] = found
+        covered = dict[str, list[str]]()
+        for name, unit in thrusters_of(self.scenario.actuation.thrusters or Thrusters()).items():
+            out = unit.position + _COVER * np.sign(unit.position - box.centre) * [0, 0, 1]
+            for body in box.overlapped(out[None]):
+                covered.setdefault(body, []).append(name)
+        self.remarks += [
+            f"thrusters {', '.join(names)} are inside a part of '{body}': move them "
+            "(actuation.thrusters.units), or the part"
+            for body, names in covered.items()
+        ]
 
     def _panels(self) -> None:
         """Panels on the sides of the base. Raises ScenarioError: they outweigh it."""
         if self.asked.panels is None:
             return
         count, mass = self.asked.panels
-        body, centre, own, moments = self._bus
+        body, own, moments = self._bus
         if count * mass >= 0.5 * own:
             raise ScenarioError(
                 "--panels",
                 f"{count} of {mass:g} kg are part of the base's {own:.4g} kg, and must be less "
                 "than half of it",
             )
-        side = 0.5 * math.sqrt(6.0 * float(moments.mean()) / own)
-        middle = math.sqrt(_PANEL_SHARE * float(moments.min()) / (count * mass))
-        length = rounded(min(max(2.0 * (middle - side), _PANEL_LENGTH[0]), _PANEL_LENGTH[1]))
+        box, sides = self._box(body.name()), np.array(_PANEL_SIDES[:count])
+        axes = np.flatnonzero(np.abs(sides).any(axis=0))
+        flat = float((moments.sum() - 2.0 * moments[axes]).min())  # small: close to a flat body
+        middle = math.sqrt(_PANEL_SHARE * min(float(moments.min()), flat) / (count * mass))
+        out = middle - float((np.abs(sides) @ box.half).max())
+        length = rounded(min(max(2.0 * out, _PANEL_LENGTH[0]), _PANEL_LENGTH[1]))
         self.data["model"]["flexible"] = {
             f"panel_{k + 1}": {
                 "body": f"servicer::{body.name()}",
-                "position": [rounded(x) for x in (centre + side * np.array(direction)).tolist()],
-                "direction": direction,
-                **({"axis": [0, 1, 0]} if direction[0] else {}),
+                "position": [rounded(x) for x in (box.centre + box.half * side).tolist()],
+                "direction": side.tolist(),
+                **({"axis": [0, 1, 0]} if side[0] else {}),
                 "mass": mass,
                 "length": length,
                 "width": min(1.0, length),
                 "frequency": _PANEL_FREQUENCY,
             }
-            for k, direction in enumerate(_PANEL_SIDES[:count])
+            for k, side in enumerate(sides)
         }
+        for name, panel in self.data["model"]["flexible"].items():
+            along, across = (np.arange(0.02, 1.0, 0.04) * panel["length"] + 0.05,
+                             np.arange(-0.48, 0.5, 0.04) * panel["width"])  # fmt: skip
+            direction = np.array(panel["direction"])
+            axis = np.array(panel.get("axis", [1, 0, 0]))
+            points = np.array(panel["position"]) + np.array(
+                [d * direction + w * axis for d in along for w in across]
+            )
+            self.remarks += [
+                f"{name} lies on a part of '{part}' that the model has: leave out --panels, or "
+                f"move it (model.flexible.{name}), or remove the part"
+                for part in box.overlapped(points)
+            ]
 
     @property
     def _limit(self) -> np.ndarray:
@@ -315,7 +355,7 @@ class Draft:
         if self.asked.wheels is None:
             return
         asked, actuation, pulses = self.asked.wheels, self.data["actuation"], 0.0
-        wheels, torque, moment = actuation["wheels"], asked.torque, float(self._bus[3].min())
+        wheels, torque, moment = actuation["wheels"], asked.torque, float(self._bus[2].min())
         one = dataclasses.replace(asked, torque=None)
         least = self._torque({**actuation, "wheels": {"units": one.units(1.0, 1e-9)}})
         if self.asked.thrusters is not None:

@@ -239,7 +239,7 @@ def _make(
         data["controller"] = Scenario.controller
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
     data["actuation"] = {"limit": efforts} if efforts else {}
-    asked.fill(data, mass=servicer.base_mass, half_side=servicer.half_side)
+    asked.fill(data)
     given = target or cube(mass, side, servicer, share=_PAYLOAD_SHARE)
 
     def placed(target: Target, place: Path) -> tuple[list[str], Draft]:

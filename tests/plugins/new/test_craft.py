@@ -1,21 +1,25 @@
 """Crafts of unusual kinds, targets of several links, and sizes that follow from mass and reach."""
 
+import dataclasses
+import itertools
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from outside_urdfs import TURN, joint, link, robot
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import ModelError, ScenarioError
+from ffsm_drake.plugins.new import first_mission
 from ffsm_drake.plugins.new.asked import Asked, WheelData
+from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
 from ffsm_drake.plugins.new.urdf import make_bus, read_target, read_urdf, write_urdf
-from ffsm_drake.scenario import load_scenario
+from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.nominal import make_true_plant
 
@@ -374,3 +378,99 @@ def test_stl_is_drawn(tmp_path: Path) -> None:
     assert "of an undrawable format" in " ".join(
         write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
     )
+
+
+def box_at(middle: np.ndarray, sides: np.ndarray) -> str:
+    place, size = (" ".join(map(str, each)) for each in (middle, sides))
+    return f'<visual><origin xyz="{place}"/><geometry><box size="{size}"/></geometry></visual>'
+
+
+@settings(max_examples=10, deadline=None)
+@example(
+    sides=np.array([0.7, 0.7, 0.8]),
+    middle=np.zeros(3),
+    density=300.0,
+    word="12x5N",
+    count=2,
+    covered=True,
+    drawn=True,
+)
+@given(
+    sides=st.tuples(*3 * [st.floats(0.3, 3.0)]).map(np.array),
+    middle=st.tuples(*3 * [st.floats(-0.3, 0.3)]).map(np.array),
+    density=st.floats(30.0, 400.0),
+    word=st.sampled_from(["12", "12x5N", "16", "16x22N"]),
+    count=st.integers(1, 4),
+    covered=st.booleans(),
+    drawn=st.booleans(),
+)
+def test_thrusters_and_panels_are_on_the_box_of_the_base(
+    tmp_path_factory: pytest.TempPathFactory,
+    sides: np.ndarray,
+    middle: np.ndarray,
+    density: float,
+    word: str,
+    count: int,
+    covered: bool,  # by its own panels, and a tank on top
+    drawn: bool,  # else by its inertia
+) -> None:
+    """A base of any size, place and mass: hardware is on its faces, or a line says on what."""
+    mass, half, up = density * float(sides.prod()), 0.5 * sides, np.array([0.0, 0.0, 1.0])
+    out = np.array([0.0, half[1] + 1.0, 0.0])
+    own = [
+        (middle + out, np.array([0.2 * sides[0], 2.0, 0.02])),
+        (middle - out, np.array([0.2 * sides[0], 2.0, 0.02])),
+        (middle + up * (half[2] + 0.15), np.array([0.9 * sides[0], 0.9 * sides[1], 0.3])),
+    ]
+    covered = covered and drawn and all(each.prod() < 0.4 * sides.prod() for _, each in own)
+    pictures = [(middle, sides)] * drawn + own * covered
+    bus = link(
+        "bus",
+        mass=mass,
+        inertia=tuple(mass / 12.0 * (sides @ sides - sides**2)),
+        com=tuple(middle),
+        extra="".join(itertools.starmap(box_at, pictures)),
+    )
+    asked = Asked.parsed(thrusters=word, panels=f"{count}x{0.05 * mass:.6f}kg", driven="all")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(first_mission, "_SAMPLES", 4)
+        patch.setattr(first_mission.Draft, "_tune", lambda self: None)  # gains play no part
+        folder = tmp_path_factory.mktemp("boxed")
+        text = arm(bus=bus, length=4.0, on=middle[2] + half[2] + 0.6)
+        try:
+            new = made(folder, text, asked=asked)
+        except ModelError as error:  # of a small or flat base the shortest panels leave no body
+            if "make the parts lighter or shorter" not in str(error):
+                raise
+            return
+    slack = 0.02 * (sides.max() + np.abs(middle).max())
+    units = list(new.scenario.actuation.thrusters.units.values())
+    assert len(units) == int(word[:2])
+    for unit in units:
+        at = np.abs(unit.position - middle)
+        assert (at <= half + slack).all()
+        assert at[2] == pytest.approx(half[2], abs=slack)
+        assert (at[:2] > 0.6 * half[:2] - slack).all()
+    arms = np.array([np.cross(u.position - middle, u.direction) for u in units])
+    assert np.abs(arms).max() < np.linalg.norm(half) + slack
+    if "N" in word:
+        same = thruster_layouts()[word]
+        assert [each.force for each in units] == [each.force for each in same.values()]
+    panels = list(new.scenario.model.flexible.values())
+    assert len(panels) == count
+    for panel in panels:
+        root = middle + half * panel.direction
+        assert np.array(panel.position) == pytest.approx(root, abs=slack)
+    told = " ".join(new.remarks)
+    for k in range(4):
+        assert (f"panel_{k + 1} lies on a part of 'bus'" in told) == (covered and k < min(count, 2))
+    assert ("are inside a part of 'bus'" in told) == covered
+
+
+def test_the_layout_of_the_shipped_servicer_fits_it(tmp_path: Path) -> None:
+    """The layout of its size stays a name; it is written out for a base that is a little larger."""
+    model = load_scenario("paper").model
+    for scale, layout in ((1.0, "12x5N"), (1.1, None)):
+        box = BaseBox.of(model, ["base"], "base", side=9.0)
+        box = dataclasses.replace(box, half=scale * box.half)
+        assert Asked.parsed(thrusters="12x5N").thruster_settings(400.0, box)["layout"] == layout

@@ -20,6 +20,7 @@ from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import base_limits
 from ffsm_drake.systems.reference import make_motion
@@ -108,7 +109,9 @@ def test_everything_at_once_settles(tmp_path, name):
     scenario = load_scenario(new.scenario_file)
     assert scenario.capture.approach is not None
     assert len(scenario.model.flexible) == 2
-    assert scenario.actuation.thrusters.layout == "12x5N"
+    thrusters = scenario.actuation.thrusters
+    assert (thrusters.layout == "12x5N") is (name == "servicer")
+    assert {each.force for each in thrusters_of(thrusters).values()} == {5.0}
     assert scenario.sensing == load_scenario("flight_sensors").sensing
 
 

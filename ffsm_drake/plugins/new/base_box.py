@@ -1,0 +1,114 @@
+"""The box of a base, on which thrusters and panels are placed, and the parts that they overlap."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.geometry import Role
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
+from pydrake.systems.framework import DiagramBuilder
+
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.clearance import INVENTED
+from ffsm_drake.spacecraft.plant import add_combined_plant
+
+_SLAB = 0.5  # volume of a shape that belongs to the box, as a share of the largest shape's
+_NEAR = 0.02  # m; a point nearer to a shape overlaps it
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Shape:
+    """A shape of the base as the box about it."""
+
+    body: str
+    place: RigidTransform  # its centre and axes, in a frame of the base
+    half: np.ndarray  # (3) half its sides, m
+    is_drawn: bool  # in the user's model
+
+    @property
+    def span(self) -> np.ndarray:
+        """Half the sides (3), m, of the box about it along the frame's axes."""
+        return np.abs(self.place.rotation().matrix()) @ self.half
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BaseBox:
+    """The box of a base's largest shape, and of the large ones centred in it, along the axes of one
+    of its bodies; lengths in m.
+    """
+
+    centre: np.ndarray  # (3)
+    half: np.ndarray  # (3) half its sides
+    others: tuple[_Shape, ...]  # the shapes beside
+
+    @classmethod
+    def of(cls, model: Model, links: Sequence[str], body: str, *, side: float) -> "BaseBox":
+        """Find the box of a base.
+
+        Args:
+          model: a model whose base is drawn, if need be as the box of its inertia.
+          links: the names of the bodies of the base.
+          body: the one in whose frame the box is.
+          side: half the side (m) of a cube about the origin, for a base that is not drawn.
+        """
+        shapes = _shapes(model, links, body)
+        if not shapes:
+            return cls(centre=np.zeros(3), half=np.full(3, side), others=())
+        volumes = [float(np.prod(each.half)) for each in shapes]
+        largest = shapes[int(np.argmax(volumes))]
+        middle, span = largest.place.translation(), largest.span
+        own = [
+            each
+            for each, volume in zip(shapes, volumes, strict=True)
+            if volume >= _SLAB * max(volumes)
+            and (np.abs(each.place.translation() - middle) < span).all()
+        ]
+        low = np.min([each.place.translation() - each.span for each in own], axis=0)
+        high = np.max([each.place.translation() + each.span for each in own], axis=0)
+        others = tuple(
+            each for each in shapes if each.is_drawn and not any(each is mine for mine in own)
+        )
+        return cls(centre=0.5 * (low + high), half=0.5 * (high - low), others=others)
+
+    def overlapped(self, points: np.ndarray) -> list[str]:
+        """The bodies of the shapes beside the box that points (n, 3) are in."""
+        found = set[str]()
+        for each in self.others:
+            local = np.abs(each.place.inverse().multiply(points.T).T)
+            if (local < each.half + _NEAR).all(axis=1).any():
+                found.add(each.body)
+        return sorted(found)
+
+
+def _shapes(model: Model, links: Sequence[str], body: str) -> list[_Shape]:
+    """The shapes drawn of a base's links."""
+    builder = DiagramBuilder()
+    plant = add_combined_plant(builder, model)
+    inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
+    context = plant.CreateDefaultContext()
+    here: RigidBody = _body(plant, body)
+    found = list[_Shape]()
+    for name in links:
+        each = _body(plant, name)
+        pose = each.body_frame().CalcPose(context, here.body_frame())
+        for shape in inspector.GetGeometries(
+            plant.GetBodyFrameIdOrThrow(each.index()), Role.kIllustration
+        ):
+            if (box := inspector.GetObbInGeometryFrame(shape)) is not None:
+                place = pose @ inspector.GetPoseInFrame(shape) @ box.pose()
+                label = inspector.GetName(shape).rpartition("::")[2]
+                found.append(
+                    _Shape(
+                        body=name,
+                        place=place,
+                        half=np.array(box.half_width()),
+                        is_drawn=not label.startswith(INVENTED),
+                    )
+                )
+    return found
+
+
+def _body(plant: MultibodyPlant, name: str) -> RigidBody:
+    return plant.GetBodyByName(name, plant.GetModelInstanceByName("servicer"))
