@@ -61,9 +61,9 @@ class Log:
         return self.replace(**changed)
 
     def driven(self) -> "Log":
-        """The log with the force of a rigid chain, which is that before each sample and jumps with
-        the efforts, as a part of those of the sample before. In a period it turns with the posture:
-        by at most about its size times the change of the joints, of which half is not known.
+        """The log with the force of a rigid chain as a part of the efforts of the sample before:
+        it is logged before each sample's efforts, with which it jumps. In a period it turns with
+        the posture, by at most about its size times the change of the joints; half is not known.
         """
         rest = self.disturbance.copy()
         rest[:, -self.chain.shape[1] :] -= self.chain

@@ -1,4 +1,4 @@
-"""The box of a base, on which thrusters and panels are placed, and the parts that they overlap."""
+"""The box of a base, for the places of thrusters and panels, and the parts they overlap."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -50,8 +50,8 @@ class BaseBox:
         Args:
           model: a model whose base is drawn, if need be as the box of its inertia.
           links: the names of the bodies of the base.
-          body: the one in whose frame the box is.
-          side: half the side (m) of a cube about the origin, for a base that is not drawn.
+          body: gives the frame of the box.
+          side: half the side (m) of a cube about the origin, for a base without a picture.
         """
         shapes = _shapes(model, links, body)
         if not shapes:

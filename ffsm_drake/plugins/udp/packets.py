@@ -3,10 +3,10 @@
 A head of 32 bytes: b"FFSM", version (uint16), flags (uint16), run (uint64), sample k (uint64), time
 t_k (float64, s). A request then holds estimated_state (nq + nv), desired_state (nq + nv),
 desired_acceleration (nv), applied_force (nv), and, if flagged, measurement_is_new (nq + nv) and
-desired_frame (19), as at the ports of a controller. The flag HOLDS says that the target is in the
-gripper, IS_FIRST that this is the first sample of a run, or the first after a grasp, where
-velocities jump. A reply holds the generalized force (nv), N m and N. ``run`` is another number
-where a law starts without memory; a reply repeats that and k.
+desired_frame (19), as at the ports of a controller. Flags: HOLDS, the target is in the gripper;
+IS_FIRST, the first sample of a run, or the first after a grasp, where velocities jump. A reply
+holds the generalized force (nv), N m and N. ``run`` is another number where a law starts without
+memory; a reply repeats that and k.
 """
 
 import dataclasses
