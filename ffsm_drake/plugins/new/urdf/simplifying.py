@@ -2,7 +2,8 @@
 of zero go.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -26,6 +27,7 @@ _BASES = {  # kinds of the joints between the world and a base -> kind of base
     ("prismatic", "prismatic", "turn"): "planar",
     ("prismatic", "prismatic", "prismatic", "turn", "turn", "turn"): "free",
 }
+_NO_LIMIT = 1e16  # what SDFormat writes; others write the largest number
 _DEGREES = (20.0, 720.0)  # a range (upper less lower) between these is not in radians
 
 
@@ -99,6 +101,7 @@ def fix_followers(root: Element) -> dict[str, str]:
     """Fix the joints that follow others (<mimic>) where those rest; follower -> leader."""
     joints = {name_of(joint): joint for joint in root.findall("joint")}
     found = dict[str, str]()
+    _check_leaders(joints)
     for name, joint in joints.items():
         mimic, place = joint.find("mimic"), f"joint '{name}'"
         if mimic is None:
@@ -128,6 +131,24 @@ def fix_followers(root: Element) -> dict[str, str]:
     return found
 
 
+def _check_leaders(joints: Mapping[str, Element]) -> None:
+    """Raise ModelError where joints follow each other in a circle."""
+    leaders = {
+        name: mimic for name, joint in joints.items() if (mimic := joint.find("mimic")) is not None
+    }
+    for first in leaders:
+        chain = [first]
+        while (leader := leaders.get(chain[-1])) is not None:
+            chain.append(leader.get("joint", ""))
+            require(
+                chain[-1] != first,
+                f"joints {listed(chain[:-1])} follow each other (<mimic>, or an equality in MJCF); "
+                "let one of them lead",
+            )
+            if chain[-1] in chain[:-1]:
+                break
+
+
 def vague_limits(root: Element) -> Iterator[str]:
     """Remove ranges of 0 to 0; yields remarks on limits that say nothing, or are in degrees."""
     unknown: dict[str, list[str]] = {"effort": [], "velocity": [], "range": []}
@@ -141,6 +162,9 @@ def vague_limits(root: Element) -> Iterator[str]:
             for key in ("lower", "upper", "effort", "velocity")
             if key in limit.attrib
         }
+        for key, value in given.items():
+            if abs(value) >= _NO_LIMIT:  # overflows where a range is computed
+                limit.set(key, f"{math.copysign(math.inf, value)}")
         for key in ("effort", "velocity"):
             unknown[key] += [name] if given.get(key) == 0.0 else []
         if joint.get("type") == "continuous" or not given.keys() & {"lower", "upper"}:

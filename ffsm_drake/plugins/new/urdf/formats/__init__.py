@@ -4,40 +4,57 @@ Elements without effect in free flight are passed over and listed. Elements that
 have no counterpart are errors, all in one message.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from ffsm_drake.plugins.new.urdf.formats.mjcf import read_mjcf
-from ffsm_drake.plugins.new.urdf.formats.sdformat import read_sdformat
-from ffsm_drake.plugins.new.urdf.formats.xacro import expand
+from ffsm_drake.plugins.new.urdf.formats.apart import answer
+from ffsm_drake.plugins.new.urdf.formats.converting import check_depth
 from ffsm_drake.spacecraft.checked_urdf import check, header_of, read_xml, require
+from ffsm_drake.spacecraft.model_files import files_of
 
 __all__ = ["read_model"]
 
+_XACRO = re.compile(r"\bxmlns:xacro\s*=")
+
 
 def read_model(
-    path: Path, what: str, packages: Mapping[str, Path], arguments: Mapping[str, str]
+    path: Path,
+    what: str,
+    packages: Mapping[str, Path],
+    arguments: Mapping[str, str],
+    *,
+    trust: bool = False,
 ) -> tuple[Element, str, list[str]]:
     """The root element of a file's URDF, the comments before it, and remarks on omissions.
+
+    A URDF is read here. Other formats, and URDFs that declare the namespace of xacro, are read in a
+    process of its own.
 
     Args:
       path: the file.
       what: what it should be, for errors.
       packages: folders of its packages.
       arguments: values of the arguments of a xacro file.
+      trust: allow what ``xacro.expand`` says.
 
     Raises ModelError, also for unusable names and numbers.
     """
     root, text = read_xml(path, what)
     remarks = list[str]()
-    is_xacro = path.suffix == ".xacro" or any("xacro" in each.tag for each in root.iter())
+    is_xacro = path.suffix == ".xacro" or bool(_XACRO.search(text))
     require(is_xacro or not arguments, "--xacro-arg is for xacro files, and this one is not")
-    if is_xacro:
-        root = ElementTree.fromstring(expand(path, arguments, packages))
-    readers = {"mujoco": read_mjcf, "sdf": read_sdformat}
-    if root.tag in readers:
-        root, remarks = readers[root.tag](path, packages)
+    check_depth(root)
+    if is_xacro or root.tag in ("mujoco", "sdf"):
+        folders = {name: str(folder.absolute()) for name, folder in packages.items()}
+        if root.tag == "mujoco":
+            files_of(str(path), "its files", folders)
+        found = answer(
+            "convert", path=str(path), packages=folders, arguments=dict(arguments),
+            is_xacro=is_xacro, trust=trust,
+        )  # fmt: skip
+        root, remarks = ElementTree.fromstring(found["urdf"]), found["remarks"]
     check(root)
     return root, header_of(text), remarks

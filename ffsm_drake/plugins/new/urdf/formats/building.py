@@ -7,7 +7,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of
-from ffsm_drake.spacecraft.checked_urdf import DRAKE
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, require
 
 _ZERO = 1e-14  # relative; products of inertia below it come from rounding
 
@@ -100,7 +100,10 @@ def keep_servicer(root: Element) -> list[str]:
 
     def stem_of(name: str) -> str:
         """The root above a link, or the link that the world holds."""
+        seen = set[str]()
         while name in joints and (above := end_of(joints[name], "parent")) != WORLD:
+            require(name not in seen, f"link '{name}': its joints form a loop; remove one of them")
+            seen.add(name)
             name = above
         return name
 

@@ -2,10 +2,12 @@
 are applied.
 """
 
+import math
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -24,6 +26,17 @@ from ffsm_drake.plugins.new.urdf.formats.building import (
 )
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, require
 
+_MOST_PARTS = 10_000  # made by counts
+_COUNTED = {  # element -> attributes whose product is a number of parts, and the most of it
+    "replicate": (("count",), _MOST_PARTS),
+    "composite": (("count",), _MOST_PARTS),
+    "flexcomp": (("count",), _MOST_PARTS),
+    "hfield": (("nrow", "ncol"), 10_000_000),
+    "texture": (("width", "height"), 100_000_000),
+    "size": (("nkey",), _MOST_PARTS),
+    "numeric": (("size",), _MOST_PARTS),
+}
+_MOST_NUMBERS = 10_000_000  # of other sizes
 _DRAWN_GROUPS = 3  # MuJoCo shows the geoms of groups 0 to 2
 _PASSED_OVER = {  # number in the compiled model -> what it counts
     "nu": "actuator", "ntendon": "tendon", "ncam": "camera", "nlight": "light",
@@ -42,6 +55,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
         raise ModelError(
             "is MJCF, which MuJoCo compiles: pip install 'ffsm-drake[mjcf]'"
         ) from error
+    check_counts(path)
     usual = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT
     try:
@@ -66,6 +80,61 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
     if lone:
         remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
     return root, remarks
+
+
+def check_counts(path: Path) -> None:
+    """Raise ModelError for a file, or one that it includes, whose counts make too many parts."""
+    pending = [path]
+    for file in pending:  # grows during the loop
+        require(len(pending) <= _MOST_PARTS, "includes too many files")
+        try:
+            root = ElementTree.parse(file, ElementTree.XMLParser(encoding="utf-8")).getroot()
+        except (OSError, ElementTree.ParseError, ValueError, LookupError):
+            continue  # which MuJoCo reports
+        for each in root.iter("include"):
+            for folder in {path.parent, file.parent}:
+                other = folder / each.get("file", "")
+                pending += [other] if other.is_file() and other not in pending else []
+        inside = f"{file.name}: " if file != path else ""
+        for element, parts in _repeated(root):
+            require(parts <= _MOST_PARTS, f"{inside}<{element.tag}> would make {parts:.3g} parts; "
+                    f"at most {_MOST_PARTS} are read")  # fmt: skip
+            keys, most = _COUNTED.get(element.tag, ((), 0))
+            product = math.prod(_counts(element, keys))
+            require(
+                not keys or product <= most,
+                f"{inside}<{element.tag} {' '.join(keys)}> is {product:.3g}; at most {most:.3g} "
+                "is read",
+            )
+            if element.tag == "size":
+                for key in element.keys() - {"nkey", "memory"}:
+                    largest = max(_counts(element, (key,)))
+                    require(
+                        largest <= _MOST_NUMBERS,
+                        f"{inside}<size {key}> is {largest:.3g}; at most {_MOST_NUMBERS:.3g} is "
+                        "read",
+                    )
+
+
+def _repeated(root: Element) -> Iterator[tuple[Element, float]]:
+    """Every element, and how often <replicate> makes it."""
+    pending = [(root, 1.0)]
+    for element, times in pending:
+        if element.tag == "replicate":
+            times *= math.prod(_counts(element, ("count",)))
+        yield element, times
+        pending += [(child, times) for child in element]
+
+
+def _counts(element: Element, keys: tuple[str, ...]) -> list[float]:
+    """The numbers of attributes, 1 for those that are none."""
+    found = [1.0]
+    for word in " ".join(element.get(key, "") for key in keys).split():
+        try:
+            found.append(max(float(word), 1.0))
+        except ValueError:
+            continue  # which MuJoCo reports
+    return found
 
 
 def _drop_missing_files(spec: Any) -> list[str]:
