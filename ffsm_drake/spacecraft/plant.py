@@ -15,7 +15,7 @@ from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBo
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.plugins import SERVICES, optional, service
 from ffsm_drake.common.so3 import rpy_of
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
@@ -318,7 +318,9 @@ def _add_models(
         if not found:
             fault = "is a folder" if folder else "no such file"
             raise ModelError(f"{place}: {fault}; give a file or a package:// address")
-    files_of(file, place, packages)
+    files = files_of(file, place, packages)
+    if (trial := optional(SERVICES, "model_trial")) is not None:
+        trial(file, place, files, packages)
     try:
         instances: list[ModelInstanceIndex] = (
             parser.AddModels(url=file) if "://" in file else parser.AddModels(file)

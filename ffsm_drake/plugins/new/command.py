@@ -69,6 +69,12 @@ def _target(value: str) -> tuple[float | None, float | None, Path | None]:
     help="An argument of a xacro file; repeatable.",
 )
 @click.option(
+    "--trust",
+    is_flag=True,
+    help="Allow xacro files load_yaml, environment variables, and files outside the folder of the "
+    "model and of packages.",
+)
+@click.option(
     "--tip",
     metavar="FRAME",
     help="Link or frame that holds the target (default: the end of the longest chain).",
@@ -142,6 +148,7 @@ def new(
     tip: str | None,
     packages: dict[str, Path],
     xacro_args: dict[str, str],
+    trust: bool,
     target: str | None,
     bus_mass: float | None,
     bus_size: tuple[float, ...] | None,
@@ -185,6 +192,7 @@ def new(
         bus_size=bus_size,
         asked=Asked.parsed(**words),
         xacro_args=xacro_args,
+        trust=trust,
     )
     with step("the verdict"):
         mission = verdict(load_scenario(str(made.scenario_file)))

@@ -140,6 +140,7 @@ def new_scenario(
     bus_size: tuple[float, ...] | None = None,
     asked: Asked | None = None,
     xacro_args: Mapping[str, str] | None = None,
+    trust: bool = False,
 ) -> NewScenario:
     """Write a folder with a scenario for the servicer of a model file, its URDF as Drake loads it,
     and its meshes.
@@ -161,6 +162,8 @@ def new_scenario(
       bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
       asked: sensors, actuators, panels and a grasp; None for the paper's mission.
       xacro_args: values of the arguments of a xacro file.
+      trust: allow xacro files ``load_yaml``, environment variables, and files outside the folder of
+        the model and of packages.
 
     Raises:
       ModelError: the URDF is not that of a free base with an arm; the message says what to change.
@@ -179,15 +182,16 @@ def new_scenario(
         raise ScenarioError("--target", "is a mass or a file, not both")
     bus = None if bus_mass is None else make_bus(bus_mass, bus_size)
     with step("reading the target"):
-        held = None if target is None else read_target(Path(target), folders)
+        held = None if target is None else read_target(Path(target), folders, trust=trust)
     asked = asked or Asked()
     if asked.tips is not None and tip is not None:
         raise ScenarioError("--tip", "is one hand, and --tips are two; leave one of them out")
     first, second = asked.tips or (tip, None)
     with step("reading the model"):
         servicer = read_urdf(
-            urdf, tip=first, second=second, bus=bus, packages=folders, arguments=xacro_args
-        )
+            urdf, tip=first, second=second, bus=bus, packages=folders, arguments=xacro_args,
+            trust=trust,
+        )  # fmt: skip
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name

@@ -78,6 +78,7 @@ def read_urdf(
     bus: Bus | None = None,
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
+    trust: bool = False,
 ) -> Servicer:
     """Read and check a URDF, or a file of another format as one.
 
@@ -88,6 +89,7 @@ def read_urdf(
       second: likewise of a second hand.
       packages: folders of the packages that it names.
       arguments: values of the arguments of a xacro file.
+      trust: allow a xacro file to read what is outside its folder.
 
     Raises:
       ModelError: the file is not a model of a free base with single-degree joints and physical
@@ -95,7 +97,7 @@ def read_urdf(
     """
     try:
         root, header, left_out = read_model(
-            path, "the URDF of base and arm", packages or {}, arguments or {}
+            path, "the URDF of base and arm", packages or {}, arguments or {}, trust=trust
         )
         if bus is not None:
             mount(root, bus)

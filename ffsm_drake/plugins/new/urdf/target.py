@@ -76,15 +76,18 @@ def cube(mass: float | None, side: float | None, servicer: Servicer, *, share: f
     )  # fmt: skip
 
 
-def read_target(path: Path, packages: Mapping[str, Path] | None = None) -> Target:
+def read_target(
+    path: Path, packages: Mapping[str, Path] | None = None, *, trust: bool = False
+) -> Target:
     """Read and check a URDF, or a file of another format as one.
 
-    Links fixed to each other count as one body: that of the heaviest link.
+    Links fixed to each other count as one body: that of the heaviest link. ``trust``: see
+    ``read_urdf``.
 
     Raises ModelError unless it is one rigid body with a grasp frame.
     """
     try:
-        root, header, remarks = read_model(path, "its URDF", packages or {}, {})
+        root, header, remarks = read_model(path, "its URDF", packages or {}, {}, trust=trust)
         links, faults = root.findall("link"), Faults()
         masses = dict[str, float]()
         for link in links:

@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from ffsm_drake.plugins.new.urdf.formats.apart import answer
+from ffsm_drake.plugins.new.apart import answer
 from ffsm_drake.plugins.new.urdf.formats.converting import check_depth
 from ffsm_drake.spacecraft.checked_urdf import check, header_of, read_xml, require
 from ffsm_drake.spacecraft.model_files import files_of

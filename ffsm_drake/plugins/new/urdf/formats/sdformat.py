@@ -26,6 +26,12 @@ from ffsm_drake.plugins.new.urdf.formats.building import (
     keep_servicer,
     text,
 )
+from ffsm_drake.plugins.new.urdf.formats.located import (
+    check_names,
+    keep_lines,
+    number_faults,
+    read_located,
+)
 from ffsm_drake.spacecraft.checked_urdf import Faults, number, require
 
 # Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
@@ -49,10 +55,14 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
     of it cannot be represented.
     """
-    tree = ElementTree.parse(path).getroot()
+    tree, lines = read_located(path)
+    check_names(tree, lines, path.resolve().parent)
     visuals, mimics = dict(_visuals(tree)), dict(_take_mimics(tree))
     passed = Counter(_remove(tree))
-    plant, springs = _parsed(tree, path, packages)
+    shown = [visual for each in visuals.values() for visual in each]
+    Faults(number_faults((tree, *shown), lines)).raise_all()
+    keep_lines(tree, lines)
+    plant, springs = _parsed(tree, lines[tree], path, packages)
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
     frames = {frame.get("name", "") for frame in tree.iter("frame")}
     faults = Faults(
@@ -83,10 +93,10 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
                     root, "frame", name=frame.name(), xyz=text(pose.translation()), rpy=text(rpy),
                     link=names[_scoped(plant, frame.body())],
                 )  # fmt: skip
-    shown = [
+    told = [
         f"<{tag}> ({counted(count, 'time')})" for tag, count in passed.items() if tag != "visual"
     ]
-    remarks = [f"passed over, of no effect in free flight: {', '.join(shown)}"] if shown else []
+    remarks = [f"passed over, of no effect in free flight: {', '.join(told)}"] if told else []
     if lone := keep_servicer(root):
         remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
     return root, remarks
@@ -151,8 +161,12 @@ def _remove(tree: Element) -> Iterator[str]:
                 yield child.tag
 
 
-def _parsed(tree: Element, path: Path, packages: Mapping[str, Path]) -> tuple[MultibodyPlant, int]:
-    """Drake's reading of a file whose unused elements are removed, and its number of springs."""
+def _parsed(
+    tree: Element, line: int, path: Path, packages: Mapping[str, Path]
+) -> tuple[MultibodyPlant, int]:
+    """Drake's reading of a file whose unused elements are removed, with its root on a line, and its
+    number of springs.
+    """
     plant, told = MultibodyPlant(time_step=0.0), _Told()
     parser, log = Parser(plant), logging.getLogger("drake")
     for name, root in packages.items():
@@ -162,11 +176,15 @@ def _parsed(tree: Element, path: Path, packages: Mapping[str, Path]) -> tuple[Mu
     try:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / f"{path.stem}.sdf"
-            file.write_bytes(ElementTree.tostring(tree, encoding="utf-8"))
+            above = b"\n" * (line - 1)
+            file.write_bytes(above + ElementTree.tostring(tree, encoding="utf-8"))
             try:
                 parser.AddModels(str(file))
             except (RuntimeError, ValueError, SystemExit) as error:
-                told.texts.append(one_line(error))
+                from ffsm_drake.spacecraft.plant import cause_of
+
+                text, is_placed = cause_of(error), str(file) in one_line(error)
+                told.texts.append(text if is_placed else f"Drake cannot read it: {text}")
             told.texts = [
                 re.sub(f"/?{re.escape(str(file))}", path.name, each) for each in told.texts
             ]

@@ -29,7 +29,7 @@ DEADLINE = 60.0  # s
 _PROCESSOR = 30  # s of processor time
 MEMORY = 3_000_000_000  # bytes
 _LONGEST = 200_000_000  # bytes of an answer
-_START = "from ffsm_drake.plugins.new.urdf.formats.apart import serve; serve()"
+_START = "from ffsm_drake.plugins.new.apart import serve; serve()"
 _SAID = 300  # characters of what a library wrote last
 
 

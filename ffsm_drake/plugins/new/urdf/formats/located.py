@@ -1,0 +1,106 @@
+"""Elements of an XML file with their lines, which stay where other elements are removed."""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.common.files import check_regular
+
+Lines = Mapping[Element, int]
+_COUNTS = {  # element of SDFormat -> how many numbers its text holds
+    **dict.fromkeys(("mass", "ixx", "iyy", "izz", "ixy", "ixz", "iyz", "radius", "length"), (1,)),
+    **dict.fromkeys(("damping", "friction", "spring_stiffness", "spring_reference"), (1,)),
+    **dict.fromkeys(("lower", "upper", "effort", "velocity"), (1,)),
+    **dict.fromkeys(("multiplier", "offset", "reference"), (1,)),
+    **dict.fromkeys(("diffuse", "ambient", "specular", "emissive"), (3, 4)),
+    "pose": (0, 6, 7), "xyz": (3,), "scale": (3,), "size": (2, 3),
+}  # fmt: skip
+_INFINITE = ("lower", "upper", "effort", "velocity")
+
+
+def read_located(path: Path) -> tuple[Element, Lines]:
+    """The root element of a file in UTF-8, and the lines of all elements."""
+    builder, lines = TreeBuilder(), dict[Element, int]()
+    parser = expat.ParserCreate("utf-8", "}")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        given = {_spaced(key): value for key, value in attributes.items()}
+        lines[builder.start(_spaced(tag), given)] = parser.CurrentLineNumber
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: builder.end(_spaced(tag))
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(path.read_bytes(), True)
+    return builder.close(), lines
+
+
+def _spaced(name: str) -> str:
+    return f"{{{name}" if "}" in name else name
+
+
+def keep_lines(root: Element, lines: Lines) -> None:
+    """Change the white space between elements so that each is written on its own line again."""
+    here = lines[root]
+
+    def space(given: str | None, line: int) -> str:
+        """White space up to a line; text stays."""
+        nonlocal here
+        text = given if given and given.strip() else "\n" * max(line - here, 0)
+        here += text.count("\n")
+        return text
+
+    def visit(element: Element) -> None:
+        ahead = [lines.get(child, 0) for child in element]
+        element.text = space(element.text, ahead[0] if ahead else 0)
+        for child, line in zip(element, [*ahead, 0][1:], strict=True):
+            visit(child)
+            child.tail = space(child.tail, line)
+
+    visit(root)
+
+
+def number_faults(elements: Iterable[Element], lines: Lines) -> Iterator[str]:
+    """Texts of elements of SDFormat that are not the numbers that they must be."""
+    for root in elements:
+        for element in root.iter():
+            counts, text = _COUNTS.get(element.tag), (element.text or "").strip()
+            if counts is None or len(element):
+                continue
+            place = f"line {lines.get(element, 0)}: <{element.tag}>"
+            values = [_number(word) for word in text.split()]
+            if len(values) not in counts or any(map(math.isnan, values)):
+                count = "a number" if counts == (1,) else f"{counts[-1]} numbers"
+                yield f"{place} must be {count}, not '{text[:60]}'"
+            elif element.tag not in _INFINITE and not all(map(math.isfinite, values)):
+                yield f"{place} must be finite, not '{text[:60]}'"
+
+
+def _number(word: str) -> float:
+    try:
+        return math.nan if "_" in word else float(word)
+    except ValueError:
+        return math.nan
+
+
+def check_names(root: Element, lines: Lines, folder: Path) -> None:
+    """Raise ModelError for a version that is none, or the address of a device or FIFO."""
+    version = root.get("version", "1.0")
+    if not re.fullmatch(r"\d{1,3}(\.\d{1,3}){0,2}", version):
+        raise ModelError(f"<sdf version> must be such as 1.9, not '{version[:40]}'")
+    for uri in root.iter("uri"):
+        scheme, separator, rest = (uri.text or "").strip().rpartition("://")
+        if scheme in ("", "file") and rest:
+            try:
+                check_regular(Path(rest) if separator else folder / rest, limit=500_000_000)
+            except FileNotFoundError:
+                continue  # which Drake reports
+            except (OSError, ValueError) as error:
+                if not isinstance(error, OSError) or "folder" not in str(error):
+                    raise ModelError(
+                        f"line {lines.get(uri, 0)}: <uri> '{rest[:60]}' {one_line(error)}; name "
+                        "a file"
+                    ) from error
