@@ -13,33 +13,24 @@ not checked against its own body; its visual geometry on that body is checked in
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import (
-    CollisionFilterDeclaration,
-    GeometrySet,
-    Mesh,
-    ProximityProperties,
-    Role,
-    Shape,
-    SignedDistancePair,
-)
+from pydrake.geometry import Mesh, Role, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
+from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
-from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import HIDDEN, joints_of
+from ffsm_drake.spacecraft.distance import Solids, measures_of
 from ffsm_drake.spacecraft.plant import (
-    DRAKE_ERRORS,
     add_combined_plant,
-    cause_of,
     find_body,
     find_frame,
     flexible_parts,
@@ -48,18 +39,24 @@ from ffsm_drake.spacecraft.plant import (
     model_files,
 )
 
-INVENTED = "invented"  # visuals whose names begin so stand for a link without a picture
+# Visuals whose names begin so stand for a link without a picture, and for a shape, named after
+# them, that cannot be measured.
+INVENTED, UNMEASURED = "invented", "unmeasured"
 
 # Bodies with few joints between them that are near at every joint angle are left out.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
-_CLOSE = 0.5  # m; what is farther apart is measured only where nothing is closer
 _TRIALS = 40  # joint configurations tested
 _DEEP = 0.1  # m; no wrist's shapes overlap a held body by more at every joint angle
 
 # Nearer to the grasp, and turned less from it, the gripper may touch the target: m, rad.
 _REACH, _TURN = 0.1, 0.35
 
-_MEASURED = (".obj", ".gltf", ".vtk")  # meshes whose convex hull Drake can measure
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Shape:
+    body: RigidBody
+    shape: Shape
+    pose: RigidTransform  # X_BG
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -107,10 +104,11 @@ class Clearance:
         Raises:
           ModelError: the model does not load, or Drake cannot measure one of its shapes.
         """
-        builder = DiagramBuilder()
+        builder = self._builder = DiagramBuilder()  # keeps the plant
         self.plant: MultibodyPlant = add_combined_plant(
             builder, model, apart=apart, flexible=flexible
         )
+        self.plant_context = self.plant.CreateDefaultContext()
         self._places = _places_in(self.plant)
         self._hands = {
             each.index()
@@ -119,86 +117,105 @@ class Clearance:
                 find_frame(self.plant, hand, key="contacts").body()
             )
         }
-        scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
-        source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
-        try:
-            instance = {
-                shape: self.plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).model_instance()
-                for role in (Role.kProximity, Role.kIllustration)
-                for shape in inspector.GetAllGeometryIds(role)
-            }
-            collide = {instance[s] for s in inspector.GetAllGeometryIds(Role.kProximity)}
-            parts = flexible_parts().flexible_bodies(self.plant, model) if model.flexible else ()
-            is_plate = {body.index(): plate for body, plate in parts}
-            for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
-                shape = inspector.GetShape(geometry)
-                body = self.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
-                name = inspector.GetName(geometry).rpartition("::")[2]
-                measured = not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED
-                measured &= invented or not name.startswith(INVENTED)
-                if measured and is_plate.get(body.index(), instance[geometry] not in collide):
-                    scene_graph.AssignRole(source, geometry, ProximityProperties())
-            self._diagram = builder.Build()
-        except DRAKE_ERRORS as error:
-            raise ModelError(f"model: shapes without a distance: {cause_of(error)}") from error
-        self._context = self._diagram.CreateDefaultContext()
-        self.plant_context = self.plant.GetMyMutableContextFromRoot(self._context)
-        self._shapes = scene_graph.GetMyContextFromRoot(self._context)
-        self._query = scene_graph.get_query_output_port()
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
-        self._shapes_of = {
-            body.index(): list(
-                inspector.GetGeometries(
-                    self.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
-                )
+        parts = flexible_parts().flexible_bodies(self.plant, model) if model.flexible else ()
+        self._shapes, self.unmeasured = list[_Shape](), list[str]()
+        self._gather({body.index(): plate for body, plate in parts}, invented=invented)
+        self._shaped = [b for b in self._bodies if any(s.body is b for s in self._shapes)]
+        try:
+            self._solids = Solids(
+                [(self._shaped.index(s.body), s.shape, s.pose) for s in self._shapes]
             )
-            for body in self._bodies
-        }
-        self._body_of = {
-            shape: body for body in self._bodies for shape in self._shapes_of[body.index()]
-        }
+        except (RuntimeError, ValueError) as error:
+            raise ModelError(f"model: shapes without a distance: {one_line(error)}") from error
         self.pairs = self._free_pairs()
-        everything = GeometrySet(list(self._body_of))
-        manager = scene_graph.collision_filter_manager(
-            scene_graph.GetMyMutableContextFromRoot(self._context)
-        )
-        manager.Apply(CollisionFilterDeclaration().ExcludeWithin(everything))
-        for first, second in self.pairs:
-            parts = [GeometrySet(self._shapes_of[body.index()]) for body in (first, second)]
-            manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
+        pairs = [(k, pair) for k, both in enumerate(self.pairs) for pair in self._solids_of(*both)]
+        self._measured = np.array([pair for _, pair in pairs], dtype=int).reshape(-1, 2)
+        self._bodies_of = [self.pairs[k] for k, _ in pairs]
+
+    def _gather(self, is_plate: Mapping[BodyIndex, bool], *, invented: bool) -> None:
+        """Find the shapes that count, and name those that cannot be measured."""
+        inspector = self._builder.GetSubsystemByName("scene_graph").model_inspector()
+        for body in self._bodies:
+            frame = self.plant.GetBodyFrameIdOrThrow(body.index())
+            shapes = inspector.GetGeometries(frame, Role.kProximity)
+            if is_plate.get(body.index(), not shapes):
+                shapes += inspector.GetGeometries(frame, Role.kIllustration)
+            for geometry in shapes:
+                name = inspector.GetName(geometry).rpartition("::")[2]
+                shape, pose = inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry)
+                if name.startswith(INVENTED) and not invented:
+                    continue
+                try:
+                    if name.startswith(UNMEASURED):
+                        raise ValueError(name.partition(" ")[2])
+                    measures_of(shape)
+                    self._shapes.append(_Shape(body=body, shape=shape, pose=pose))
+                except (RuntimeError, ValueError) as error:
+                    what = error if not isinstance(shape, Mesh) else shape.source().path().name
+                    self.unmeasured.append(f"{body.name()}: {what}")
 
     def placed(self) -> Iterator[tuple[str, Shape, RigidTransform]]:
         """Each shape, with the scoped name of its body, and its pose X_BG in that."""
-        inspector = self._scene_graph.model_inspector()
-        for body in self._bodies:
-            name = body.scoped_name().get_full()
-            for each in self._shapes_of[body.index()]:
-                yield name, inspector.GetShape(each), inspector.GetPoseInFrame(each)
+        for each in self._shapes:
+            yield each.body.scoped_name().get_full(), each.shape, each.pose
 
     def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
         """The smallest distance in configuration q (n), if below ``below`` (m).
 
         A smaller ``below`` is faster.
         """
+        pairs, bodies = self._place(q)
+        distance, index = self._solids.least(pairs, below)
+        if index < 0:
+            return Nearest(distance=np.inf, first="", second="")
+        first, second = sorted(body.name() for body in bodies[index])
+        return Nearest(distance=distance, first=first, second=second)
+
+    def within(self, q: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+        """The distances (n) of shapes nearer to each other than ``most`` (m) in configuration q,
+        and their derivatives (n, nv) with respect to the plant's velocities' integrals.
+        """
+        pairs, bodies = self._place(q)
+        distances, rates = list[float](), [np.empty((0, self.plant.num_velocities()))]
+        for index, distance, points in self._solids.within(pairs, most):
+            distances.append(distance)
+            away = (points[1] - points[0]) / (distance or np.inf)
+            first, second = (
+                self.plant.CalcJacobianTranslationalVelocity(
+                    self.plant_context, JacobianWrtVariable.kV, body.body_frame(),
+                    body.EvalPoseInWorld(self.plant_context).inverse() @ point,
+                    self.plant.world_frame(), self.plant.world_frame(),
+                )
+                for body, point in zip(bodies[index], points, strict=True)
+            )  # fmt: skip
+            rates.append((away @ (second - first))[None])
+        return np.array(distances), np.vstack(rates)
+
+    def _place(self, q: np.ndarray) -> tuple[np.ndarray, list[tuple[RigidBody, RigidBody]]]:
+        """Take a configuration; the pairs of shapes that may not touch then, and their bodies."""
         whole = np.zeros(self._places.size)
         whole[self._places[: q.size]] = q
-        self.plant.SetPositions(self.plant_context, whole)
-        found = self._pairs_within(min(below, _CLOSE))
-        if not found and below > _CLOSE:  # the distances of all shapes take thirty times as long
-            found = self._pairs_within(below)
-        if not found:
-            return Nearest(distance=np.inf, first="", second="")
-        least = min(found, key=lambda pair: pair.distance)
-        first, second = sorted(self._body_of[shape].name() for shape in (least.id_A, least.id_B))
-        return Nearest(distance=least.distance, first=first, second=second)
-
-    def _pairs_within(self, most: float) -> list[SignedDistancePair]:
-        """Pairs of shapes nearer than a distance (m) that may not touch."""
-        found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(most)
+        self._move(whole)
         if not (met := self._may_touch()):
-            return found
-        bodies = (frozenset(self._body_of[s].index() for s in (p.id_A, p.id_B)) for p in found)
-        return [pair for pair, both in zip(found, bodies, strict=True) if both not in met]
+            return self._measured, self._bodies_of
+        bodies = (frozenset(body.index() for body in both) for both in self._bodies_of)
+        kept = [k for k, both in enumerate(bodies) if both not in met]
+        return self._measured[kept], [self._bodies_of[k] for k in kept]
+
+    def _move(self, q: np.ndarray) -> None:
+        """Put the shapes where a configuration of the plant has them."""
+        self.plant.SetPositions(self.plant_context, q)
+        poses = (body.EvalPoseInWorld(self.plant_context) for body in self._shaped)
+        self._solids.place(np.array([pose.GetAsMatrix34() for pose in poses]))
+
+    def _solids_of(self, first: RigidBody, second: RigidBody) -> list[tuple[int, int]]:
+        """The pairs of shapes of two bodies."""
+        numbers = (
+            [k for k, each in enumerate(self._shapes) if each.body is body]
+            for body in (first, second)
+        )
+        return self._solids.pairs(*numbers)
 
     def along(self, positions: np.ndarray, *, enough: float = -np.inf) -> Approach:
         """The closest approach along configurations (n, nq); those not ``usable`` are skipped, and
@@ -209,14 +226,11 @@ class Clearance:
             raise ValueError("none of the configurations can be evaluated")
         nothing = Nearest(distance=np.inf, first="", second="")
         best = Approach(index=int(known[0]), nearest=nothing)
-        for below in (_CLOSE, np.inf):  # the distances of all shapes take thirty times as long
-            for index in known:
-                nearest = self.nearest(positions[index], below=below)
-                if nearest.distance < min(below, best.nearest.distance):
-                    best, below = Approach(index=int(index), nearest=nearest), nearest.distance
-                if below <= enough:
-                    break
-            if best.nearest is not nothing:
+        for index in known:
+            nearest = self.nearest(positions[index], below=best.nearest.distance)
+            if nearest.distance < best.nearest.distance:
+                best = Approach(index=int(index), nearest=nearest)
+            if best.nearest.distance <= enough:
                 break
         return best
 
@@ -244,7 +258,7 @@ class Clearance:
             for here, there in (ends, ends[::-1]):
                 joints_at.setdefault(here, []).append((there, joint))
         pairs, bases = [], {part_of[body] for body in plant.GetFloatingBaseBodies()}
-        shaped = [body for body in self._bodies[1:] if self._shapes_of[body.index()]]
+        shaped = [body for body in self._shaped if body.index() != 0]
         for first, second in itertools.combinations(shaped, 2):
             start, end = part_of[first.index()], part_of[second.index()]
             if start == end or (
@@ -291,9 +305,7 @@ class Clearance:
         what is held does not overlap by more than _DEEP at all of them.
         """
         q = self.plant.GetPositions(self.plant_context)  # with unit quaternions
-        shapes = list(
-            itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()])
-        )
+        pairs = np.array(self._solids_of(first, second))
         generator, least = np.random.default_rng(0), -np.inf
         for _ in range(_TRIALS):
             for joint in joints:
@@ -301,11 +313,8 @@ class Clearance:
                 if not np.isfinite(limits).all():
                     limits = [-1.0, 1.0] if joint.type_name() == "prismatic" else [-np.pi, np.pi]
                 q[joint.position_start()] = generator.uniform(*limits)
-            self.plant.SetPositions(self.plant_context, q)
-            query = self._query.Eval(self._shapes)
-            distance = min(
-                query.ComputeSignedDistancePairClosestPoints(*pair).distance for pair in shapes
-            )
+            self._move(q)
+            distance, _ = self._solids.least(pairs)
             if distance > _NEAR:
                 return False
             least = max(least, distance)

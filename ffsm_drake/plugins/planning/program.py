@@ -12,8 +12,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
-from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstraint
+from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
 from pydrake.solvers import (
     LinearConstraint,
     MathematicalProgram,
@@ -33,6 +32,7 @@ from ffsm_drake.systems.plan import DEGREE
 
 INSTANTS = 3  # per segment, at which force and clearance are evaluated
 _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
+_SHARP = 100.0  # of the smooth maximum over them
 _ROOM = 0.002  # m beyond the clearance, for motion between instants
 _SUM = 0.005  # share of an impulse that the sum over the instants may miss
 _LESS = 0.001  # share by which limits are tightened beyond the required amount
@@ -319,17 +319,9 @@ class PlanningProgram:
             self._largest_turn /= turn + _LESS
         if self._clearance is not None and short > 0.0:
             self._kept += short + _ROOM
-            self._set_distance(self._clearance)
-
-    def _set_distance(self, clearance: Clearance) -> None:
-        self._distance = MinimumDistanceLowerBoundConstraint(
-            plant=clearance.plant, bound=self._kept, plant_context=clearance.plant_context,
-            influence_distance_offset=_INFLUENCE,
-        )  # fmt: skip
 
     def _add_clearance(self, clearance: Clearance) -> None:
         """Parts keep their distance; this depends on the joints alone."""
-        self._set_distance(clearance)
         joints = slice(NUM_BASE_POSITIONS - clearance.plant.num_positions(), None)
         q = np.zeros(clearance.plant.num_positions())
         q[0] = 1.0
@@ -338,10 +330,9 @@ class PlanningProgram:
             found, slope = np.empty(len(values)), np.zeros_like(values[:, joints])
             for k, row in enumerate(values[:, joints]):
                 q[joints] = row
-                distance = self._distance.Eval(InitializeAutoDiff(q).ravel())
-                found[k] = ExtractValue(distance)[0, 0]
-                if (gradient := ExtractGradient(distance)).size:
-                    slope[k] = gradient[0, joints]
+                distance, rate = clearance.within(q, self._kept + _INFLUENCE)
+                found[k], weight = _nearness(distance, self._kept)
+                slope[k] = weight @ rate[:, joints]
             return found, np.einsum("kj,kjx->kx", slope, by[:, joints])
 
         ones = np.ones(self._segment.size)
@@ -534,3 +525,15 @@ def _splines(window: np.ndarray, place: np.ndarray, _: np.ndarray) -> np.ndarray
         value = value + np.pad(after, ((0, 1), (0, 0))) * upper[0]
         found = np.concatenate([value[None], degree * (lower - upper)])
     return found[:3].reshape(-1, own.size)
+
+
+def _nearness(distance: np.ndarray, kept: float) -> tuple[float, np.ndarray]:
+    """How near parts are: 1 or less where all distances (n, m) are ``kept``, 0 from _INFLUENCE
+    beyond it on; and its derivatives (n).
+    """
+    x = (kept + _INFLUENCE - distance) / _INFLUENCE  # 1 at the bound
+    each, slope = np.where(x < 1.0, x * x, 2.0 * x - 1.0), 2.0 * np.minimum(x, 1.0)
+    most = each.max(initial=0.0)
+    power = np.exp(_SHARP * (each - most))
+    total = np.exp(-_SHARP * most) * (1.0 - len(each)) + power.sum()
+    return most + np.log(total) / _SHARP, -power / total * slope / _INFLUENCE
