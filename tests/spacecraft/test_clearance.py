@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from pydrake.geometry import Box, Cylinder, Ellipsoid, Role, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import load_scenario
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
-from ffsm_drake.spacecraft.plant import configuration, models_dir
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, models_dir
 
 BEYOND = 0.012  # m; by which a picture may stand out of its shape
 
@@ -93,18 +94,17 @@ def test_shapes_hold_the_pictures(scenario):
     """Every point of a picture lies in one of its body's shapes, or within a finger's breadth of
     it.
     """
-    clearance = Clearance(load_scenario(scenario).model)
-    plant, query = (
-        clearance.plant,
-        clearance.plant.get_geometry_query_input_port().Eval(clearance.plant_context),
-    )
+    builder = DiagramBuilder()
+    plant = add_combined_plant(builder, load_scenario(scenario).model)
+    diagram = builder.Build()
+    whole = diagram.CreateDefaultContext()
+    context = plant.GetMyContextFromRoot(whole)
+    query = plant.get_geometry_query_input_port().Eval(context)
     inspector = query.inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
         own = set(inspector.GetGeometries(inspector.GetFrameId(geometry), Role.kProximity))
-        X_WG = plant.EvalBodyPoseInWorld(clearance.plant_context, body) @ inspector.GetPoseInFrame(
-            geometry
-        )
+        X_WG = plant.EvalBodyPoseInWorld(context, body) @ inspector.GetPoseInFrame(geometry)
         assert isinstance(X_WG, RigidTransform)
         for point in points_on(inspector.GetShape(geometry)):
             found = query.ComputeSignedDistanceToPoint(X_WG @ point)
