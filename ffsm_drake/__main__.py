@@ -10,7 +10,7 @@ for _number in (_signal.SIGINT, _signal.SIGTERM, _signal.SIGHUP):
     if _signal.getsignal(_number) != _signal.SIG_IGN:
         _signal.signal(_number, lambda number, frame: os._exit(128 + number))
 
-from ffsm_drake.common.interrupts import handle_signals, ignore_signals  # noqa: E402
+from ffsm_drake.common.interrupts import Interrupts, end_at_once, handle_signals  # noqa: E402
 
 # New objects between two garbage collections: imports make many, and next to no garbage.
 _MANY_OBJECTS = 10_000
@@ -33,16 +33,16 @@ def _in_utf8() -> None:
 
 def main() -> None:
     """Run the command line, and end the process."""
-    handle_signals()
+    interrupts = handle_signals()
     gc.set_threshold(_MANY_OBJECTS, *gc.get_threshold()[1:])
     try:
-        _main()
+        _main(interrupts)
     except (OSError, ImportError) as error:  # raised by the imports
         os.write(2, f"error: {' '.join(str(error).split())}\n".encode("utf-8", "replace"))
         os._exit(2)
 
 
-def _main() -> None:
+def _main(interrupts: Interrupts) -> None:
     try:
         os.getcwd()
     except FileNotFoundError:  # Python itself may fail to import modules from here on
@@ -55,6 +55,7 @@ def _main() -> None:
         os.write(2, b"error: too few files may be open; allow more, such as ulimit -n 256\n")
         os._exit(2)
     _in_utf8()
+    interrupts.watch()
     import sys
     import threading
 
@@ -67,8 +68,8 @@ def _main() -> None:
     try:
         ffsm(prog_name="ffsm")
     except SystemExit as ending:
+        end_at_once()
         end_threads(ending.code)
-        ignore_signals()
         end_process(ending.code, sys._getframe(1).f_back)
         raise
     finally:

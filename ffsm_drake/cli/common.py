@@ -24,7 +24,7 @@ from ffsm_drake.common.errors import (
     warnings_as_lines,
 )
 from ffsm_drake.common.guard import guarded, user_code_is_loaded
-from ffsm_drake.common.interrupts import exit_code
+from ffsm_drake.common.interrupts import exit_code, last_words
 from ffsm_drake.common.plugins import COMMANDS, load, offered
 from ffsm_drake.common.steps import current_step
 
@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
 
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
+
+
+def interrupted() -> int:
+    """The exit code of an interrupted command, after its last line."""
+    click.echo(last_words(), err=True)
+    return exit_code()
 
 
 class CommandGroup(click.Group):
@@ -62,8 +68,9 @@ class CommandGroup(click.Group):
                 click.echo(f"error: {one_line(error)}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
             except KeyboardInterrupt as interruption:
-                click.echo(str(interruption) or "interrupted", err=True)
-                sys.exit(exit_code())
+                if text := str(interruption):
+                    click.echo(text, err=True)
+                sys.exit(interrupted())
 
 
 class ExtensibleGroup(CommandGroup):

@@ -15,6 +15,7 @@ from ffsm_drake.cli.common import (
     EXIT_GOOD,
     EXIT_UNSTABLE,
     RunProgress,
+    interrupted,
     json_option,
     located_errors,
     out_option,
@@ -26,7 +27,7 @@ from ffsm_drake.cli.common import (
     scenario_stem,
     table_option,
 )
-from ffsm_drake.common.interrupts import exit_code
+from ffsm_drake.common.interrupts import writing
 from ffsm_drake.common.plugins import LIVE, SERVICES, load, optional
 
 if TYPE_CHECKING:
@@ -280,7 +281,8 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
 
 def _saved(record: "RunRecord", directory: Path, before: Any) -> Path:
     """Save a record and return its folder: another one if the folder was filled during the run."""
-    place = record.save(directory, replacing=before)
+    with writing():
+        place = record.save(directory, replacing=before)
     if place != directory:
         line = f"{directory} holds another run by now, which stays; this one is in {place}"
         click.echo(f"warning: {line}", err=True)
@@ -387,7 +389,7 @@ def _finish(
         end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
         click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)
     if any(record.outcome.status == "interrupted" for record in records):
-        return exit_code()
+        return interrupted()
     failed = any(
         record.ending.is_failure
         or (require is not None and bool(beyond or not record.ending.is_settled))

@@ -121,9 +121,7 @@ class InterruptedCampaign(KeyboardInterrupt):
     """The campaign was interrupted; finished runs are stored."""
 
     def __init__(self, done: int, total: int) -> None:
-        super().__init__(
-            f"interrupted after run {done} of {total}; 'ffsm campaign resume' finishes them"
-        )
+        super().__init__(f"interrupted after run {done} of {total}")
 
 
 class WorkersError(FfsmError):

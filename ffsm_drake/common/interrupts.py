@@ -3,23 +3,36 @@ partial file.
 
 An exception raised at any moment would not work: within an import it becomes an ImportError,
 within a library's callback it is printed and forgotten. So the handler itself removes unfinished
-files and ends the process. Within ``interruptible`` a first signal raises KeyboardInterrupt;
-within ``undisturbed`` it waits. Without ``handle_signals`` these change nothing. This module is
-imported before anything else, so it imports next to nothing.
+files, kills the processes below, and ends the process. Within ``interruptible`` a first signal
+raises KeyboardInterrupt, within ``stopping`` it calls a function; within ``undisturbed`` it waits.
+Without ``handle_signals`` these change nothing. This module is imported before anything else, so
+it imports next to nothing.
+
+Python runs a handler between two of its instructions only: not while compiled code works or
+waits, nor where user-supplied code catches everything. So a second process, ``watch``, reads the
+numbers of signals, which Python's C code writes to a pipe at once, and acts where this one does
+not: after GRACE it repeats the signal, then it kills.
 """
 
 import contextlib
 import os
 import signal
+import time
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
     from types import FrameType
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+GRACE = 7.0  # s for what a first signal ends, after which the signal is repeated
+_AT_ONCE = 1.0  # s for the end after a second one
+_SAME = 0.2  # s within which it is the same signal, sent on by a wrapper such as ``timeout``
+_SILENCE = 0.3  # s to the first line after a signal
+_WRITING = 60.0  # s for a result that is being written
+_MOST = 4000  # bytes of a message, less than what a pipe takes at once
 
 
 class Interrupts:
@@ -28,35 +41,210 @@ class Interrupts:
     def __init__(self) -> None:
         self.number = 0  # the first signal received
         self.raises = self.waits = False
+        self.stop: Callable[[], None] | None = None  # instead of an exception
         self.waiting = 0  # the pending signal
-        self.unfinished: set[Path] = set()  # files and folders to remove
-        self.unused: list[Path] = []  # folders to remove where they are empty, innermost first
+        self.words: list[str] = []  # of the command that goes on, if it is another one
+        self._last = -1.0  # time of the last signal
+        self._left: dict[Path, bool] = {}  # to remove; True: folders, where they are empty
+        self._pid = os.getpid()
+        self.spared = set[int]()  # processes below this one that are not killed
+        self._pipe = -1
 
     def __call__(self, number: int, frame: "FrameType | None") -> None:
+        now = time.monotonic()
+        same, self._last = now - self._last < _SAME, now
         first, self.number = not self.number, self.number or number
         if self.waits:
             self.waiting = number
-        elif self.raises and first:
+        elif same:
+            return
+        elif first and self.stop is not None:
+            self.stop()
+        elif first and self.raises:
             raise KeyboardInterrupt
         else:
-            for path in list(self.unfinished):
+            self.end(number)
+
+    def act(self) -> None:
+        """Handle the pending signal."""
+        number, self.waiting, self._last = self.waiting, 0, -1.0
+        if number:
+            self(number, None)
+
+    def end(self, number: int) -> None:
+        """End this process now, with those below it."""
+        self._clear()
+        _say(self.last_words())
+        os._exit(128 + number)
+
+    def last_words(self) -> str:
+        """The line that names the command to type next."""
+        import shlex
+        import sys
+
+        how, words = ("go on", self.words) if self.words else ("again", sys.argv[1:])
+        return f"interrupted; {how}: {shlex.join(['ffsm', *words])}"
+
+    def leave_none(self, paths: "Iterable[Path]", *, empty: bool = False) -> None:
+        """Remove files and folders, or folders that are ``empty``, at a sudden end."""
+        for path in [path.absolute() for path in paths]:
+            self._left[path] = empty
+            self.tell(b"/" if empty else b"+", path)
+
+    def keep(self, paths: "Iterable[Path]") -> None:
+        """Undo ``leave_none``."""
+        for path in [path.absolute() for path in paths]:
+            self._left.pop(path, None)
+            self.tell(b"-", path)
+
+    def watch(self) -> None:
+        """Start the watcher, while this process has one thread; it ends with this process."""
+        reading, writing = os.pipe()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            watcher = os.fork()
+        except OSError:  # no more processes are allowed
+            watcher = -1
+        if watcher == 0:  # the signals remain blocked
+            try:
+                os.close(writing)
+                self._be_watcher(reading)
+            finally:
+                os._exit(0)
+        os.close(reading)
+        os.set_blocking(writing, False)
+        self.spared.add(watcher)
+        self._pipe = writing
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        os.register_at_fork(after_in_child=self._be_fork)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def _be_fork(self) -> None:
+        """Forget what is the parent's."""
+        signal.set_wakeup_fd(-1)
+        os.close(self._pipe)
+        self._pipe, self._pid = -1, os.getpid()
+        self._left.clear()
+
+    def tell(self, kind: bytes, text: "str | Path") -> None:
+        """Tell the watcher."""
+        message = kind + os.fsencode(text) + b"\0"
+        if self._pipe >= 0 and len(message) <= _MOST:
+            with contextlib.suppress(OSError):
+                os.write(self._pipe, message)
+
+    def _be_watcher(self, pipe: int) -> None:
+        """Follow the parent to its end, or bring that about."""
+        import select
+        from pathlib import Path
+
+        self.spared.add(os.getpid())
+        # the first signal, its time, the end of the parent's time, what is left of a message
+        number, begun, end, rest = 0, 0.0, 0.0, b""
+        said = repeated = False
+        while True:
+            now = time.monotonic()
+            due = end if said else begun + _SILENCE
+            if select.select([pipe], [], [], max(0.0, due - now) if number else None)[0]:
+                if not (more := os.read(pipe, 1 << 16)):
+                    return  # it has ended
+                rest += more
+            elif os.getppid() != self._pid:
+                return
+            elif not said:
+                said = True
+                _say(f"ending: what is under way has {GRACE:.0f} s; a second signal ends it now")
+            elif not repeated:
+                said = repeated = True
+                end = now + _AT_ONCE
+                os.kill(self._pid, number)
+            else:
+                break
+            while rest:
+                now = time.monotonic()
+                if rest[0] < 32:  # the number of a signal
+                    if rest[0] in SIGNALS and not number:
+                        number, begun, end = rest[0], now, now + GRACE
+                    elif rest[0] in SIGNALS and not repeated and now > begun + _SAME:
+                        said, repeated, end = True, True, now + _AT_ONCE
+                    rest = rest[1:]
+                    continue
+                message, found, later = rest.partition(b"\0")
+                if not found:
+                    break
+                kind, text, rest = message[:1], os.fsdecode(message[1:]), later
+                if kind == b"!":
+                    self.words = text.split("\n")
+                elif kind == b"=":
+                    self.spared.add(int(text))
+                elif kind == b">":
+                    end = max(begun + GRACE, now + float(text))
+                elif kind == b"-":
+                    self._left.pop(Path(text), None)
+                else:
+                    self._left[Path(text)] = kind == b"/"
+        kill_below(self._pid, but=self.spared)  # before they have another parent
+        os.kill(self._pid, signal.SIGKILL)
+        self._clear()
+        _say(f"killed: it did not end by itself\n{self.last_words()}")
+
+    def _clear(self) -> None:
+        """Kill the processes below, and remove what is unfinished."""
+        kill_below(self._pid, but=self.spared)
+        for path, empty in list(self._left.items()):
+            if not empty:
                 _remove(path)
-            _remove_empty(self.unused)
-            os._exit(128 + number)
+        folders = [path for path, empty in self._left.items() if empty]
+        _remove_empty(sorted(folders, key=lambda path: len(path.parts), reverse=True))
 
 
-def handle_signals() -> None:
+def _say(line: str) -> None:
+    """Write to standard error, below the line of a progress."""
+    with contextlib.suppress(OSError):
+        os.write(2, f"{chr(10) if os.isatty(2) else ''}{line}\n".encode("utf-8", "replace"))
+
+
+def kill_below(pid: int, *, but: "Iterable[int]" = ()) -> None:
+    """Kill the processes of this session that descend from one, with exceptions."""
+    session, found, new = os.getsid(0), set[int](), {pid}
+    parents = _parents()
+    while new := {child for child, parent in parents.items() if parent in new} - {*but} - found:
+        found |= new
+    for each in found:
+        with contextlib.suppress(OSError):
+            if os.getsid(each) == session:  # a browser, say, has its own
+                os.kill(each, signal.SIGKILL)
+
+
+def _parents() -> dict[int, int]:
+    """The parent of every process."""
+    if not os.path.exists("/proc/self/stat"):
+        import subprocess
+
+        command = ["ps", "-A", "-o", "pid=", "-o", "ppid="]
+        lines = subprocess.run(command, capture_output=True, check=False).stdout.splitlines()
+        return {int(pid): int(parent) for pid, parent in map(bytes.split, lines)}
+    found = {}
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:
+            found[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
+    return found
+
+
+def handle_signals() -> Interrupts:
     """End this process on these signals as described above; ignored ones stay ignored."""
     interrupts = Interrupts()
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, interrupts)
+    return interrupts
 
 
-def ignore_signals() -> None:
-    """Ignore them while the process ends."""
+def end_at_once() -> None:
+    """Let these signals end this process, whose work is done, without a word."""
     for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def current() -> Interrupts | None:
@@ -65,6 +253,36 @@ def current() -> Interrupts | None:
         if isinstance(handler := signal.getsignal(number), Interrupts):
             return handler
     return None
+
+
+def go_on_by(*words: str) -> None:
+    """Name, in the last line of an interrupted process, the command that goes on."""
+    if (interrupts := current()) is not None:
+        interrupts.words = list(words)
+        interrupts.tell(b"!", "\n".join(words))
+
+
+def spare(pid: int) -> None:
+    """Kill a process below this one not."""
+    if (interrupts := current()) is not None:
+        interrupts.spared.add(pid)
+        interrupts.tell(b"=", str(pid))
+
+
+def last_words() -> str:
+    """The last line of an interrupted process."""
+    return (current() or Interrupts()).last_words()
+
+
+@contextlib.contextmanager
+def writing() -> "Iterator[None]":
+    """Give the block, which writes a result after a signal, more time than GRACE."""
+    interrupts = current() or Interrupts()
+    interrupts.tell(b">", str(_WRITING))
+    try:
+        yield
+    finally:
+        interrupts.tell(b">", str(_AT_ONCE))
 
 
 def exit_code() -> int:
@@ -107,6 +325,33 @@ def interruptible() -> "Iterator[Interrupts]":
 
 
 @contextlib.contextmanager
+def stopping(stop: "Callable[[], None]") -> "Iterator[None]":
+    """Call a function on the first of these signals in the block; the second ends the process.
+
+    Without ``handle_signals`` the second raises KeyboardInterrupt.
+    """
+    interrupts, before = current(), {}
+    if interrupts is None:
+        interrupts = _Lent()
+        heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+        before = {number: signal.signal(number, interrupts) for number in heard}
+    interrupts.stop = stop
+    try:
+        yield
+    finally:
+        interrupts.stop = None
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Lent(Interrupts):
+    """A handler in somebody else's process, which goes on."""
+
+    def end(self, number: int) -> None:
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
 def undisturbed() -> "Iterator[None]":
     """Defer these signals to the end of the block."""
     interrupts = current() or Interrupts()
@@ -115,32 +360,32 @@ def undisturbed() -> "Iterator[None]":
         yield
     finally:
         interrupts.waits = before
-        if interrupts.waiting and not before:
-            interrupts(interrupts.waiting, None)
+        if not before:
+            interrupts.act()
 
 
 @contextlib.contextmanager
 def unfinished(path: "Path") -> "Iterator[None]":
     """Remove a temporary file or folder after the block, however it ends."""
     interrupts = current() or Interrupts()
-    interrupts.unfinished.add(path)
+    interrupts.leave_none([path])
     try:
         yield
     finally:
         _remove(path)
-        interrupts.unfinished.discard(path)
+        interrupts.keep([path])
 
 
 @contextlib.contextmanager
 def unused(folders: "list[Path]") -> "Iterator[None]":
     """Remove those of the folders, innermost first, that are there and empty after the block."""
     interrupts = current() or Interrupts()
-    before, interrupts.unused = interrupts.unused, [*folders, *interrupts.unused]
+    interrupts.leave_none(folders, empty=True)
     try:
         yield
     finally:
         _remove_empty(folders)
-        interrupts.unused = before
+        interrupts.keep(folders)
 
 
 def _remove_empty(folders: "list[Path]") -> None:

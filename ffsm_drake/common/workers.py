@@ -31,14 +31,14 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process, resource_tracker
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.common.interrupts import SIGNALS, Interrupts, current
+from ffsm_drake.common.interrupts import kill_below, spare, stopping
 
 ATTEMPTS = 3
 # Library threads per process: the workers fill the machine, and a manipulator's matrices are too
@@ -59,6 +59,7 @@ _IDLE = "10m"  # after which a scheduler without tasks ends
 _MAX_ADDRESS = 100_000  # bytes of the file that holds a scheduler's
 _SILENCE = 5.0  # s of waiting, after which it is said
 _POLL = 0.5  # s between checks for a request to stop
+_LINGER = 4.0  # s for the tasks under way after that
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -79,6 +80,7 @@ class Workers:
     open: Callable[[], Executor]
     in_flight: Callable[[], int]  # number of tasks to keep submitted
     renewable: bool  # a fresh executor has fresh processes
+    kill: Callable[[], None] = lambda: None  # the processes, at a stop
     close: Callable[[Executor], None] = Executor.shutdown  # at the end of some tasks
 
 
@@ -89,7 +91,14 @@ def local_workers(count: int) -> Iterator[Workers]:
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)  # inherited by the workers, read when NumPy loads
-    idle = list[Executor]()
+    idle, others = list[Executor](), active_children()
+    _keep_tracker()
+
+    def kill() -> None:
+        for child in active_children():
+            if child not in others and child.pid is not None:
+                kill_below(child.pid)  # what user-supplied code has started
+                child.kill()
 
     def open_pool() -> Executor:
         if idle:
@@ -103,6 +112,7 @@ def local_workers(count: int) -> Iterator[Workers]:
             open=open_pool,
             in_flight=lambda: 2 * count,
             renewable=True,
+            kill=kill,
             close=idle.append,
         )
     finally:
@@ -271,6 +281,16 @@ class InThisProcess(Executor):
         return future
 
 
+def _keep_tracker() -> None:
+    """Start the process that frees what a killed one has left, which shall do that in silence."""
+    sys.warnoptions.append("ignore:resource_tracker")
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        sys.warnoptions.pop()
+    spare(getattr(resource_tracker, "_resource_tracker")._pid)  # noqa: B009
+
+
 def _follow_parent() -> None:
     """End this process as soon as its parent process has ended, for any reason."""
     parent = parent_process()
@@ -299,24 +319,9 @@ def stop_on_signals() -> Iterator[Stop]:
 
     Outside the main thread this changes nothing.
     """
-    stop, interrupts = Stop(), current() or Interrupts()
-
-    def handle(number: int, frame: Any) -> None:
-        interrupts.number = interrupts.number or number
-        if stop:
-            raise KeyboardInterrupt
-        stop.set()
-
-    if threading.current_thread() is not threading.main_thread():
+    stop, is_main = Stop(), threading.current_thread() is threading.main_thread()
+    with stopping(stop.set) if is_main else contextlib.nullcontext():
         yield stop
-        return
-    heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
-    before = {number: signal.signal(number, handle) for number in heard}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def run_tasks(
@@ -332,8 +337,8 @@ def run_tasks(
     """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any
     order.
 
-    No task is taken from ``tasks`` before it can be submitted. When ``stop`` is set, running tasks
-    are finished and yielded, and no further task is started.
+    No task is taken from ``tasks`` before it can be submitted. When ``stop`` is set, no further
+    task is started; those that end within _LINGER are yielded, then their workers are killed.
 
     Args:
       function: importable by its name in the workers; only its FfsmErrors are passed on unchanged.
@@ -413,12 +418,17 @@ class _Runner(Generic[Task, Result]):
     suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)
     succeeded: bool = False
     lost: int = 0
+    end: float = 0.0  # by ``time.monotonic``, s; 0: no stop yet
 
     def run(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
         self.executor = self.workers.open()
         try:
             while True:
                 if self.stop:
+                    self.end = self.end or time.monotonic() + _LINGER
+                    if time.monotonic() > self.end:
+                        self.workers.kill()
+                        return
                     # tasks not started yet
                     for future in [future for future in self.flying if future.cancel()]:
                         del self.flying[future]
@@ -433,7 +443,7 @@ class _Runner(Generic[Task, Result]):
             for future in self.flying:
                 future.cancel()
             if self.flying:  # an error, or nobody takes the rest
-                self.executor.shutdown(wait=True)
+                self.executor.shutdown(wait=self.workers.renewable or not self.stop)
             else:
                 self.workers.close(self.executor)
 

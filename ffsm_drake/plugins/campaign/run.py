@@ -15,6 +15,7 @@ from ffsm_drake.common.errors import (
     WorkersError,
 )
 from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.interrupts import go_on_by
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
@@ -192,6 +193,7 @@ def start_campaign(
     """
     check_cases(spec)
     with create_store(path, spec, make_cases(spec), shard=shard) as store:
+        go_on_by("campaign", "resume", str(path))
         _drive(store, workers, stop, batch, progress)
 
 

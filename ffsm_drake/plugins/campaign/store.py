@@ -23,6 +23,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
 from ffsm_drake.common.files import made_folder, written_whole
+from ffsm_drake.common.interrupts import unfinished
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.campaign.cases import Case
 from ffsm_drake.plugins.campaign.evaluate import (
@@ -534,9 +535,9 @@ def _held(path: Path) -> Iterator[None]:
                     break
             os.close(file)  # the one before has just removed it
         try:
-            yield
+            with unfinished(lock):
+                yield
         finally:
-            lock.unlink(missing_ok=True)
             os.close(file)
 
 

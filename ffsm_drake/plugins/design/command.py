@@ -12,6 +12,7 @@ import click
 from ffsm_drake.cli.common import (
     EXIT_UNSTABLE,
     FiniteFloat,
+    interrupted,
     json_option,
     out_option,
     print_result,
@@ -19,7 +20,6 @@ from ffsm_drake.cli.common import (
     save_figure,
     scenario_options,
 )
-from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
     from ffsm_drake.plugins.design.stability import Margins
@@ -202,7 +202,7 @@ def design(
         save_figure(plot_design(found), folder / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
     stable = max(found.chosen.radius_by_mass.values()) < 1.0
-    sys.exit(exit_code() if found.ended_by == INTERRUPT else 0 if stable else EXIT_UNSTABLE)
+    sys.exit(interrupted() if found.ended_by == INTERRUPT else 0 if stable else EXIT_UNSTABLE)
 
 
 def _told(mission: "Verdict | None") -> str:
