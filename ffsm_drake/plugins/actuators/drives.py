@@ -277,19 +277,22 @@ class JointDrives(Part):
             return
         whole = np.arange(model.plant.num_velocities())
         joints = model.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
+        short = dict[str, tuple[float, str]]()  # posture -> time constant, joint
         for name, posture in scenario.postures.items():
             q = model.split.whole_positions(configuration(model.plant, posture, key=name))
             mobility = np.linalg.inv(model.calc_mass_matrix(q))[np.ix_(joints, joints)]
             constant, joint = drives.time_constant(mobility)
             if config.max_step_size > constant:
-                raise ScenarioError(
-                    "simulator_config.max_step_size",
-                    f"{config.max_step_size:g} s does not resolve the friction of {joint}, which "
-                    "near rest has a time constant of "
-                    f"{constant:.2g} s ({name}): take at most {0.9 * constant:.2g} s, or "
-                    f"{1.1 * config.max_step_size / constant:.2g} times the "
-                    "actuation.drives.smoothing_rate",
-                )
+                short[name] = constant, joint
+        if short:
+            least = min(constant for constant, _ in short.values())
+            found = (f"{key}: {joint} {each:.2g} s" for key, (each, joint) in short.items())
+            raise ScenarioError(
+                "simulator_config.max_step_size",
+                f"{config.max_step_size:g} s exceeds the time constants of friction near rest "
+                f"({', '.join(found)}): take at most {0.9 * least:.2g} s, or "
+                f"{1.1 * config.max_step_size / least:.2g} times actuation.drives.smoothing_rate",
+            )
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Friction and its work, and how much of their rates joints use."""

@@ -16,6 +16,7 @@ from ffsm_drake.cli.common import (
     EXIT_GOOD,
     EXIT_UNSTABLE,
     CommandGroup,
+    FiniteFloat,
     controller_option,
     out_option,
     table_option,
@@ -264,20 +265,30 @@ def rerun(
     metavar="X Y",
     help="Axes of the map (default: the two most influential).",
 )
+@click.option(
+    "--boundary",
+    type=FiniteFloat(min=0.0),
+    default=0.0,
+    metavar="SECONDS",
+    help="Then predict where on the map the loop is unstable, for at most so long, and add it to "
+    "the page. Repeated, it goes on; reports without it show what is known.",
+)
 @table_option
 def report(
     source: str,
     database: Path | None,
     out: Path | None,
     axes: tuple[str, str] | None,
+    boundary: float,
     table: Path | None,
 ) -> None:
-    """Evaluate a campaign: report.html (one file, opens offline), PNG figures, CSV and Parquet.
+    """Evaluate a campaign, also while it runs: report.html (one file, opens offline), CSV and
+    Parquet.
 
     \b
     Examples:
       ffsm campaign report payload_uncertainty
-      ffsm campaign report mine.db --map payload.truth.mass nominal_error
+      ffsm campaign report mine.db --boundary 60 --map payload.truth.mass nominal_error
       ffsm campaign report mine.db --table out/mine.tex
     """
     from ffsm_drake.common.files import check_writable
@@ -291,7 +302,11 @@ def report(
         if table is not None:
             check_writable(table.parent)
         written = write_report(
-            store, folder, axes=axes, progress=_count_progress("controllers predicted")
+            store,
+            folder,
+            axes=axes,
+            boundary=boundary,
+            progress=_count_progress("controllers predicted"),
         )
         if table is not None:
             write_table(written.table, table)

@@ -1,13 +1,15 @@
 """The report of a campaign: one page that opens offline, and all runs as CSV and Parquet."""
 
+import contextlib
 import dataclasses
 import datetime
 import importlib.util
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
@@ -48,14 +50,17 @@ def write_report(
     directory: Path,
     *,
     axes: tuple[str, str] | None = None,
+    boundary: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Written:
-    """Evaluate a campaign, finished or not, and write its report.
+    """Evaluate a campaign, finished or not, also while it runs, and write its report.
 
     Args:
       store: the database.
       directory: where the files go.
       axes: the map's two values; None for the two that matter most.
+      boundary: time for the predicted boundary on the map, s; what is found is added to the page,
+        with what earlier reports have found.
       progress: called with (done, total) controllers of the map.
 
     Raises:
@@ -64,20 +69,37 @@ def write_report(
     """
     if store.num_results() == 0:
         raise CampaignError(f"{store.path}: holds no result yet")
-    findings = find(store, axes=axes, progress=progress)
+    with store.snapshot():
+        findings = find(store, axes=axes, boundary=0.0)
+        files = _write(store, findings, directory)
+    if boundary and findings.map is not None:
+        grid = find(store, axes=axes, boundary=boundary, progress=progress).map
+        findings = dataclasses.replace(findings, map=grid)
+        with _published(directory) as folder:
+            write_text(folder / "report.html", _page(store, findings))
+    return Written(files=files, summary=summary_text(findings), table=_columns(findings))
+
+
+@contextlib.contextmanager
+def _published(directory: Path) -> Iterator[Path]:
+    try:
+        with published(directory) as folder:
+            yield folder
+    except RecordError as error:
+        raise CampaignError(one_line(error)) from error
+
+
+def _write(store: Store, findings: Findings, directory: Path) -> list[Path]:
+    """Write page and tables of all runs; returns the files."""
     tables = ["runs.csv"]
     if importlib.util.find_spec("pyarrow") is not None:
         tables.append("runs.parquet")
-    try:
-        with published(directory) as folder:
-            write_text(folder / "report.html", _page(store, findings))
-            for name in tables:
-                with step(f"writing {name}"):
-                    store.export(folder / name)
-    except RecordError as error:
-        raise CampaignError(one_line(error)) from error
-    files = [directory / name for name in ("report.html", *tables)]
-    return Written(files=files, summary=summary_text(findings), table=_columns(findings))
+    with _published(directory) as folder:
+        write_text(folder / "report.html", _page(store, findings))
+        for name in tables:
+            with step(f"writing {name}"):
+                store.export(folder / name)
+    return [directory / name for name in ("report.html", *tables)]
 
 
 def _columns(findings: Findings) -> list[Column]:
@@ -137,6 +159,8 @@ def _page(store: Store, findings: Findings) -> str:
         "unpredicted": findings.unpredicted,
         "worst": _worst(store, findings),
         "map": found,
+        "has_boundary": found is not None
+        and any(np.isfinite(radius).any() for radius in found.radius.values()),
         "fixed": {} if found is None else {key: _plain(x) for key, x in found.fixed.items()},
         "views": views,
         "plots": embedded(views),

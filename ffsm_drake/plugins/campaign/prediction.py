@@ -7,9 +7,11 @@ import dataclasses
 import functools
 import itertools
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.common.steps import step
@@ -25,6 +27,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.reference import timed
 
 POINTS, FEWEST_POINTS = 11, 4  # along each axis; few where there are few cases to compare with
+_UNKNOWN = -1.0  # no predictor is negative
 REFINEMENT, LEAST_REFINEMENT = 3, 2  # finer by this near the boundary; the latter with few points
 
 
@@ -95,7 +98,11 @@ def most_overestimated(planned: PlannedDynamics) -> float:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StabilityMap:
-    """The largest predictor (``predict``) over a grid; NaN: no prediction."""
+    """The largest predictor (``predict``) over a grid; NaN: no prediction.
+
+    ``radius`` is filled between the points ``known`` with the nearest; ``whole`` says whether all
+    that the boundary needs are known.
+    """
 
     x_name: str
     y_name: str
@@ -104,6 +111,8 @@ class StabilityMap:
     x_log: bool
     y_log: bool
     radius: Mapping[str, np.ndarray]  # controller -> (n, m)
+    known: Mapping[str, np.ndarray]  # likewise
+    whole: bool
     fixed: Mapping[str, object]  # the other sampled values
 
     def side(self, controller: str) -> np.ndarray:
@@ -119,13 +128,15 @@ def predict_map(
     axes: tuple[str, str],
     values: Mapping[str, np.ndarray],
     *,
-    known: Mapping[str, np.ndarray] | None = None,
+    known: dict[str, np.ndarray] | None = None,
+    until: float = math.inf,
     progress: Callable[[int, int], None] | None = None,
 ) -> StabilityMap:
     """Predict over the range that the cases cover.
 
-    ``axes`` names two of ``values``, the cases' numbers by name; ``known`` is the radius of an
-    earlier map, by controller; ``progress`` is called with (done, total) controllers. Raises
+    ``axes`` names two of ``values``, the cases' numbers by name; ``known`` is that of an earlier
+    map, and keeps what is found, also before an exception; ``until`` is the end by
+    ``time.monotonic``, s; ``progress`` is called with (done, total) controllers. Raises
     CampaignError when an axis is not a sampled number, or both are the same.
     """
     for name in axes:
@@ -156,50 +167,71 @@ def predict_map(
         except (FfsmError, ArithmeticError, ValueError):
             return math.nan  # no boundary here
 
-    known = {name: grid for name, grid in (known or {}).items() if grid.shape == (size, size)}
-    radius = {}
+    known, whole = {} if known is None else known, True
     for k, controller in enumerate(spec.controllers):
-        if controller in known:
-            radius[controller] = known[controller]
-        elif math.isnan(predicted(controller, 0, 0)) and math.isnan(
-            predicted(controller, size - 1, size - 1)
-        ):
-            radius[controller] = np.full((size, size), np.nan)
-        else:
-            with step(f"{controller}, controller {k + 1} of {len(spec.controllers)}"):
-                radius[controller] = _refined(functools.partial(predicted, controller), size, finer)
+        grid = known.get(controller, np.empty(0))
+        if grid.shape != (size, size):
+            known[controller] = grid = np.full((size, size), _UNKNOWN)
+        find = functools.partial(predicted, controller)
+        with step(f"{controller}, controller {k + 1} of {len(spec.controllers)}"):
+            whole = _refine(find, grid, finer, until) and whole
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(
         x_name=axes[0], y_name=axes[1], x=x, y=y, x_log=log[0], y_log=log[1],
-        radius=radius, fixed=fixed,
+        radius={name: _filled(known[name]) for name in spec.controllers}, known=known,
+        whole=whole, fixed=fixed,
     )  # fmt: skip
 
 
-def _refined(predict: Callable[[int, int], float], size: int, finer: int) -> np.ndarray:
-    """The grid (size, size): every ``finer``-th point, and all points of the cells that the
-    boundary crosses.
-
-    The other cells lie on one side of the boundary and are filled with the value at their first
-    corner.
+def _refine(
+    predict: Callable[[int, int], float], grid: np.ndarray, finer: int, until: float
+) -> bool:
+    """Fill in every ``finer``-th point of a grid (size, size), from far apart to near, and all
+    points of the cells that the boundary crosses. Returns False if the time does not suffice.
     """
-    grid, known = np.full((size, size), np.nan), np.zeros((size, size), dtype=bool)
+    size = len(grid)
 
     def fill(i: int, j: int) -> None:
-        if not known[i, j]:
-            with step(lambda: f"point {known.sum() + 1} of at most {known.size}"):
-                grid[i, j], known[i, j] = predict(i, j), True
+        if grid[i, j] == _UNKNOWN:
+            if time.monotonic() > until:
+                raise TimeoutError
+            with step(lambda: f"point {(grid != _UNKNOWN).sum() + 1} of at most {grid.size}"):
+                grid[i, j] = predict(i, j)
 
+    try:
+        _fill(fill, grid, finer)
+    except TimeoutError:
+        return False
+    return True
+
+
+def _fill(fill: Callable[[int, int], None], grid: np.ndarray, finer: int) -> None:
+    size = len(grid)
+    fill(0, 0)
+    fill(size - 1, size - 1)
+    if np.isnan(grid[0, 0]) and np.isnan(grid[-1, -1]):
+        return  # no prediction for this controller
     coarse = range(0, size, finer)
-    for i, j in itertools.product(coarse, coarse):
-        fill(i, j)
+    for k in (len(coarse) - 1, *(k for k in (5, 3) if k < len(coarse) - 1), 1):
+        for i, j in itertools.product(coarse[::k], coarse[::k]):
+            fill(i, j)
     for i, j in itertools.product(coarse[:-1], coarse[:-1]):
         cell = np.ix_((i, i + finer), (j, j + finer))
         if len({bool(value < 1.0) for value in grid[cell].ravel()}) > 1:
             for m, n in itertools.product(range(finer + 1), repeat=2):
                 fill(i + m, j + n)
-    nearest = (np.arange(size) // finer) * finer
-    return np.where(known, grid, grid[np.ix_(nearest, nearest)])
+
+
+def _filled(grid: np.ndarray) -> np.ndarray:
+    """The grid with the nearest known value at unknown points; NaN where there is none."""
+    known = np.argwhere(grid != _UNKNOWN)
+    if not len(known):
+        return np.full_like(grid, np.nan)
+    every = np.argwhere(np.ones_like(grid, dtype=bool))
+    nearest = known[KDTree(known).query(every)[1]]
+    filled: np.ndarray = grid[tuple(nearest.T)].reshape(grid.shape)
+    return filled
 
 
 def _axis(values: np.ndarray, is_log: bool, size: int) -> np.ndarray:

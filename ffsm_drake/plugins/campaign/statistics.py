@@ -6,12 +6,14 @@ import functools
 import itertools
 import json
 import math
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
+from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.evaluate import (
@@ -375,13 +377,14 @@ def find(
     store: Store,
     *,
     axes: tuple[str, str] | None = None,
+    boundary: float = math.inf,
     progress: Callable[[int, int], None] | None = None,
 ) -> Findings:
     """Evaluate the results that a database holds so far.
 
-    ``axes`` are the map's two values, None for the two most influential; ``progress`` is called
-    with (done, total) controllers of the map. Raises CampaignError when an axis is not a sampled
-    number.
+    ``axes`` are the map's two values, None for the two most influential; ``boundary`` is the
+    time for predictions on it, s, beyond those of earlier maps; ``progress`` is called with (done,
+    total) controllers of the map. Raises CampaignError when an axis is not a sampled number.
     """
     spec, table = store.spec, read_table(store)
     found = sensitivities(table, seed=spec.seed)
@@ -397,7 +400,7 @@ def find(
         influential=influential,
         agreement=[agreement(runs) for runs in table.runs.values()],
         unpredicted=_unpredicted(store),
-        map=None if axes is None else _map(store, axes, table, progress),
+        map=None if axes is None else _map(store, axes, table, boundary, progress),
         grid=grid_points(spec, table),
     )
 
@@ -407,18 +410,25 @@ def _map(
     store: Store,
     axes: tuple[str, str],
     table: Table,
+    boundary: float,
     progress: Callable[[int, int], None] | None,
 ) -> StabilityMap:
     """The map, kept in the database for the next report by the same software."""
-    name = f"map {json.dumps(axes)} {json.dumps(software_versions())}"
+    name = f"points {json.dumps(axes)} {json.dumps(software_versions())}"
     known = dict[str, np.ndarray]()
     with contextlib.suppress(ValueError, TypeError, AttributeError, RecursionError):
         kept = json.loads(store.note(name) or "{}")
         known = {controller: np.array(grid, dtype=float) for controller, grid in kept.items()}
-    found = predict_map(store.spec, axes, table.values, known=known, progress=progress)
-    radius = {controller: grid.tolist() for controller, grid in found.radius.items()}
-    store.keep(name, json.dumps(radius))
-    return found
+    until = time.monotonic() + boundary if boundary else 0.0
+    try:
+        with interruptible():
+            return predict_map(
+                store.spec, axes, table.values, known=known, until=until, progress=progress
+            )
+    finally:
+        if boundary:
+            found = {controller: grid.tolist() for controller, grid in known.items()}
+            store.keep(name, json.dumps(found))
 
 
 def _unpredicted(store: Store) -> list[str]:

@@ -73,6 +73,16 @@ class Store:
         with _one_line_errors(self.path):
             yield from self._connection.execute(sql, parameters)
 
+    @contextlib.contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Read in the block what is stored at its start, also while a campaign runs."""
+        with _one_line_errors(self.path):
+            self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.rollback()
+
     def pending(self) -> Iterator[tuple[Case, str]]:
         """Every case and controller without a row, in order; a few cases are held at a time."""
         last = -1
