@@ -171,8 +171,7 @@ def _is_users_file(top: str, file: str) -> bool:
     """True for a file of user-supplied code, whose top-level package or module is given."""
     if top in _OURS or file.startswith("<frozen"):
         return False
-    installed = any(file.startswith(folder) for folder in _installed())
-    return not installed or top in _offering_packages()
+    return not is_installed(file) or top in _offering_packages()
 
 
 def user_code_is_loaded() -> bool:
@@ -185,10 +184,17 @@ def user_code_is_loaded() -> bool:
     )
 
 
+def is_installed(file: str) -> bool:
+    """True for a file of Python's library or an installed package."""
+    return file.startswith(_installed())
+
+
 @functools.cache
 def _installed() -> tuple[str, ...]:
     names = ("stdlib", "platstdlib", "purelib", "platlib")
-    return tuple({str(Path(sysconfig.get_path(name))) for name in names})
+    # of an environment below this one, too
+    below = [each for each in sys.path if Path(each).name in ("site-packages", "dist-packages")]
+    return (*{str(Path(sysconfig.get_path(name))) for name in names}, *below)
 
 
 @functools.cache  # reads the metadata of every installed package

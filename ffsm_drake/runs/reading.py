@@ -26,13 +26,11 @@ from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.systems.part import (
     CURVE,
-    HELD_FORCE,
-    INTERNAL_TORQUE,
     ROLES,
     STEPS,
-    STORED_MOMENTUM,
     TIMELINE,
     PartRecord,
+    components_of,
 )
 from ffsm_drake.systems.registry import section_parts
 
@@ -202,7 +200,7 @@ def _read_dataset(path: Path, fields: dict[str, Any]) -> "xr.Dataset":
     except Exception as error:  # xarray and HDF5 raise many types for a damaged file
         raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
     for problem in _problems(dataset, fields):
-        raise RecordError(f"{path}: {problem}; run it again")
+        raise RecordError(f"{path}: {problem}; run it again, and report this if it returns")
     return dataset
 
 
@@ -374,12 +372,10 @@ def _of_parts(
         return [name for name in names if name not in labels]
 
     for role in ROLES:
-        columns = (3,) if role in (STORED_MOMENTUM, INTERNAL_TORQUE) else ()
-        if role == HELD_FORCE:
-            columns = (dataset.sizes["coordinate"],)
+        number = components_of(role, dataset.sizes["coordinate"])
         for name in str(dataset.attrs.get(role, "")).split():
-            if name in dataset and dataset[name].shape[1:] != columns:
-                yield f"{name} must have {columns[0] if columns else 1} components as {role}"
+            if name in dataset and number and dataset[name].shape[1:] != (number,):
+                yield f"{name} must have {number} components as {role}"
     for part in section_parts(scenario).values():
         for solid in part.solids():
             if solid.shown_by in dataset and lacking(solid.shown_by, [solid.name]):

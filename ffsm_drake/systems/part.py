@@ -550,15 +550,8 @@ def place_part(
     if block.startswith("sensing"):  # recorded as the controller reads it, at its samples
         signals = tuple(dataclasses.replace(signal, held=True) for signal in signals)
     for signal in signals:
-        if not signal.name.isidentifier():
-            raise BlockError(f"{place}: a signal's name must be an identifier, not {signal.name!r}")
-        if signal.role not in ("", *ROLES) or signal.chart not in (CURVE, STEPS, TIMELINE):
-            raise BlockError(
-                f"{place}: signal '{signal.name}': role must be one of {', '.join(ROLES)}, and "
-                f"chart one of {', '.join((CURVE, STEPS, TIMELINE))}"
-            )
-        if signal.role in (STORED_MOMENTUM, INTERNAL_TORQUE) and signal.size != 3:
-            raise BlockError(f"{place}: signal '{signal.name}' must have 3 components for its role")
+        for problem in _problems(signal, len(setup.coordinates.names)):
+            raise BlockError(f"{place}: {problem}")
         if signal.of is not None:
             continue
         if system is None or not system.HasOutputPort(signal.name):
@@ -571,6 +564,34 @@ def place_part(
             )
     constants = tuple(part.constants(setup))
     return PlacedPart(name=name, block=block, part=part, signals=signals, constants=constants)
+
+
+def components_of(role: str, coordinates: int) -> int | None:
+    """The number of components of a signal with a role; None: any, also a single number."""
+    return {STORED_MOMENTUM: 3, INTERNAL_TORQUE: 3, HELD_FORCE: coordinates}.get(role)
+
+
+def _problems(signal: Signal, coordinates: int) -> Iterator[str]:
+    """What keeps a signal out of a record of so many coordinates."""
+    name, components = signal.name, signal.components
+    panels = {} if signal.panels is None else signal.panels
+    texts = (name, signal.unit, signal.meaning, signal.dimension, signal.panel, *panels.values())
+    if not all(isinstance(each, str) for each in (*texts, *components)):
+        yield f"signal {name!r:.40}: its texts and the names of its components must be text"
+    if not name.isidentifier():
+        yield f"a signal's name must be an identifier, not {name!r}"
+    if signal.role not in ("", *ROLES) or signal.chart not in (CURVE, STEPS, TIMELINE):
+        yield (
+            f"signal '{name}': role must be one of {', '.join(ROLES)}, and "
+            f"chart one of {', '.join((CURVE, STEPS, TIMELINE))}"
+        )
+    number = components_of(signal.role, coordinates)
+    if number not in (None, len(components)):
+        yield f"signal '{name}' must have {number} components for its role"
+    if "" in components or len({*components}) < len(components):
+        yield f"signal '{name}': the names of its components must differ, and none be empty"
+    if components and not {*components} >= panels.keys():
+        yield f"signal '{name}' has panels of other components than its own"
 
 
 def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:

@@ -6,7 +6,6 @@ import functools
 import importlib
 import re
 import sys
-import sysconfig
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import entry_points
@@ -15,7 +14,7 @@ from typing import Any
 
 from ffsm_drake.common import plugins
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
-from ffsm_drake.common.guard import passes, where
+from ffsm_drake.common.guard import is_installed, passes, where
 from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
 from ffsm_drake.scenario import Scenario, kind_of, policy_parts
 from ffsm_drake.scenario.contacts import closing_contacts
@@ -262,16 +261,7 @@ def module_file(address: str) -> Path | None:
     file = getattr(sys.modules.get(address.partition(":")[0]), "__file__", None)
     if ":" not in address or file is None:
         return None
-    return (
-        None
-        if any(Path(file).is_relative_to(folder) for folder in _installed_folders())
-        else Path(file)
-    )
-
-
-@functools.cache  # takes a millisecond, and every block of every loop calls it
-def _installed_folders() -> tuple[Path, ...]:
-    return tuple({Path(sysconfig.get_path(name)) for name in ("purelib", "platlib")})
+    return None if is_installed(file) else Path(file)
 
 
 def module_folder(address: str) -> Path | None:

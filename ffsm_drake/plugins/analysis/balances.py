@@ -59,8 +59,7 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     held = held_force(dataset)[:-1]
     smooth = dataset["disturbance_force"].values
     energy = dataset["kinetic_energy"].values
-    for name in with_role(dataset, STORED_ENERGY):
-        energy = energy + dataset[name].values
+    energy = energy + _summed(dataset, STORED_ENERGY)
     if "hidden_force" in dataset:
         pull, path = dataset["hidden_force"].values, dataset["hidden_position"].values
         energy = energy - _since_start(0.5 * (pull[1:] + pull[:-1]) * np.diff(path, axis=0))
@@ -71,11 +70,8 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     if len(smooth) >= 3:
         slope = np.gradient(smooth, axis=0)
         mean = mean - np.diff(slope, axis=0) / 12.0
-    friction = np.zeros(len(energy))
-    for name in with_role(dataset, INTERNAL_WORK):
-        work = dataset[name].values.reshape(len(energy), -1).sum(axis=1)
-        friction = friction + work - work[0]
-    energy = energy - friction
+    work = _summed(dataset, INTERNAL_WORK)
+    energy = energy - (work - work[0])
     moved = displacements(dataset["position"].values)
     middle = 0.5 * period * (velocity[1:] + velocity[:-1])
     return {
@@ -83,6 +79,13 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         "trapezoid": energy - energy[0] - _since_start(mean * middle + correlation),
         "absolute_work": _since_start(np.abs(held * moved)),
     }
+
+
+def _summed(dataset: "xr.Dataset", role: str) -> np.ndarray:
+    """The sum (n) of the signals with a role, over their components."""
+    samples = dataset.sizes["time"]
+    given = [dataset[name].values.reshape(samples, -1) for name in with_role(dataset, role)]
+    return sum((each.sum(axis=1) for each in given), np.zeros(samples))
 
 
 def _since_start(work: np.ndarray) -> np.ndarray:
