@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import one_line
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
@@ -54,6 +54,7 @@ _OF_ONE_KIND = (
 # All others are the same: those of the clock, the integrator, the plant and the controller.
 # With fixed steps, these compute each copy of the spacecraft by itself.
 _EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
+_FAILURES = (Exception, SystemExit)  # Drake's refusals may be the latter
 _CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
 _FEWEST, _USUAL, _MOST = 4, 16, 24
 _MEMORY, _OF_A_SAMPLE = 400 * 2**20, 3 * 2**10  # bytes of the logs of a batch, and of a sample
@@ -138,9 +139,10 @@ class _Runs:
     def _side_by_side(self, scenarios: Sequence[Scenario]) -> Sequence[RunLog | None]:
         """The log of each; None for those to be repeated alone."""
         try:
+            self._dynamics.check(scenarios[0])
             rollout = self._together.rollout(scenarios, scenarios[0])
             logs: Sequence[RunLog | None] = rollout.run_all(scenarios)
-        except Exception:  # a run failed; the runs are repeated alone to find it
+        except _FAILURES:  # a run failed; the runs are repeated alone to find it
             self._together.drop()
             return [None] * len(scenarios)
         return logs
@@ -156,7 +158,7 @@ class _Runs:
             if not self._else_drake:
                 return error
             reason = one_line(error)
-        except Exception:  # Drake's run shows it
+        except _FAILURES:  # Drake's run shows it
             self._together.drop()
         result = self._with_drake(scenario)
         if isinstance(result, RunLog):
@@ -178,9 +180,9 @@ class _Runs:
     def _with_drake(self, scenario: Scenario) -> RunLog | Exception:
         try:
             log: RunLog = self._alone.rollout(scenario, scenario).run(scenario)
-        except Exception as error:
+        except _FAILURES as error:
             self._alone.drop()
-            return error
+            return error if isinstance(error, Exception) else FfsmError(one_line(error))
         return log
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario.schema import FIXED_STEP_SCHEMES
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 
@@ -24,7 +25,10 @@ def integration_remarks(record: RunRecord) -> Iterator[str]:
 
     Raises ModelError: the scenario's model does not load any more.
     """
-    data, remedy = record.dataset, "take a smaller simulator_config.max_step_size or runge_kutta3"
+    data, config = record.dataset, record.scenario.simulator_config
+    better = " or runge_kutta3" if config.integration_scheme in FIXED_STEP_SCHEMES else ""
+    key = "accuracy" if config.use_error_control else "max_step_size"
+    remedy = f"take a smaller simulator_config.{key}{better}"
     norm = np.linalg.norm(data["position"].values[:, :4], axis=1)
     off = np.abs(norm[np.isfinite(norm)] - 1.0).max(initial=0.0)
     if off > NORM_TOLERANCE:

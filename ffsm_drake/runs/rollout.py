@@ -362,7 +362,7 @@ class Rollout:
                 failed = failure_of(error, self.loop, self._user_supplied, context)
             failed.__cause__ = error
             return failed
-        if type(error) is not RuntimeError:  # C++'s
+        if type(error) not in (RuntimeError, SystemExit):  # C++'s
             raise error
         raise ScenarioError(
             "simulator_config",

@@ -3,22 +3,28 @@
 import dataclasses
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
 from drawn_trees import drawn_tree
+from pydrake.systems.analysis import GetIntegrationSchemes
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import (
     BlockError,
     FfsmError,
     RunRecord,
+    ScenarioError,
     load_scenario,
     override_scenario,
+    simulate,
     simulate_many,
 )
 from ffsm_drake.plugins.generated import dynamics
 from ffsm_drake.plugins.generated.tree import Reader
+from ffsm_drake.runs.integration import integration_remarks
+from ffsm_drake.scenario.schema import FIXED_STEP_SCHEMES
 from ffsm_drake.spacecraft.dynamics import NotCovered, find_dynamics
 
 SAME = 1e-10  # m, rad, and per second
@@ -254,3 +260,35 @@ def test_a_record_keeps_the_name(tmp_path):
     (record,) = simulate_many([scenario], dynamics="generated")
     record.save(tmp_path / "run")
     assert RunRecord.load(tmp_path / "run").dynamics == "generated"
+
+
+@pytest.mark.parametrize("scheme", GetIntegrationSchemes())
+def test_every_integrator_of_drake_runs_or_is_refused(scheme):
+    """Alone, in a batch, and in a batch on compiled code, which takes those that the page names."""
+    scheme_of = {"duration": 0.02, "simulator_config": {"integration_scheme": scheme}}
+    if scheme == "cenic":
+        with pytest.raises(ScenarioError, match="'cenic' is unknown"):
+            load_scenario("postcapture", [scheme_of])
+        return
+    scenario = load_scenario("postcapture", [scheme_of])
+    alone = simulate(scenario, check_stability=False)
+    for record in simulate_many([scenario] * 2):
+        assert record.dataset.identical(alone.dataset)
+    if scheme in dynamics.SCHEMES:
+        check(seeded(scenario, 2))
+    else:
+        for count in (1, 3):
+            with pytest.raises(NotCovered, match=rf"integration_scheme {scheme} \(but "):
+                simulate_many(seeded(scenario, count), dynamics="generated")
+    remarks = " ".join(integration_remarks(alone_with(alone, norm=1.1)))
+    assert ("or runge_kutta3" in remarks) == (scheme in FIXED_STEP_SCHEMES)
+    page = (Path(__file__).parents[3] / "docs/speed.md").read_text()
+    named = page[page.index("Covered are") : page.index("Other joints and force")]
+    assert (f"`{scheme}`" in named) == (scheme in dynamics.SCHEMES)
+
+
+def alone_with(record, *, norm):
+    """A record whose base's quaternion has another norm."""
+    position = record.dataset["position"].copy()
+    position.values[:, :4] *= norm
+    return dataclasses.replace(record, dataset=record.dataset.assign(position=position))
