@@ -242,6 +242,10 @@ class _Making:
             restarts = ("restart",) if "supervisor" in self.names else ()
             made = joined or SideBySide(each, {*fed, *restarts})
         self._add("controller", made, place=f"controller '{named}'")
+        if isinstance(part := getattr(made, "part", None), Part):  # of a system of its own
+            self._placed[0]["controller"] = place_part(
+                part, self._setups[0], made, name="controller", block="controller"
+            )
 
     def make_block(self, name: str) -> None:
         """Another one, unless it is an ideal actuator."""

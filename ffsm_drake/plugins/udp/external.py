@@ -3,26 +3,25 @@ ffsm_drake.plugins.udp.external:External``.
 
 At every control sample the simulation sends the controller's inputs and waits for the force.
 Without a fault the run has the bits of one with the law itself. If no reply comes in time, the
-last force is held. Late and repeated replies are dropped. Every fault is a row of
-``udp_faults.csv`` in the current folder. Another address or file is that of a subclass:
+last force is held. Late, repeated and damaged replies are dropped. The record counts all of them
+at every sample (``link_faults``). Another address is that of a subclass:
 
     class Mine(External):
-        host, log = "10.0.0.2", "out/faults.csv"
+        host = "10.0.0.2"
 """
 
-import csv
 import dataclasses
 import os
 import socket
 import time
-from pathlib import Path
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.plugins.udp.packets import (
     FRAME,
@@ -31,45 +30,109 @@ from ffsm_drake.plugins.udp.packets import (
     HOLDS,
     IS_FIRST,
     LARGEST,
+    MOST_PORT,
     Packet,
+    open_socket,
     read,
 )
+from ffsm_drake.systems.controllers.law import Gain, gain_values
+from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
+
+LOST, LATE, DOUBLED, REFUSED = FAULTS = ("lost", "late", "doubled", "refused")
+
+
+def _number(default: float, unit: str, meaning: str, **limits: float) -> Any:
+    declared = Gain(
+        default=default, unit=unit, meaning=meaning, scalar=True, bound=False, feedback=False,
+        **limits,
+    )  # fmt: skip
+    return dataclasses.field(default=default, metadata={"setting": declared})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings under ``controllers.External``, one number each."""
 
-    port: float = 5020.0
-    timeout: float = 0.05  # s that the simulation waits for a reply
-    connect: float = 10.0  # s for the first one
-    real_time: float = 0.0  # 1: samples are sent no sooner than their time
+    port: float = _number(5020.0, "", "UDP port of the other process", least=1, most=MOST_PORT)
+    timeout: float = _number(0.05, "s", "longest wait for a reply", above=0, most=86_400)
+    connect: float = _number(10.0, "s", "longest wait for the first reply", above=0, most=86_400)
+    real_time: float = _number(0.0, "", "1: no sample is sent before its time", least=0, most=1)
+
+    @classmethod
+    def of(cls, setup: BlockSetup) -> "Settings":
+        """The settings of a scenario. Raises ScenarioError: a value or a key is wrong."""
+        given = gain_values(cls, setup.settings, setup.coordinates, name=setup.name)
+        made = cls(**given)
+        for name in ("port", "real_time"):
+            if (value := getattr(made, name)) != int(value):
+                key = f"controllers.{setup.name}.{name}"
+                raise ScenarioError(key, f"must be a whole number, not {value:g}")
+        return made
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Link(Part):
+    """The packets of an external controller, as a run's record counts them."""
+
+    title: ClassVar[str] = "External controller"
+    about: ClassVar[str] = "Replies that were lost, late, doubled or refused."
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        return (
+            Signal(
+                name="link_faults", unit="1", components=FAULTS, chart=STEPS,
+                meaning="no reply in time (the force is held), and replies dropped at this sample",
+            ),
+        )  # fmt: skip
+
+    def metrics(self) -> Sequence[Metric]:
+        def count(index: int) -> Any:
+            return lambda run: int(run["link_faults"][:, index].sum())
+
+        def samples(run: View) -> int:
+            return len(run.time)
+
+        return (
+            *(
+                Metric(key=f"link.{name}", unit="1", label=f"Packets {name}", of=count(index))
+                for index, name in enumerate(FAULTS)
+            ),
+            Metric(key="link.samples", unit="1", label="", column="", of=samples),
+        )
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """The counts of a run with faults."""
+        found: dict[str, Any] = {each.key.partition(".")[2]: each.value for each in figures}
+        if not any(found.get(name) for name in FAULTS):
+            return ""
+        dropped = ", ".join(f"{found[name]} {name}" for name in FAULTS[1:])
+        return (
+            f"{self.title}: no reply in time at {found[LOST]} of {found['samples']} samples, where "
+            f"the last force was held; replies dropped: {dropped}"
+        )
 
 
 class External(LeafSystem):
     """A controller whose force another process computes, at every control sample.
 
-    Inputs: as ``SampledController``. Output: generalized_force (nv), held over the period. It
-    cannot be linearised, as the other process has a memory of its own.
+    Inputs: as ``SampledController``. Outputs: generalized_force (nv), held over the period;
+    link_faults (4), the counts of FAULTS at the last sample. It cannot be linearised, as the other
+    process has a memory of its own.
     """
 
     host: ClassVar[str] = "127.0.0.1"  # address of the external controller; default: this machine
     # whether it gets the path of ``reference.frame``, and is evaluated by the frame's pose
     tracks_frame: ClassVar[bool] = False
-    log: ClassVar[str] = "udp_faults.csv"  # sample, time (s) and kind of every fault
 
     def __init__(self, setup: BlockSetup) -> None:
-        """Raises BlockError: an unknown setting."""
+        """Raises ScenarioError: a setting is unknown or out of its range; FfsmError: there is no
+        such host.
+        """
         super().__init__()
-        known = {field.name for field in dataclasses.fields(Settings)}
-        if unknown := sorted({*setup.settings} - known):
-            raise BlockError(
-                f"controllers.{setup.name}.{unknown[0]}: unknown; there are "
-                f"{', '.join(sorted(known))}"
-            )
-        given = {name: setup.settings[name]["all"] for name in setup.settings}
-        self._settings, self._period = Settings(**given), setup.sample_time
+        self.part = Link()
+        self._settings, self._period = Settings.of(setup), setup.sample_time
+        self._connected().close()
         self._phase = HOLDS * setup.scenario.holds
         self.set_name(setup.name)
         nv, nq = len(setup.coordinates.names), len(setup.coordinates.position_names)
@@ -89,8 +152,10 @@ class External(LeafSystem):
         self._force = self.DeclareDiscreteState(nv)
         # number of the run, 0 before the first sample; flag HOLDS of the last sample
         self._before = self.DeclareDiscreteState(2)
+        self._faults = self.DeclareDiscreteState(len(FAULTS))
         self.DeclareAbstractState(Value(0))  # the other process's: nothing to linearise
         self.DeclareStateOutputPort("generalized_force", self._force)
+        self.DeclareStateOutputPort("link_faults", self._faults)
         self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, weak_callback(self._update))
         self._link: _Link | None = None
         untie(self)
@@ -102,9 +167,7 @@ class External(LeafSystem):
         if is_new:
             run = float(1 + int.from_bytes(os.urandom(6), "little"))
         if self._link is None or self._link.run != run:  # each phase has a system, and a link
-            self._link = _Link(self._settings, host=self.host, log=Path(self.log), run=int(run))
-        if sample == 0:
-            Path(self.log).unlink(missing_ok=True)  # an earlier run's
+            self._link = _Link(self._settings, self._connected(), run=int(run), first=sample)
         is_first = is_new or phase != self._phase
         flags, values = self._phase | IS_FIRST * is_first, []
         for port in self._needed:
@@ -121,9 +184,14 @@ class External(LeafSystem):
         )  # fmt: skip
         force = self._link.exchange(packet, size=self._force_size(state), is_new=is_new)
         discrete_values.set_value(self._before, [run, self._phase])
+        discrete_values.set_value(self._faults, [self._link.faults[name] for name in FAULTS])
         if force is not None:
             force[self._undriven] = 0.0
             discrete_values.set_value(self._force, force)
+
+    def _connected(self) -> socket.socket:
+        place = f"controller '{self.get_name() or type(self).__name__}': host"
+        return open_socket("connect", self.host, int(self._settings.port), key=place)
 
     def _force_size(self, state: DiscreteValues) -> int:
         return int(state.value(self._force).size)
@@ -132,85 +200,82 @@ class External(LeafSystem):
 class _Link:
     """The connection of one phase of a run."""
 
-    def __init__(self, settings: Settings, *, host: str, log: Path, run: int) -> None:
-        self.run, self._settings, self._log = run, settings, log
-        self._place = (host, int(settings.port))
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.connect(self._place)
-        self._answered: set[int] = set()
+    def __init__(self, settings: Settings, made: socket.socket, *, run: int, first: int) -> None:
+        """``made`` is connected with the other process; ``first`` is the first sample."""
+        self.run, self._settings, self._socket, self._first = run, settings, made, first
+        self.faults = dict.fromkeys(FAULTS, 0)  # at the last sample
+        self._lost = set[int]()  # samples whose reply may still come
         self._begin: float | None = None
         self._asked_again, self._again = -1, 0  # sample of the first request; how often again
 
     def __del__(self) -> None:
-        if hasattr(self, "_socket"):
-            self._socket.close()
+        self._socket.close()
 
     def exchange(self, packet: Packet, *, size: int, is_new: bool) -> np.ndarray | None:
-        """The force (size) of a request; None: none came in time.
+        """The force (size) of a request; None: none came in time. ``faults`` counts what came
+        instead.
 
-        Raises BlockError: nothing answers the first request (``is_new``), or a force is not finite.
+        Raises BlockError: nothing answers the first request (``is_new``).
         """
         sample, at = packet.sample, packet.time
+        self.faults = dict.fromkeys(FAULTS, 0)
         if self._settings.real_time and self._begin is not None:
             time.sleep(max(0.0, self._begin + at - time.monotonic()))
         longest = self._settings.connect if is_new else self._settings.timeout
         deadline = time.monotonic() + longest
         self._send(packet)
         while (left := deadline - time.monotonic()) > 0.0:
-            reply = self._receive(min(left, 0.1) if is_new else left)
-            if reply is None:
+            data = self._receive(min(left, 0.1) if is_new else left)
+            if data is None:
                 if is_new:  # nobody may have listened yet
                     self._send(packet)
                     self._again += 1
                 continue
-            if reply.run != self.run:
-                continue
-            if reply.sample != sample:
-                is_known = reply.sample in self._answered
-                if is_known and reply.sample == self._asked_again and self._again:
-                    self._again -= 1  # one of the replies to a request that was sent again
-                else:
-                    self._note(sample, at, "doubled" if is_known else "late")
-                continue
-            if reply.values.size != size or not np.isfinite(reply.values).all():
-                raise BlockError(
-                    f"the external controller's force at t = {at:.2f} s must be {size} finite "
-                    "numbers"
-                )
-            self._answered.add(sample)
-            if is_new:
-                self._asked_again = sample
-            if self._begin is None:
-                self._begin = time.monotonic() - at
-            return reply.values
+            reply = read(data)
+            if reply is None or reply.run != self.run or not self._first <= reply.sample <= sample:
+                self.faults[REFUSED] += 1
+            elif reply.values.size != size or not reply.is_usable:
+                self.faults[REFUSED] += 1
+            elif reply.sample == sample:
+                if is_new:
+                    self._asked_again = sample
+                if self._begin is None:
+                    self._begin = time.monotonic() - at
+                return reply.values
+            elif reply.sample in self._lost:
+                self._lost.remove(reply.sample)
+                self.faults[LATE] += 1
+            elif reply.sample == self._asked_again and self._again:
+                self._again -= 1  # one of the replies to a request that was sent again
+            else:
+                self.faults[DOUBLED] += 1
         if is_new:
-            raise BlockError(
-                "no external controller answers at {}:{}; start it, such as by 'python -m "
-                "ffsm_drake.plugins.udp.fly SCENARIO'".format(*self._place)
+            host, port = self._socket.getpeername()
+            refused = self.faults[REFUSED]
+            problem = (
+                f"the external controller at {host}:{port} sends no force of {size} finite "
+                f"numbers, but {refused} other packets; check that it flies this spacecraft"
+                if refused
+                else f"no external controller answers at {host}:{port}; start it, such as by "
+                "'python -m ffsm_drake.plugins.udp.fly SCENARIO'"
             )
-        self._note(sample, at, "lost")
+            raise BlockError(problem)
+        self._lost.add(sample)
+        self.faults[LOST] = 1
         return None
 
     def _send(self, packet: Packet) -> None:
         try:
             self._socket.send(packet.to_bytes())
-        except ConnectionRefusedError:  # the answer to an earlier packet: nobody listens
+        except OSError:  # such as the answer to an earlier packet: nobody listens
             time.sleep(0.01)
 
-    def _receive(self, longest: float) -> Packet | None:
+    def _receive(self, longest: float) -> bytes | None:
         self._socket.settimeout(longest)
         try:
-            return read(self._socket.recv(LARGEST))
+            return self._socket.recv(LARGEST)
         except TimeoutError:
             return None
-        except ConnectionRefusedError:
+        except OSError:
             time.sleep(0.01)
             return None
-
-    def _note(self, sample: int, at: float, fault: str) -> None:
-        is_new = not self._log.exists()
-        with self._log.open("a", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file)
-            if is_new:
-                rows.writerow(["sample", "time", "fault"])
-            rows.writerow([sample, f"{at:.6f}", fault])
