@@ -42,14 +42,16 @@ _UNLIMITED = 100.0  # N m or N; replaces a missing force limit
 class Exchange:
     """Exchange between the run's law and the environment, in two threads, at every step."""
 
-    def __init__(self, samples_per_step: int) -> None:
-        self._every = samples_per_step
+    def __init__(self, samples_per_step: int, periods: int) -> None:
+        """``periods`` is the number of control periods of a run."""
+        self._every, self._periods = samples_per_step, periods
         self.begin()
 
     def begin(self) -> None:
         """Prepare for another run."""
         self.run = Aside()
         self.sample: Sample | None = None  # input of the law
+        self.end: np.ndarray | None = None  # the law's view at the end of the run's time
         # With several copies of the spacecraft: copies that restart, and copies in an episode.
         self.fresh: np.ndarray | None = None
         self.lasts: np.ndarray | None = None
@@ -61,9 +63,12 @@ class Exchange:
 
     def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
         """The action at a sample, given the law's view ``seen``; NaN actions of copies of the
-        spacecraft become zero. Raises StoppedError.
+        spacecraft become zero. No step begins at the end of the run's time, from which no force
+        acts. Raises StoppedError.
         """
-        if self._count % self._every == 0:
+        if self._count == self._periods:
+            self.sample, self.end = sample, seen
+        elif self._count % self._every == 0:
             self.sample = sample
             self._action = self.run.ask((seen, self.spent()))
         self._count += 1
@@ -73,6 +78,8 @@ class Exchange:
         """Keep the law's error and force at a sample; ``acts`` are the actions' indices. A NaN
         action ends its copy.
         """
+        if self._count > self._periods:
+            return
         if self.lasts is None:
             self._since.append((error, force, np.ones((), bool)))
             return
@@ -154,7 +161,8 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     ``info`` has ``reward_terms``; at the end ``ending`` (the last line of a run's summary) and
     ``is_success`` (settled). An episode is terminated when the run diverges or misses its target,
-    and truncated at the end of the run's time.
+    and truncated at the end of the run's time. A step covers ``samples_per_step`` control samples,
+    the last one of a run those that are left: N samples make ceil(N / samples_per_step) steps.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
@@ -185,12 +193,15 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             a force keeps its bits on its way through an action.
 
         Raises ScenarioError, BlockError, ModelError as ``simulate``; FfsmError for an unknown
-        action or weight.
+        action or weight, or a wrong ``samples_per_step``.
         """
         if action not in ACTIONS:
             raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
         if unknown := set(weights or {}) - set(WEIGHTS):
             raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
+        if samples_per_step != int(samples_per_step) or samples_per_step < 1:
+            problem = f"must be a whole number from 1 on, not {samples_per_step}"
+            raise FfsmError(f"samples_per_step: {problem}")
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario, overrides)
         law = law or scenario.controller
@@ -237,6 +248,10 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Input of a law at this step; None before the first."""
         return None if self._exchange is None else self._exchange.sample
 
+    def new_exchange(self) -> Exchange:
+        """The exchange between a run's law and an environment."""
+        return Exchange(self.samples_per_step, self.scenario.num_control_periods)
+
     def policy_metadata(self) -> dict[str, str]:
         """Metadata that an ONNX file of a policy for this environment needs to be used as a control
         law (``controller: policy:FILE``).
@@ -258,7 +273,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.close()
         drawn = int(self.np_random.integers(2**31)) if seed is None else seed
         scenario = self.scenario.replace(random_seed=drawn)
-        self._exchange = exchange = Exchange(self.samples_per_step)
+        self._exchange = exchange = self.new_exchange()
         law = functools.partial(self.steering, exchange=exchange)
         rollout = make_rollout(scenario, blocks={"controller": law})
         exchange.run.start(rollout.run, rollout.release, owner=self)
@@ -318,11 +333,13 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         finally:
             if not exchange.run.goes_on:
                 self._exchange = None
-        if isinstance(found, RunLog):
-            return found, exchange.spent()
-        seen, spent = found
-        self._seen = observation(seen, self.observation_space.dtype)
-        return None, spent
+        if not isinstance(found, RunLog):
+            seen, spent = found
+            self._seen = observation(seen, self.observation_space.dtype)
+            return None, spent
+        if found.outcome.completed and exchange.end is not None:
+            self._seen = observation(exchange.end, self.observation_space.dtype)
+        return found, exchange.spent()
 
 
 def _finite(limit: np.ndarray) -> np.ndarray:

@@ -185,7 +185,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(one.action_space, num_envs)
         self.observation_space = batch_space(one.observation_space, num_envs)
         self.action_names, self.observation_names = one.action_names, one.observation_names
-        self._exchange = Exchange(one.samples_per_step)
+        self._exchange = one.new_exchange()
         self._loop: ClosedLoop | None = None
         self._flight: _Flight | None = None
         self._ended = np.zeros(num_envs, bool)  # copies that begin anew at the next step
@@ -279,8 +279,7 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         except BaseException:
             self._flight = None
             raise
-        if not run.goes_on:
-            return found, True
-        seen, spent = found
+        over = not run.goes_on
+        seen, spent = (self._exchange.end, found) if over else found
         self._seen = observation(seen, self._seen.dtype)
-        return spent, False
+        return spent, over
