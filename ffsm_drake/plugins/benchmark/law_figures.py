@@ -18,7 +18,7 @@ from ffsm_drake.plugins.design.limit import find_limit
 from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_DELAY,
     LARGEST_FACTOR,
-    first_unstable_delay,
+    largest_delay,
     largest_payload,
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
@@ -51,7 +51,7 @@ def law_figures(scenario: str) -> dict[str, float | None]:
         return dict.fromkeys(FIGURES)
 
     def delay() -> float:
-        further = min(first_unstable_delay(given, time=edge) - 1.0, LARGEST_DELAY)
+        further = min(largest_delay(given, time=edge), LARGEST_DELAY)
         return further * given.sample_time
 
     def found(figure: Callable[[], float]) -> float | None:

@@ -102,7 +102,7 @@ def _further_margins(
     from ffsm_drake.plugins.design.tables import boundaries_table, disk_table
 
     if limits:
-        boundaries = find_boundaries(scenario, time=margins.edge_time)
+        boundaries = find_boundaries(scenario, time=margins.edge_times)
         table = boundaries_table(boundaries, scenario)
         yield table, {"boundaries": dataclasses.asdict(boundaries)}
     else:

@@ -1,5 +1,7 @@
 """Numbers with three digits, for files that people read."""
 
+import math
+
 import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -8,6 +10,12 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 def rounded(value: float) -> float:
     """A number with three digits."""
     return float(f"{value:.3g}")
+
+
+def rounded_down(value: float) -> float:
+    """The next number with three digits below a positive one, or the number itself."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return rounded(math.floor(value / unit * (1.0 + 1e-12)) * unit)
 
 
 def rounded_by_group(values: np.ndarray, coordinates: Coordinates) -> dict[str, float]:

@@ -84,9 +84,9 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
 def _draw_eta(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
     draw(axes, eta_chart(margins, "Eigenvalues of H⁻¹Ĥ"), what="η")
     low, high = limits.eta_tolerated[:, 0].max(), limits.eta_tolerated[:, 1].min()
-    label = "no η is tolerated by every coordinate at the starting gains"
+    label = "no η is tolerated by every coordinate after adaptation"
     if low < high:
-        label = f"tolerated at the starting gains: {low:.2f} to {high:.2f}"
+        label = f"tolerated after adaptation: {low:.2f} to {high:.2f}"
     else:
         low = high = 1.0
     band = axes.axhspan(low, high, color=BLUE, alpha=0.12, label=label)

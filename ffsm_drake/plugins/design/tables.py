@@ -4,8 +4,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ffsm_drake.common.numbers import NONE, number
+from ffsm_drake.common.numbers import NONE, counted, number
 from ffsm_drake.plugins.design.gains import Design, DesignPoint
+from ffsm_drake.plugins.design.rounding import rounded_down
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries
 from ffsm_drake.plugins.design.stability.disk import DiskMargins
 from ffsm_drake.plugins.design.stability.linear_loop import radius_told
@@ -50,7 +51,7 @@ def margins_table(margins: Margins) -> str:
         )
         lines += [
             "",
-            f"limits of each coordinate alone, plant {plant}:",
+            f"limits of each coordinate alone, plant {plant}; largest L and eta after adaptation:",
             *_axis_lines(margins.axes, data),
         ]
     radii = [
@@ -65,37 +66,50 @@ def margins_table(margins: Margins) -> str:
 
 
 def boundaries_table(boundaries: Boundaries, scenario: Scenario) -> str:
-    """Plain text: how far each parameter can change, alone, before the loop is unstable."""
+    """Plain text: how far each parameter can change, alone, before the loop is unstable.
 
-    def factor(value: float, unit: str = "") -> str:
-        return (
-            f"x {value:.3g}{unit}" if math.isfinite(value) else "stable over the whole search range"
+    Numbers are rounded down, so that they are stable as printed.
+    """
+    starting = boundaries.starting
+    found, before = (_limit_rows(each, scenario) for each in (boundaries, starting or boundaries))
+    if not found:
+        where = " that adaptation reaches" if before else ""
+        return f"no boundaries: the loop is unstable at the {'K_s' if where else 'given'}" + (
+            where or " values"
         )
+    heading = "largest stable values at that posture, one parameter at a time"
+    if found == before:
+        return "\n".join([f"{heading}:", *aligned([[*row] for row in found.items()])])
+    rows = [[name, value, before[name]] for name, value in found.items()]
+    columns = ["", "after adaptation", "at the starting K_s"]
+    return "\n".join([f"{heading}:", *aligned([columns, *rows])])
 
-    period = 1e3 * scenario.sample_time
+
+def _limit_rows(boundaries: Boundaries, scenario: Scenario) -> dict[str, str]:
+    """Parameter -> its limit; empty for a loop that is unstable at the given values."""
     if math.isnan(boundaries.delay):
-        return "no boundaries: the loop is unstable at the given values"
-    delay = (
-        f"{boundaries.delay:.0f} sample{'s' if boundaries.delay > 1 else ''} "
-        f"({boundaries.delay * period:.3g} ms)"
-    )
-    rows = [
-        ["feedback gains", factor(boundaries.gains)],
-        ["nominal payload", factor(boundaries.nominal_payload)],
-        [
-            "sample time",
-            factor(boundaries.sample_time, f" ({boundaries.sample_time * period:.3g} ms)"),
-        ],
-        *(
-            [f"mass of {name}" if name != "all" else "masses of all flexible parts", factor(value)]
+        return {}
+    period = 1e3 * scenario.sample_time
+
+    def factor(value: float, size: float = 0.0, unit: str = "") -> str:
+        if not math.isfinite(value):
+            return "stable over the whole search range"
+        more = f" ({rounded_down(value * size):.3g} {unit})" if size else ""
+        return f"x {rounded_down(value):.3g}{more}"
+
+    delay = boundaries.delay
+    return {
+        "feedback gains": factor(boundaries.gains),
+        "nominal payload": factor(boundaries.nominal_payload),
+        "sample time": factor(boundaries.sample_time, period, "ms"),
+        **{
+            f"mass of {name}" if name != "all" else "masses of all flexible parts": factor(value)
             for name, value in boundaries.flexible_mass.items()
-        ),
-        [
-            "further sensor delay",
-            delay if math.isfinite(boundaries.delay) else factor(boundaries.delay),
-        ],
-    ]
-    return "\n".join(["stability limits at that posture, one parameter at a time:", *aligned(rows)])
+        },
+        "further sensor delay": f"{counted(int(delay), 'sample')} ({delay * period:.3g} ms)"
+        if math.isfinite(delay)
+        else factor(delay),
+    }
 
 
 def _hidden_lines(margins: Margins, data: Mapping[str, Any]) -> list[str]:
@@ -256,7 +270,7 @@ def design_table(found: Design) -> str:
         margins.append([name, f"{now:.4g}", f"{was:.4g}"])
     masses = [["true payload", "spectral radius", ""]]
     for mass, radius in chosen.radius_by_mass.items():
-        masses.append([f"{mass:.0f} kg", f"{radius:.5f}", "" if radius < 1.0 else "unstable"])
+        masses.append([f"{mass:.0f} kg", radius_told(radius), "" if radius < 1.0 else "unstable"])
     return "\n".join(
         [
             f"{scenario.description}: {label_of(scenario.controller)}{estimate}",

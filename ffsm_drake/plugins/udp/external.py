@@ -232,9 +232,7 @@ class _Link:
                     self._again += 1
                 continue
             reply = read(data)
-            if reply is None or reply.run != self.run or not self._first <= reply.sample <= sample:
-                self.faults[REFUSED] += 1
-            elif reply.values.size != size or not reply.is_usable:
+            if reply is None or not self._is_sound(reply, sample, size):
                 self.faults[REFUSED] += 1
             elif reply.sample == sample:
                 if is_new:
@@ -263,6 +261,11 @@ class _Link:
         self._lost.add(sample)
         self.faults[LOST] = 1
         return None
+
+    def _is_sound(self, reply: Packet, sample: int, size: int) -> bool:
+        """Whether a packet is a force (size) for this or an earlier sample of the run."""
+        belongs = reply.run == self.run and self._first <= reply.sample <= sample
+        return belongs and reply.values.size == size and reply.is_usable
 
     def _send(self, packet: Packet) -> None:
         try:

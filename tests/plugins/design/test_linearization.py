@@ -309,8 +309,8 @@ def test_boundaries_against_simulation(controller, monkeypatch):
         if np.isfinite(boundary):
             assert not grows(change(scenario, 0.985 * boundary)), (name, boundary)
             assert grows(change(scenario, 1.015 * boundary)), (name, boundary)
-    assert not grows(with_delay(scenario, int(found.delay) - 1)), found.delay
-    assert grows(with_delay(scenario, int(found.delay))), found.delay
+    assert not grows(with_delay(scenario, int(found.delay))), found.delay
+    assert grows(with_delay(scenario, int(found.delay) + 1)), found.delay
 
 
 @pytest.mark.slow
@@ -327,7 +327,7 @@ def test_boundaries_of_the_closed_form():
     )
     assert found.gains == pytest.approx(2.0 / (180.0 * 0.01), rel=1e-2)
     assert found.sample_time == pytest.approx(2.0 / (180.0 * 0.01), rel=1e-2)
-    assert found.delay == 1.0
+    assert found.delay == 0.0
 
 
 @dataclasses.dataclass

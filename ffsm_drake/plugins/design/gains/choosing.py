@@ -490,12 +490,14 @@ class _Search:
 
 
 def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
-    """The margins at the posture with the largest spectral radius, and its time, s."""
+    """The margins at the starting K_s and the posture with the largest spectral radius, and its
+    time, s.
+    """
     with Linearizer(scenario) as linearizer:
         shares = {share: linearizer.at(linearizer.part(share)) for share in POSTURES}
         share = max(shares, key=lambda each: shares[each].spectral_radius)
         edge = linearizer.part(share)
-    return find_boundaries(scenario, time=edge), edge
+    return find_boundaries(scenario, time=edge, adapted=False), edge
 
 
 def _room(scenario: Scenario, demand: Demand) -> np.ndarray:

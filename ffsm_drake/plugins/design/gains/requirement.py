@@ -103,7 +103,7 @@ class Baseline:
         def factor(value: float) -> float:
             return min(value, LARGEST_FACTOR / 1.4) / TOLERANCE
 
-        further = int(min(known.delay - 1, LARGEST_DELAY))
+        further = int(min(known.delay, LARGEST_DELAY))
         changes: dict[str, Callable[[], Scenario]] = {
             "gains": lambda: with_gains(scenario, factor(known.gains)),
             "delay": lambda: with_delay(scenario, scenario.sensing.delay + further),
@@ -125,7 +125,7 @@ class Baseline:
 
     def _is_stable(self, scenario: Scenario) -> bool:
         try:
-            return probed_radius(scenario, self.time) < 1.0
+            return probed_radius(scenario, [self.time], adapted=False) < 1.0
         except ModelError:  # a part outweighs its carrier: as in ``find_boundaries``
             return True
 

@@ -3,7 +3,7 @@ variable.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -61,6 +61,29 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
     loop = linearizer.at(0.0) if loop is None else loop
     _, k_s = forecast_reaching_gain(law, linearizer.planned, loop, points=51)
     return {"reaching_gain": k_s.max(axis=0)}
+
+
+def adapts(linearizer: Linearizer) -> bool:
+    """Whether adaptation can change the K_s of a linearizer's law."""
+    gain = reaching_gain_of(linearizer.law)
+    return gain is not None and gain.is_adapted and gain.changes
+
+
+def reached_gains(
+    linearizer: Linearizer, loop: LinearLoop | None = None
+) -> Iterator[tuple[dict[str, np.ndarray], str]]:
+    """The held gains (``Linearizer.at``) that adaptation may reach, and words for them: K_s at its
+    bounds, if all are finite, then the largest K_s expected, if there is a forecast.
+
+    A loop that is stable with the first needs no second. ``loop``: see ``expected_gains``.
+    """
+    if not adapts(linearizer):
+        return
+    gain = reaching_gain_of(linearizer.law)
+    if gain is not None and np.isfinite(gain.largest).all():
+        yield {"reaching_gain": gain.largest}, " with K_s at its bounds"
+    if expected := expected_gains(linearizer, loop):
+        yield expected, " with the largest K_s expected"
 
 
 def forecast_reaching_gain(

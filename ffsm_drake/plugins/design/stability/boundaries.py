@@ -4,12 +4,16 @@ Every trial builds the loop again and linearises it at the posture nearest to in
 """
 
 import dataclasses
+import functools
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
@@ -23,8 +27,8 @@ _FAST = 100.0  # log of a spectral radius, in place of an infinite one
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Boundaries:
-    """Stability limits, one parameter at a time. NaN: unstable at the given value; infinite: stable
-    over the whole search range.
+    """Stability limits, one parameter at a time: the largest stable values. NaN: unstable at the
+    given value; infinite: stable over the whole search range.
     """
 
     # factor on all feedback gains of the controller; infinite where it declares none
@@ -33,35 +37,50 @@ class Boundaries:
     sample_time: float  # factor on the control period
     # by part of ``model.flexible`` that has a mass, and "all": factor on it
     flexible_mass: Mapping[str, float]
-    # additional delay of the sensors, unknown to the estimator: the first unstable number of
-    # control samples
+    # additional delay of the sensors, unknown to the estimator: the last stable number of control
+    # samples
     delay: float
+    # the same at the starting K_s; None: adaptation cannot change it, or does not count
+    starting: "Boundaries | None" = None
 
 
 @step("stability limits")
-def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
-    """The boundaries at one posture of the planned motion; takes some seconds.
+def find_boundaries(
+    scenario: Scenario, *, time: float | Sequence[float], adapted: bool = True
+) -> Boundaries:
+    """The boundaries at one posture of the planned motion, or at several; takes some seconds.
 
     Args:
       scenario: the scenario.
-      time: s, the posture; ``Margins.edge_time`` of ``stability``.
+      time: s, the postures; ``Margins.edge_times`` of ``stability``.
+      adapted: whether a stable trial must be stable at the K_s that adaptation reaches in it, too
+        (``adaptation.reached_gains``).
 
     Raises ModelError, ScenarioError and BlockError as ``stability`` does.
     """
-    scenario = complete_gains(scenario)
+    scenario, times = complete_gains(scenario), np.atleast_1d(time).tolist()
+    given = functools.partial(_find, scenario, times)
+    if not adapted:
+        return given(adapted=False)
+    with Linearizer(scenario) as linearizer:
+        has_starting = adapts(linearizer)
+    starting = given(adapted=False) if has_starting else None
+    return dataclasses.replace(given(adapted=True), starting=starting)
 
+
+def _find(scenario: Scenario, times: Sequence[float], *, adapted: bool) -> Boundaries:
     heavy = [
         name for name, part in scenario.model.flexible.items() if part.kind not in ("joint", "gear")
     ]
     parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
 
     def radius(changed: Scenario) -> float:
-        return probed_radius(changed, time)
+        return probed_radius(changed, times, adapted=adapted)
 
     def largest_mass(names: Collection[str]) -> float:
         return _largest_factor(lambda factor: radius(with_flexible_mass(scenario, names, factor)))
 
-    if _radius(scenario, time) >= 1.0:
+    if _radius(scenario, times, adapted=adapted) >= 1.0:
         nan = float("nan")
         return Boundaries(
             gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
@@ -70,49 +89,67 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
         gains=_largest_factor(lambda factor: radius(with_gains(scenario, factor)))
         if any(gain.feedback for gain in declared_gains(scenario).values())
         else float("inf"),
-        nominal_payload=_largest_payload(scenario, time),
+        nominal_payload=_largest_payload(scenario, radius),
         sample_time=_largest_factor(lambda factor: radius(with_sample_time(scenario, factor))),
         flexible_mass={label: largest_mass(names) for label, names in parts.items()},
-        delay=_first_unstable_delay(scenario, time),
+        delay=_largest_delay(scenario, radius),
     )
 
 
 def largest_payload(scenario: Scenario, *, time: float) -> float:
-    """``Boundaries.nominal_payload`` alone. Arguments and errors: see ``find_boundaries``."""
-    return _largest_payload(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
+    """``Boundaries.nominal_payload`` at the starting K_s alone. Errors: see ``find_boundaries``."""
+    return _alone(_largest_payload, scenario, time)
 
 
-def first_unstable_delay(scenario: Scenario, *, time: float) -> float:
-    """``Boundaries.delay`` alone. Arguments and errors: see ``find_boundaries``."""
-    return _first_unstable_delay(scenario, time) if _radius(scenario, time) < 1.0 else float("nan")
+def largest_delay(scenario: Scenario, *, time: float) -> float:
+    """``Boundaries.delay`` at the starting K_s alone. Errors: see ``find_boundaries``."""
+    return _alone(_largest_delay, scenario, time)
 
 
-def _radius(scenario: Scenario, time: float) -> float:
+def _alone(
+    limit: Callable[[Scenario, Callable[[Scenario], float]], float], scenario: Scenario, time: float
+) -> float:
+    if _radius(scenario, [time], adapted=False) >= 1.0:
+        return float("nan")
+    return limit(scenario, lambda changed: probed_radius(changed, [time], adapted=False))
+
+
+def _radius(scenario: Scenario, times: Sequence[float], *, adapted: bool) -> float:
+    """The largest spectral radius at some times, s; with ``adapted`` at the starting K_s, and at
+    the K_s that adaptation reaches.
+    """
     with Linearizer(scenario) as linearizer:
-        return linearizer.at(time).spectral_radius
+
+        def worst(held: Mapping[str, np.ndarray] | None = None) -> float:
+            return max(linearizer.at(time, held=held).spectral_radius for time in times)
+
+        start, reached = worst(), 0.0
+        for held, _ in reached_gains(linearizer) if adapted and start < 1.0 else ():
+            reached = worst(held)
+            if reached < 1.0:
+                break
+        return max(start, reached)
 
 
-def probed_radius(changed: Scenario, time: float) -> float:
-    """The spectral radius of a trial at a time, s; infinite where its loop, other than that of the
-    scenario itself, cannot be linearised: a user-supplied law may cease to be smooth as it leaves
-    its plan.
+def probed_radius(changed: Scenario, times: Sequence[float], *, adapted: bool) -> float:
+    """The spectral radius of a trial, see ``_radius``; infinite where its loop, other than that of
+    the scenario itself, cannot be linearised: a user-supplied law may cease to be smooth as it
+    leaves its plan.
     """
     try:
-        return _radius(changed, time)
+        return _radius(changed, times, adapted=adapted)
     except NotLinear:
         return math.inf
 
 
-def _largest_payload(scenario: Scenario, time: float) -> float:
-    return _largest_factor(
-        lambda factor: probed_radius(with_nominal_payload(scenario, factor), time)
-    )
+def _largest_payload(scenario: Scenario, radius: Callable[[Scenario], float]) -> float:
+    return _largest_factor(lambda factor: radius(with_nominal_payload(scenario, factor)))
 
 
-def _first_unstable_delay(scenario: Scenario, time: float) -> float:
+def _largest_delay(scenario: Scenario, radius: Callable[[Scenario], float]) -> float:
     for further in range(1, LARGEST_DELAY + 1):
-        if probed_radius(with_delay(scenario, scenario.sensing.delay + further), time) >= 1.0:
-            return float(further)
+        if radius(with_delay(scenario, scenario.sensing.delay + further)) >= 1.0:
+            return float(further - 1)
     return float("inf")
 
 

@@ -21,7 +21,7 @@ STATIONARY = 2**18  # control samples until a loop that contracts has stationary
 def radius_told(radius: float) -> str:
     """A spectral radius in words, which a loop without a finite one has too."""
     if math.isfinite(radius):
-        return f"{radius:.5f}"
+        return f"{radius:.5f}" if radius < 100.0 else f"{radius:.3g}"
     return f"none, since it diverges within {WARM_UP} samples of a start on the plan"
 
 

@@ -49,8 +49,9 @@ class AxisMargins:
     k_s_max: np.ndarray  # (nv,) 1/s, ``ReachingGain.largest``
     # (nv,) 1/s, 0 where no K_s is stable, NaN for a law without K_s and of undriven coordinates
     k_s_limit: np.ndarray
+    # At the K_s that adaptation reaches: its bound, or the largest expected if that is unstable.
     sample_time_limit: np.ndarray  # (nv,) s, 0 where no sample time is stable
-    eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
+    eta_tolerated: np.ndarray  # (nv, 2)
     forecast_times: np.ndarray  # (p,) s
     forecast_k_s: np.ndarray  # (p, nv) 1/s, expected K_s under adaptation
 
@@ -119,11 +120,18 @@ class Margins:
         """The time, s, of the posture nearest to instability: at the largest spectral radius, or,
         with hidden coordinates, at the largest eta (their slow poles are the same everywhere).
         """
-        return (
-            float(self.times[int(np.argmax(self.eta.max(axis=1)))])
-            if self.hidden
-            else self.worst.time
-        )
+        return self._overestimated if self.hidden else self.worst.time
+
+    @property
+    def edge_times(self) -> tuple[float, ...]:
+        """``edge_time``, and the time, s, of the largest eta, where alternating modes are nearest
+        to instability.
+        """
+        return tuple(dict.fromkeys((self.edge_time, self._overestimated)))
+
+    @property
+    def _overestimated(self) -> float:
+        return float(self.times[int(np.argmax(self.eta.max(axis=1)))])
 
     @property
     def starts_stable(self) -> bool:
@@ -277,24 +285,32 @@ def _axis_margins(
     maps = [each.tobytes() for each in axis_loop(law, euler=euler).a]
 
     @functools.cache
-    def limits(axis: int) -> tuple[float, float, float, float]:
-        k_s = largest_stable_k_s(law, axis, eta=etas, euler=euler).min()
-        period = largest_sample_time(law, axis, eta=etas, euler=euler).min()
-        return float(k_s), float(period), *tolerated_eta(law, axis, euler=euler)
+    def k_s_limit(axis: int) -> float:
+        return float(largest_stable_k_s(law, axis, eta=etas, euler=euler).min())
 
-    table = np.array([limits(maps.index(each)) for each in maps])
     times, k_s = forecast_reaching_gain(law, planned, loop)
     gain, zero, has_gain = reaching_gain_of(law), np.zeros(len(maps)), law.reaching_gain is not None
+    limit = np.nan_to_num(np.array([k_s_limit(maps.index(each)) for each in maps]))
+    reached = law
+    if gain is not None and has_gain:
+        within = np.isfinite(gain.largest) & (gain.largest <= limit)
+        reached = law.with_reaching_gain(np.where(within, gain.largest, k_s.max(axis=0)))
+    own = [each.tobytes() for each in axis_loop(reached, euler=euler).a]
+
+    @functools.cache
+    def limits(axis: int) -> tuple[float, float, float]:
+        period = largest_sample_time(reached, axis, eta=etas, euler=euler).min()
+        return float(period), *tolerated_eta(reached, axis, euler=euler)
+
+    table = np.array([limits(own.index(each)) for each in own])
     return AxisMargins(
         law=law,
         euler=euler,
         k_s=zero if gain is None else gain.start,
         k_s_max=zero if gain is None else gain.largest,
-        k_s_limit=np.where(
-            planned.coordinates.is_driven & has_gain, np.nan_to_num(table[:, 0]), np.nan
-        ),
-        sample_time_limit=np.nan_to_num(table[:, 1]),
-        eta_tolerated=table[:, 2:],
+        k_s_limit=np.where(planned.coordinates.is_driven & has_gain, limit, np.nan),
+        sample_time_limit=np.nan_to_num(table[:, 0]),
+        eta_tolerated=table[:, 1:],
         forecast_times=times,
         forecast_k_s=k_s,
     )

@@ -13,11 +13,9 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-import numpy as np
-
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, radius_told
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.plugins.design.stability.moving import (
@@ -28,7 +26,6 @@ from ffsm_drake.plugins.design.stability.moving import (
 )
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
-from ffsm_drake.systems.controllers.checked import reaching_gain_of
 
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
@@ -177,32 +174,21 @@ def _at_larger_gains(
     At the bounds of K_s; where it is unstable there, at the largest K_s expected, if there is a
     forecast. Raises NotLinear without bounds and forecast.
     """
-    bounds = _bounds(linearizer)
-    if not bounds.size:
-        return starting, ""
-    gains, found = " with K_s at its bounds", None
-    if np.isfinite(bounds).all():
-        found = motion_stability(linearizer, held={"reaching_gain": bounds})
-    if found is None or _status(found, leg) == "unstable":
-        expected = expected_gains(linearizer, starting.loops[0])
-        if expected:
-            gains = " with the largest K_s expected"
-            found = motion_stability(linearizer, held=expected)
+    found, gains = None, ""
+    for held, told in reached_gains(linearizer, starting.loops[0]):
+        found, gains = motion_stability(linearizer, held=held), told
+        if _status(found, leg) != "unstable":
+            break
     if found is None:
-        raise NotLinear("nothing stops the adaptation of K_s, and it is not forecast; set k_s_max")
+        if adapts(linearizer):
+            problem = "nothing stops the adaptation of K_s, and it is not forecast; set k_s_max"
+            raise NotLinear(problem)
+        return starting, ""
     if _status(found, leg) == _status(starting, leg) and (
         found.worst.spectral_radius <= starting.worst.spectral_radius
     ):
         return starting, ""
     return found, gains
-
-
-def _bounds(linearizer: Linearizer) -> np.ndarray:
-    """The bounds of K_s (nv); empty if adaptation cannot change it."""
-    gain = reaching_gain_of(linearizer.law)
-    if gain is None or not (gain.is_adapted and gain.changes):
-        return np.empty(0)
-    return gain.largest
 
 
 def _resting(found: MotionStability, leg: Leg) -> Sequence[LinearLoop]:

@@ -174,7 +174,7 @@ def largest_stable_k_s(
 def largest_sample_time(
     law: TimeDelayControl, axis: int, *, eta: np.ndarray, euler: bool = False
 ) -> np.ndarray:
-    """Largest L (m), s, up to 0.2, that keeps one coordinate stable at each eta (m), at the
+    """Largest L (m), s, up to 0.2, that keeps one coordinate stable at each eta (m), at the law's
     starting gains.
     """
     change = functools.partial(with_sample_time, of_axes(law, [axis]))
