@@ -132,7 +132,8 @@ def _try(file: str, packages: Mapping[str, str]) -> None:
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
 
-    parser = Parser(MultibodyPlant(time_step=0.0))
+    plant = MultibodyPlant(time_step=0.0)
+    parser = Parser(plant)  # does not keep the plant
     for name, folder in packages.items():
         if not parser.package_map().Contains(name):
             parser.package_map().Add(name, folder)

@@ -168,6 +168,7 @@ def test_xacro_with_arguments_and_packages(
         each.mkdir()
     file.write_text(XACRO)
     (parts / "link.xacro").write_text(MACRO)
+    (parts / "package.xml").write_text("<package/>")
     monkeypatch.chdir(tmp_path)
     words = ["new", "out", "--model", str(file), "--xacro-arg", "mass=300", "--json"]
     if folder == "given":

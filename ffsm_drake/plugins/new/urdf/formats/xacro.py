@@ -2,14 +2,13 @@
 
 The package xacro runs expressions as Python, with escapes. Here ``expressions.py`` computes them,
 and files are opened only in the model's own folder and in packages, unless the file is trusted.
-``expand`` changes the package xacro for good, so it belongs into a process of its own.
 """
 
 import contextlib
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,9 @@ def expand(
         ) from error
     missing, besides = dict[str, str](), ""  # a stand-in by name, so that one message names all
     while True:
-        _Reader(xacro, path, packages, trust).install()
+        reader = _Reader(xacro, path, packages, trust)
         try:
-            with contextlib.redirect_stderr(io.StringIO()):
+            with reader.installed(), contextlib.redirect_stderr(io.StringIO()):
                 mappings = {**arguments, **missing}
                 text = str(xacro.process_file(str(path), mappings=mappings).toxml())
             break
@@ -103,32 +102,43 @@ class _Reader:
         )
         self.roots = [self.folder, *(folder.resolve() for folder in packages.values())]
         self.files = self.calls = 0
-        self.parse = getattr(xacro.parse, "usual", xacro.parse)
-        self.call = getattr(xacro.handle_macro_call, "usual", xacro.handle_macro_call)
         self.known = KNOWN | {"xacro": self._own()}
         self.known |= {name: self.known["xacro"][name] for name in _OWN_GLOBAL}
 
-    def install(self) -> None:
-        """Replace functions of the package."""
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Replace functions of the package in the block."""
         from xacro import substitution_args
+
+        usual_parse, usual_call = self.xacro.parse, self.xacro.handle_macro_call
 
         def parse(inp: Any, filename: Any = None) -> Any:
             if inp is None:
                 self.check(Path(self.xacro.root_dir, filename))
-            return self.parse(inp, filename)
+            return usual_parse(inp, filename)
 
         def handle_macro_call(*args: Any) -> Any:
             self.calls += args[0].tagName.startswith("xacro:")
             self.require(self.calls <= _CALLS, f"more than {_CALLS} macros are called")
-            return self.call(*args)
+            return usual_call(*args)
 
-        parse.usual, handle_macro_call.usual = self.parse, self.call  # type: ignore[attr-defined]
-        self.xacro.parse, self.xacro.handle_macro_call = parse, handle_macro_call
-        self.xacro.safe_eval = self.evaluate
-        substitution_args._eval = self.evaluate_extension
-        substitution_args._eval_find = self.find
-        substitution_args._eval_env = self.environment
-        substitution_args._eval_optenv = self.environment
+        own = {
+            (self.xacro, "parse"): parse,
+            (self.xacro, "handle_macro_call"): handle_macro_call,
+            (self.xacro, "safe_eval"): self.evaluate,
+            (substitution_args, "_eval"): self.evaluate_extension,
+            (substitution_args, "_eval_find"): self.find,
+            (substitution_args, "_eval_env"): self.environment,
+            (substitution_args, "_eval_optenv"): self.environment,
+        }
+        usual = {place: getattr(*place) for place in own}
+        try:
+            for place, function in own.items():
+                setattr(*place, function)
+            yield
+        finally:
+            for place, function in usual.items():
+                setattr(*place, function)
 
     @staticmethod
     def require(condition: object, problem: str) -> None:
