@@ -107,7 +107,7 @@ def check_counts(path: Path) -> None:
                 "is read",
             )
             if element.tag == "size":
-                for key in element.keys() - {"nkey", "memory"}:
+                for key in set(element.keys()) - {"nkey", "memory"}:
                     largest = max(_counts(element, (key,)))
                     require(
                         largest <= _MOST_NUMBERS,
