@@ -4,7 +4,7 @@ import itertools
 import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -338,7 +338,6 @@ def _finish(
     table: Path | None = None,
 ) -> int:
     """Write the report, print the table, best first, and set the exit code of finished runs."""
-    from ffsm_drake.common.errors import ModelError
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
@@ -359,9 +358,8 @@ def _finish(
                 f"{record.scenario.controller}: what may help, as a scenario: ffsm run {file}",
                 err=True,
             )
-        with suppress(ModelError):  # already among the remarks
-            for closest in run_clearance(record):
-                click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
+        for closest in run_clearance(record):
+            click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
     placed = _places(records)
     best_first = [records[k] for k in placed]
     shown = None if distances is None else [distances[k] for k in placed]

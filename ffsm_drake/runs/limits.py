@@ -6,19 +6,17 @@ says how often.
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.clearance import shapes_of
+from ffsm_drake.spacecraft.clearance import Nearest, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
@@ -53,10 +51,6 @@ def run_remarks(record: RunRecord) -> list[str]:
             remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on{told}")
     remarks += [f"{name}: detected at {at:.2f} s, but works" for name, at in noticed.items()]
     remarks += broken_limits(record.scenario, record.dataset)
-    try:
-        run_clearance(record)
-    except ModelError as error:
-        remarks.append(f"clearance is not evaluated: {error}")
     shares = [f"{name} in {percent(share)}" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
@@ -87,27 +81,20 @@ def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
         return f" at t = {time[sample]:.2f} s"
 
     found = list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
-    with suppress(ModelError):  # shapes without a distance
-        found += too_near(_clearance_in(scenario, data), scenario.clearance, "the run")
-    return found
+    found += not_measured(scenario)
+    return [*found, *too_near(_clearance_in(scenario, data), scenario.clearance, "the run")]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Closest:
+class Closest(Nearest):
     """The smallest distance of two parts of the spacecraft in a motion."""
 
-    first: str  # names of the bodies
-    second: str
-    distance: float  # m; negative: they overlap by this
     time: float  # s
     before_grasp: bool = False  # while the target is a body of its own
 
     def __str__(self) -> str:
         before = ", before the grasp" if self.before_grasp else ""
-        return (
-            f"{self.first} and {self.second} {self.distance:.3g} m apart at t = "
-            f"{self.time:.3g} s{before}"
-        )
+        return f"{super().__str__()} at t = {self.time:.3g} s{before}"
 
 
 def run_clearance(record: RunRecord) -> list[Closest]:
@@ -157,10 +144,17 @@ def closest_of(
     if clearance.pairs and usable(q).any():
         approach = clearance.along(q)
         nearest, time = approach.nearest, float(times[approach.index])
-        yield Closest(
-            first=nearest.first, second=nearest.second, distance=nearest.distance, time=time,
-            before_grasp=target is not None,
-        )  # fmt: skip
+        yield Closest(**dataclasses.asdict(nearest), time=time, before_grasp=target is not None)
+
+
+def not_measured(scenario: Scenario) -> Iterator[str]:
+    """A line if shapes of a scenario's model cannot be measured, so that clearance is not known."""
+    if names := shapes_of(scenario).unmeasured:
+        shown = f"{', '.join(names[:3])}{f' and {len(names) - 3} more' if names[3:] else ''}"
+        yield (
+            f"clearance is not known: {shown}: cannot be measured; convert it to .obj, or give its "
+            "link a <collision>"
+        )
 
 
 def too_near(found: Iterable[Closest], threshold: float, what: str) -> Iterator[str]:
@@ -168,14 +162,11 @@ def too_near(found: Iterable[Closest], threshold: float, what: str) -> Iterator[
     for closest in found:
         if closest.distance >= threshold:
             continue
-        pair = f"{closest.first} and {closest.second}"
-        size = f"{abs(closest.distance):.3g} m"
-        state = (
-            f"overlap by {size}"
-            if closest.distance < 0.0
-            else (f"come within {size} of each other")
-        )
-        yield f"{what}: {pair} {state} at t = {closest.time:.3g} s (clearance {threshold:g} m)"
+        pair, size = f"{closest.first} and {closest.second}", f"{abs(closest.distance):.3g} m"
+        state = "overlap by" if closest.distance < 0.0 else "come within"
+        each_other = "" if closest.distance < 0.0 else " of each other"
+        when = f"at t = {closest.time:.3g} s (clearance {threshold:g} m)"
+        yield f"{what}: {pair} {state} {size}{each_other} {when}"
 
 
 def saturation(record: RunRecord) -> dict[str, float]:
@@ -221,7 +212,11 @@ def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) 
             found[f"{what} {limit.names[i]}"] = float(log.time[np.argmax(left[:, i])])
     times, distances = distances_in(log) if near is None else near
     too_near = distances < log.scenario.clearance
-    return found | ({CLEARANCE: float(times[np.argmax(too_near)])} if too_near.any() else {})
+    if clearance.unmeasured:
+        found[CLEARANCE] = float(log.time[0])
+    elif too_near.any():
+        found[CLEARANCE] = float(times[np.argmax(too_near)])
+    return found
 
 
 def distances_in(log: RunLog) -> tuple[np.ndarray, np.ndarray]:

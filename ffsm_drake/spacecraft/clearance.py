@@ -67,6 +67,11 @@ class Nearest:
     first: str  # names of the bodies
     second: str
 
+    def __str__(self) -> str:
+        if self.distance < 0.0:
+            return f"{self.first} and {self.second} overlap by {-self.distance:.3g} m"
+        return f"{self.first} and {self.second} {self.distance:.3g} m apart"
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Approach:

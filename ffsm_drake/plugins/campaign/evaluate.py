@@ -28,7 +28,7 @@ from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
-from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left
+from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
 from ffsm_drake.runs.metrics import base_drift
@@ -397,11 +397,11 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     if texts_of(spec):
         text[FIRST_LIMIT] = run.first
         if outcome == "settled" and CLEARANCE in run.left:
-            text |= {
-                "outcome": "not_settled",
-                "message": f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and within "
-                f"{run.closest:.3g} m of each other (below 0 they overlap)",
-            }
+            told = next(not_measured(log.scenario), "") or (
+                f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and "
+                f"{'overlap by' if run.closest < 0.0 else 'as near as'} {abs(run.closest):.3g} m"
+            )
+            text |= {"outcome": "not_settled", "message": told}
     values |= {each.column_name: each.value for each in log.figures if each.column_name}
     # The database knows no NaN.
     row = {

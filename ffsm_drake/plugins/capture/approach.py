@@ -13,6 +13,7 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.capture.before import with_phases
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
+from ffsm_drake.runs.limits import not_measured
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
@@ -83,6 +84,8 @@ def _clear_start(scenario: Scenario) -> Posture:
     contact = planned_contact(scenario, model)
     X_WP, path = target_path(scenario, model, contact)
     end = np.array(scenario.initial_posture.base_position)
+    for line in not_measured(scenario):
+        raise LimitError("capture.approach.start", line, limit="clearance")
     best, kept = -np.inf, approach.posture
     needed = scenario.clearance + approach.margin
     wide, share_of = max(_WIDE, needed), shares_of(scenario)

@@ -6,13 +6,11 @@ The URDF's limits are not enforced; ``actuation.limit`` saturates the force.
 import dataclasses
 import functools
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.capture.handover import Handover
@@ -21,6 +19,7 @@ from ffsm_drake.runs.limits import (
     INSTANTS,
     Closest,
     closest_of,
+    not_measured,
     remarks_on,
     too_near,
 )
@@ -69,10 +68,6 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     if scenario.blocks.reference is None:
         motion = make_motion(scenario, model.coordinates)
         remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
-        try:
-            plan_clearance(scenario)
-        except ModelError as error:
-            remarks.append(f"clearance is not evaluated: {error}")
         remarks += _momentum(scenario)
     return [*remarks, *plan_limits(scenario)]
 
@@ -91,8 +86,8 @@ def plan_limits(scenario: Scenario) -> list[str]:
     if scenario.blocks.reference is not None:
         return found
     motion = make_motion(scenario, model.coordinates)
-    with suppress(ModelError):  # shapes without a distance
-        found += too_near(plan_clearance(scenario), scenario.clearance, "the planned motion")
+    found += not_measured(scenario)
+    found += too_near(plan_clearance(scenario), scenario.clearance, "the planned motion")
     drives = None
     if scenario.drives is not None:
         drives = DriveSet(scenario.drives, scenario.actuation.limit, model.coordinates)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, ModelError, one_line
+from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.common.steps import step
@@ -309,9 +309,7 @@ def mission(scenario: Scenario, *, rehearsal: bool) -> tuple[dict[str, Any], lis
     """The plan's clearance, the momentum after a grasp, the verdict and all warnings for ``ffsm
     validate``, as plain data; and lines on them, without the warnings. Errors as ``verdict``.
     """
-    closest, budget = [], momentum_budget(scenario)
-    with suppress(ModelError):  # already among the remarks
-        closest = plan_clearance(scenario)
+    closest, budget = plan_clearance(scenario), momentum_budget(scenario)
     remarks, found = plan_remarks(scenario), verdict(scenario, rehearsal=rehearsal)
     momentum = {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
     data = {

@@ -139,10 +139,7 @@ class Draft:
         end["joints"], initial["joints"] = map(arm.by_name, (target, starts[0]))
         arm.clearance = Clearance(self.scenario.model, flexible=True)  # real shapes only
         if (least := arm.nearest(starts[0], target)).distance < 0.0:
-            self.touching = (
-                f"no posture free of contact was found: {least.first} and {least.second} overlap "
-                f"by {-least.distance:.3g} m in the best"
-            )
+            self.touching = f"no posture free of contact was found: {least} in the best"
         self.data["reference"]["duration"] = max(
             self.data["reference"]["duration"],
             *(
@@ -180,14 +177,14 @@ class Draft:
             with step(f"approach {k + 1} of {len(ways)}"):
                 near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
             if near.distance > best[0]:
-                told = f"{near.first} and {near.second} come within {near.distance:.3g} m"
+                told = str(near)
                 best = near.distance, told, initial["joints"], approach["posture"]
             if near.distance >= 2.0 * Scenario().clearance:
                 return
         _, told, initial["joints"], approach["posture"] = best
         if best[0] < Scenario().clearance:
             self.touching = (
-                f"no approach keeps clear of the target: {told} (below 0 they overlap); try a "
+                f"no approach keeps clear of the target: {told}; try a "
                 "slower tumble, or a --tip at the end of the hand (now "
                 f"{self.data['model']['end_effector']})"
             )

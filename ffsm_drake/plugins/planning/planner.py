@@ -171,9 +171,7 @@ class _Planner:
             nearest = self._clearance.nearest(posture)
             if nearest.distance < self._scenario.clearance:
                 raise PlanningError(
-                    f"no plan: {what}: {nearest.first} and {nearest.second} are "
-                    f"{nearest.distance:.3g} m apart, below clearance "
-                    f"({self._scenario.clearance:g} m)"
+                    f"no plan: {what}: {nearest}, below clearance ({self._scenario.clearance:g} m)"
                 )
 
     def plan(self) -> PlannedMotionReport:

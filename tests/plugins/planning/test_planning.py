@@ -256,7 +256,7 @@ def test_a_refused_plan_says_what_to_try():
             "planning.velocity_limit={joint_3: 0.1}",
             "joint_3 starts at 0.1669 rad/s, beyond its limit of 0.1",
         ),
-        ("clearance=0.3", "initial_posture: hand and link_2 are 0.278 m apart, below clearance"),
+        ("clearance=0.3", "initial_posture: hand and link_2 0.278 m apart, below clearance"),
         ("planning.velocity_limit={joint: 1}", "planning.velocity_limit.joint: unknown coordinate"),
     ],
 )
