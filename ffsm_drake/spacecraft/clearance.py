@@ -157,8 +157,8 @@ class Clearance:
                     measures_of(shape)
                     self._shapes.append(_Shape(body=body, shape=shape, pose=pose))
                 except (RuntimeError, ValueError) as error:
-                    what = error if not isinstance(shape, Mesh) else shape.source().path().name
-                    self.unmeasured.append(f"{body.name()}: {what}")
+                    what = shape.source().path().name if isinstance(shape, Mesh) else error
+                    self.unmeasured.append(f"{body.name()} ({what})")
 
     def placed(self) -> Iterator[tuple[str, Shape, RigidTransform]]:
         """Each shape, with the scoped name of its body, and its pose X_BG in that."""

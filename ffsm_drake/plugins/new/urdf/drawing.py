@@ -15,7 +15,7 @@ from ffsm_drake.plugins.new.urdf.elements import (
     read_mass,
     vector,
 )
-from ffsm_drake.spacecraft.clearance import INVENTED
+from ffsm_drake.spacecraft.clearance import INVENTED, UNMEASURED
 
 _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": "0.48 0.50 0.54 1"}
 
@@ -30,7 +30,8 @@ def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float
     about its size.
     """
     drawn = list[str]()
-    pictured = {name_of(link) for link in root.findall("link") if link.find("visual") is not None}
+    given = {name_of(link): link.findall("visual") for link in root.findall("link")}
+    pictured = {name for name, visuals in given.items() if not all(map(_is_mark, visuals))}
     carriers = {  # between a joint and a link with a picture
         end_of(joint, "parent")
         for joint in root.findall("joint[@type='fixed']")
@@ -54,11 +55,17 @@ def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float
         for end in ends:
             if np.linalg.norm(end - start) > 0.1 * radius:
                 _add_rod(link, start, end, radius)
-        for k, visual in enumerate(link.findall("visual") if name in base_links else ()):
+        made = [visual for visual in link.findall("visual") if visual not in given[name]]
+        for k, visual in enumerate(made if name in base_links else ()):
             visual.set("name", f"{INVENTED}_{k}")
-        if link.find("visual") is not None:
+        if made:
             drawn.append(name)
     return drawn
+
+
+def _is_mark(visual: Element) -> bool:
+    """Whether a visual stands for one that cannot be drawn."""
+    return visual.get("name", "").startswith(UNMEASURED)
 
 
 def _held_points(root: Element, link: str) -> Iterator[np.ndarray]:

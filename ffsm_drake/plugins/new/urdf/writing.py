@@ -7,25 +7,29 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
+from ffsm_drake.plugins.new.urdf import collada, stl
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
 from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of, package_folders
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
-from ffsm_drake.plugins.new.urdf.stl import as_wavefront
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
+from ffsm_drake.spacecraft.clearance import INVENTED, UNMEASURED
 from ffsm_drake.spacecraft.model_files import DRAWABLE
 
 # A file name in a mesh: in quotes, between tags, or at the end of a line of a Wavefront file.
 _NAMED_FILE = re.compile(
     r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
 )
+_SHAPES = ("box", "sphere", "cylinder", "capsule", "ellipsoid")  # that Drake reads
+_CONVERTED = {".stl": stl.as_wavefront, ".dae": collada.as_wavefront}
 _REASONS = {
     "dynamics": "damping and friction left out ({times}): the equations of motion here have none",
     "collision": "collision shapes left out ({times}): contact is not modelled",
+    "picture": "collision shapes drawn ({times}), of links without a picture that can be drawn",
 }
 
 
@@ -46,10 +50,10 @@ def write_urdf(
     root = copy.deepcopy(servicer.root)
     left_out = _strip(root)
     _inline_colors(root)
-    remarks = [
-        *_omissions(left_out),
-        *_copy_meshes(root, servicer.source.resolve(), directory / "meshes", packages),
-    ]
+    meshes = _Meshes(servicer.source.resolve(), directory / "meshes", packages)
+    for link in root.iter("link"):
+        left_out += meshes.draw(link)
+    remarks = [*_omissions(left_out), *meshes.remarks()]
     drawn = draw_bare_links(
         root, base_links=servicer.base_links, radius=max(0.02 * servicer.reach, 0.01)
     )
@@ -103,9 +107,9 @@ def _strip(root: Element) -> Counter[str]:
                 ):
                     left_out[tag] += 1
     for link in root.iter("link"):
-        for element in link.findall("collision"):
-            link.remove(element)
-            left_out["collision"] += 1
+        for element in link.findall("visual"):
+            if element.get("name", "").startswith((INVENTED, UNMEASURED)):
+                del element.attrib["name"]  # which have a meaning below
         for inertial in link.findall("inertial"):
             if not any(float(mass.get("value") or 0.0) for mass in inertial.findall("mass")):
                 link.remove(inertial)
@@ -146,67 +150,108 @@ def _inline_colors(root: Element) -> None:
                 color_visual(parent, name, colors[name])
 
 
-def _copy_meshes(
-    root: Element, source: Path, folder: Path, packages: Mapping[str, Path]
-) -> Iterator[str]:
-    """Copy the drawable meshes, STL as Wavefront, and address the copies; drop other visuals.
+class _Meshes:
+    """Copies the drawable meshes of a URDF, STL and COLLADA as Wavefront, and addresses the copies.
 
-    Yields remarks.
+    Other shapes become marks, by which clearances name them.
     """
-    missing: list[str] = []
-    undrawable: list[str] = []
-    places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
-    for link in root.iter("link"):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            if mesh is None:
-                continue
-            address = mesh.attrib.pop("uri", "")
-            address = mesh.get("filename") or address
-            file = _find_mesh(address, source, packages)
-            is_stl = file is not None and file.suffix.lower() == ".stl"
-            converted = as_wavefront(file) if file is not None and is_stl else None
-            if file is None or (converted is None and file.suffix.lower() not in DRAWABLE):
-                link.remove(visual)
-                (missing if file is None else undrawable).append(address)
-                continue
-            place = places.setdefault(file.parent, f"{len(places) + 1}")
-            if converted is not None:
-                (folder / place).mkdir(parents=True, exist_ok=True)
-                write_text(folder / place / f"{file.name}.obj", converted)
-                mesh.set("filename", f"{folder.name}/{place}/{file.name}.obj")
-                continue
+
+    def __init__(self, source: Path, folder: Path, packages: Mapping[str, Path]) -> None:
+        self._source, self._folder, self._packages = source, folder, packages
+        self._missing, self._undrawable, self._unknown = list[str](), list[str](), list[str]()
+        self._places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
+
+    def draw(self, link: Element) -> Counter[str]:
+        """Copy the meshes of a link. Without a picture that can be drawn, its collision shapes are
+        drawn. Returns the numbers of those that are, and are not.
+        """
+        marks = [each for each in link.findall("visual") if not self._copy(each)]
+        is_needed = bool(marks) or link.find("visual") is None
+        counts = Counter[str]()
+        for element in link.findall("collision"):
+            element.tag = "visual"
+            if is_needed and self._copy(element):
+                counts["picture"] += 1
+            else:
+                counts["collision"] += 1
+                if not is_needed:
+                    link.remove(element)
+        for mark in marks if sum(counts.values()) else ():
+            link.remove(mark)
+        return counts
+
+    def _copy(self, visual: Element) -> bool:
+        """Copy the mesh of a visual, if it has one; whether it can be drawn."""
+        shape = next(iter(visual.find("geometry") or ()), Element("nothing"))
+        if shape.tag.removeprefix(DRAKE) in _SHAPES:
+            return True
+        if (mesh := visual.find("geometry/mesh")) is None:
+            self._mark(visual, self._unknown, shape.get("name") or shape.tag)
+            return False
+        address = mesh.attrib.pop("uri", "")
+        address = mesh.get("filename") or address
+        file, converted = self._find(address), (mesh.text or "").strip()
+        mesh.text = None
+        if converted:  # a reader's own
+            file = self._source.parent / address
+        elif file is not None and file.suffix.lower() in _CONVERTED:
+            converted = _CONVERTED[file.suffix.lower()](file) or ""
+        if file is None or not (converted or file.suffix.lower() in DRAWABLE):
+            self._mark(visual, self._missing if file is None else self._undrawable, address)
+            return False
+        place = self._places.setdefault(file.parent, f"{len(self._places) + 1}")
+        if converted:
+            name = f"{file.name.removesuffix('.obj')}.obj"
+            (self._folder / place).mkdir(parents=True, exist_ok=True)
+            write_text(self._folder / place / name, f"{converted.rstrip()}\n")
+        else:
+            name = file.name
             for each in _with_companions(file):
-                target = folder / place / each.relative_to(file.parent)
+                target = self._folder / place / each.relative_to(file.parent)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(each, target)
-            mesh.set("filename", f"{folder.name}/{place}/{file.name}")
-    is_package = any(address.startswith(("package:", "model:")) for address in missing)
-    found_by = "give --package NAME=FOLDER" if is_package else f"put them beside {source.name}"
-    for addresses, problem, remedy in (
-        (missing, "not found", f"{found_by} to have them drawn"),
-        (undrawable, "of an undrawable format",
-         f"convert them to {', '.join((*DRAWABLE, '.stl'))}"),
-    ):  # fmt: skip
-        if addresses:
-            # Only the name of an absolute path: the copy should not reveal its author's folders.
-            shown = [
-                Path(each).name if each.startswith(("/", "file:")) else each
-                for each in dict.fromkeys(addresses)
-            ]
-            times = counted(len(addresses), "time")
-            yield f"meshes {problem} ({times}, {', '.join(shown[:3])}): {remedy}"
+        mesh.set("filename", f"{self._folder.name}/{place}/{name}")
+        return bool(converted) or file.suffix.lower() != ".dae"
 
+    def remarks(self) -> Iterator[str]:
+        """A line for meshes not found, and for shapes that cannot be drawn."""
+        is_package = any(each.startswith(("package:", "model:")) for each in self._missing)
+        beside = f"put them beside {self._source.name}"
+        found_by = "give --package NAME=FOLDER" if is_package else beside
+        for addresses, problem, remedy in (
+            (self._missing, "meshes not found", f"{found_by} to have them drawn"),
+            (self._undrawable, "meshes of an undrawable format",
+             f"convert them to {', '.join((*DRAWABLE, '.stl'))}"),
+            (self._unknown, "shapes that cannot be drawn", "replace them with meshes"),
+        ):  # fmt: skip
+            if addresses:
+                # Only the name of an absolute path, which would reveal its author's folders.
+                shown = [
+                    Path(each).name if each.startswith(("/", "file:")) else each
+                    for each in dict.fromkeys(addresses)
+                ]
+                times = counted(len(addresses), "time")
+                yield f"{problem} ({times}, {', '.join(shown[:3])}): {remedy}"
 
-def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path | None:
-    """The file of a mesh address: a path relative to the URDF ``source``, or a URL."""
-    scheme, _, rest = address.rpartition("://")
-    if scheme in ("", "file"):
-        candidates = [source.parent / rest]
-    else:
-        package, _, inside = rest.partition("/")
-        candidates = [folder / inside for folder in package_folders(package, source, packages)]
-    return next((file.resolve() for file in candidates if file.is_file()), None)
+    def _find(self, address: str) -> Path | None:
+        """The file of a mesh address: a path relative to the URDF, or a URL."""
+        scheme, _, rest = address.rpartition("://")
+        if scheme in ("", "file"):
+            candidates = [self._source.parent / rest]
+        else:
+            package, _, inside = rest.partition("/")
+            folders = package_folders(package, self._source, self._packages)
+            candidates = [folder / inside for folder in folders]
+        return next((file.resolve() for file in candidates if file.is_file()), None)
+
+    def _mark(self, visual: Element, kind: list[str], name: str) -> None:
+        """Put a ball in place of a shape that cannot be drawn, so that clearances name it."""
+        kind.append(name)
+        for geometry in visual.findall("geometry"):
+            visual.remove(geometry)
+        SubElement(SubElement(visual, "geometry"), "sphere", radius="0.01")
+        number = len(self._missing + self._undrawable + self._unknown)
+        visual.set("name", f"{UNMEASURED}_{number} {Path(name).name}")
 
 
 def _with_companions(mesh: Path) -> list[Path]:
