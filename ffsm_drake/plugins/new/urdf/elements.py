@@ -100,6 +100,23 @@ def package_folders(package: str, source: Path, packages: Mapping[str, Path]) ->
     yield from (above if above.name == package else above / package for above in source.parents)
 
 
+def found_file(
+    address: str, source: Path, packages: Mapping[str, Path], *, is_model: bool = False
+) -> Path | None:
+    """The file of an address: a path relative to a file ``source``, or a URL; of a model's folder
+    in SDFormat the file that it names.
+    """
+    scheme, _, rest = address.rpartition("://")
+    if scheme in ("", "file"):
+        candidates = [source.parent / rest]
+    else:
+        package, _, inside = rest.partition("/")
+        candidates = [folder / inside for folder in package_folders(package, source, packages)]
+    if is_model:
+        candidates = [each / "model.sdf" if each.is_dir() else each for each in candidates]
+    return next((file.resolve() for file in candidates if file.is_file()), None)
+
+
 def read_joint(element: Element) -> Joint:
     name = name_of(element)
     lower, upper, effort, velocity = read_limits(element)

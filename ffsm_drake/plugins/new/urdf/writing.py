@@ -13,7 +13,7 @@ from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf import collada, stl
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
-from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of, package_folders
+from ffsm_drake.plugins.new.urdf.elements import WORLD, found_file, listed, name_of
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
@@ -190,7 +190,8 @@ class _Meshes:
             return False
         address = mesh.attrib.pop("uri", "")
         address = mesh.get("filename") or address
-        file, converted = self._find(address), (mesh.text or "").strip()
+        file = found_file(address, self._source, self._packages)
+        converted = (mesh.text or "").strip()
         mesh.text = None
         if converted:  # a reader's own
             file = self._source.parent / address
@@ -232,17 +233,6 @@ class _Meshes:
                 ]
                 times = counted(len(addresses), "time")
                 yield f"{problem} ({times}, {', '.join(shown[:3])}): {remedy}"
-
-    def _find(self, address: str) -> Path | None:
-        """The file of a mesh address: a path relative to the URDF, or a URL."""
-        scheme, _, rest = address.rpartition("://")
-        if scheme in ("", "file"):
-            candidates = [self._source.parent / rest]
-        else:
-            package, _, inside = rest.partition("/")
-            folders = package_folders(package, self._source, self._packages)
-            candidates = [folder / inside for folder in folders]
-        return next((file.resolve() for file in candidates if file.is_file()), None)
 
     def _mark(self, visual: Element, kind: list[str], name: str) -> None:
         """Put a ball in place of a shape that cannot be drawn, so that clearances name it."""

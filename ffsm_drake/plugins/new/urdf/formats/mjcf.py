@@ -3,6 +3,7 @@ are applied.
 """
 
 import math
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -37,6 +38,7 @@ _COUNTED = {  # element -> attributes whose product is a number of parts, and th
     "numeric": (("size",), _MOST_PARTS),
 }
 _MOST_NUMBERS = 10_000_000  # of other sizes
+_MISSING = "ffsm_missing_"  # names of what stands for a mesh without its file begin so
 _DRAWN_GROUPS = 3  # MuJoCo shows the geoms of groups 0 to 2
 _PASSED_OVER = {  # number in the compiled model -> what it counts
     "nu": "actuator", "ntendon": "tendon", "ncam": "camera", "nlight": "light",
@@ -61,7 +63,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
     try:
         with warnings.catch_warnings(action="ignore"):
             spec = mujoco.MjSpec.from_file(str(path))
-            missing = _drop_missing_files(spec)
+            missing = _drop_missing_files(mujoco, spec, path)
             model = spec.compile()
     except (ValueError, RuntimeError, TypeError) as error:
         raise ModelError(f"MuJoCo cannot compile it: {one_line(error)}") from error
@@ -137,25 +139,54 @@ def _counts(element: Element, keys: tuple[str, ...]) -> list[float]:
     return found
 
 
-def _drop_missing_files(spec: Any) -> list[str]:
-    """Remove textures and visual meshes with missing files; returns their names."""
-    folder, names = Path(spec.modelfiledir), list[str]()
+def _drop_missing_files(mujoco: Any, spec: Any, path: Path) -> list[str]:
+    """Remove textures with missing files, and put marks in place of visual meshes; returns the
+    names.
+    """
+    places, names = _places(path), list[str]()
     delete = getattr(spec, "delete", lambda element: element.delete())  # older MuJoCo
     for asset in spec.textures:
-        if asset.file and not (folder / spec.texturedir / asset.file).is_file():
+        if asset.file and not any((each / asset.file).is_file() for each in places):
             for material in spec.materials:
                 material.textures = ["" if t == asset.name else t for t in material.textures]
             names.append(Path(asset.file).name)
             delete(asset)
     for asset in spec.meshes:
-        if asset.file and not (folder / spec.meshdir / asset.file).is_file():
+        if asset.file and not any((each / asset.file).is_file() for each in places):
             name = asset.name or Path(asset.file).stem
             shapes = [each for each in spec.geoms if each.meshname == name]
             if all(each.parent.explicitinertial for each in shapes):  # else MuJoCo names the file
                 names.append(Path(asset.file).name)
-                for each in (*shapes, asset):
-                    delete(each)
+                for each in shapes:
+                    each.type, each.size, each.meshname = (
+                        mujoco.mjtGeom.mjGEOM_SPHERE,
+                        [1, 0, 0],
+                        "",
+                    )
+                    each.name = f"{_MISSING}{each.id} {names[-1]}"
+                delete(asset)
     return names
+
+
+def _places(path: Path) -> set[Path]:
+    """The folders in which the files of a model may be, and of those that it includes."""
+    pending, found = [path], set[Path]()
+    for file in pending:  # grows during the loop
+        try:
+            root = ElementTree.parse(file, ElementTree.XMLParser(encoding="utf-8")).getroot()
+        except (OSError, ElementTree.ParseError, ValueError, LookupError):
+            continue  # which MuJoCo reports
+        folders = {path.parent, file.parent}
+        for each in root.iter("compiler"):
+            keys = [each.get(key, "") for key in ("assetdir", "meshdir", "texturedir")]
+            folders |= {folder / key for folder in folders for key in keys}
+        found |= folders
+        for each in (*root.iter("include"), *root.iter("model")):
+            for folder in folders:
+                other = folder / each.get("file", "")
+                if other.is_file() and other not in pending and len(pending) < _MOST_PARTS:
+                    pending.append(other)
+    return found | {above / name for above in {f.parent for f in pending} for name in found}
 
 
 class _Reader:
@@ -308,9 +339,10 @@ class _Reader:
         turn = _pose((0, 0, 0), m.body_iquat[body]).rotation().matrix()
         inertia = turn @ np.diag(m.body_inertia[body]) @ turn.T
         link = add_link(root, name, float(m.body_mass[body]), m.body_ipos[body], inertia)
-        for shape in range(m.ngeom):
-            if m.geom_bodyid[shape] == body and m.geom_group[shape] < _DRAWN_GROUPS:
-                self._add_shape(link, shape)
+        shapes = np.flatnonzero(m.geom_bodyid == body)
+        drawn = shapes[m.geom_group[shapes] < _DRAWN_GROUPS]
+        for shape in (drawn if drawn.size else shapes).tolist():
+            self._add_shape(link, shape)
         joints = range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
         if not all(map(self._is_single, joints)):
             return
@@ -374,6 +406,9 @@ class _Reader:
     def _add_shape(self, link: Element, shape: int) -> None:
         m, kinds = self.m, self.mujoco.mjtGeom
         pose, size = _pose(m.geom_pos[shape], m.geom_quat[shape]), m.geom_size[shape]
+        if (name := self._name("geom", shape)).startswith(_MISSING):
+            add_visual(link, "mesh", pose, None, filename=name.partition(" ")[2])
+            return
         kind, color = int(m.geom_type[shape]), m.geom_rgba[shape]
         if m.geom_matid[shape] >= 0:
             color = m.mat_rgba[m.geom_matid[shape]]
@@ -391,16 +426,24 @@ class _Reader:
             add_visual(
                 link, name, pose, color, **{key: text(value) for key, value in sizes.items()}
             )
-        elif kind == int(kinds.mjGEOM_MESH):
-            mesh = int(m.geom_dataid[shape])
-            file = self.spec.meshes[mesh].file
-            if file:
-                folder = Path(self.spec.modelfiledir) / self.spec.meshdir
-                moved = _pose(m.mesh_pos[mesh], m.mesh_quat[mesh])
-                add_visual(
-                    link, "mesh", pose @ moved.inverse(), color,
-                    filename=str((folder / file).resolve()), scale=text(m.mesh_scale[mesh]),
-                )  # fmt: skip
+        elif kind in (int(kinds.mjGEOM_MESH), int(kinds.mjGEOM_SDF)):
+            self._add_mesh(link, pose, color, int(m.geom_dataid[shape]))
+        else:
+            name = kinds(kind).name.removeprefix("mjGEOM_").lower()
+            add_visual(link, "unread", pose, None, name=name)
+
+    def _add_mesh(self, link: Element, pose: RigidTransform, color: Any, mesh: int) -> None:
+        """A mesh as MuJoCo has compiled it: scaled, moved, of any format, from any folder."""
+        m = self.m
+        first, count = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
+        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in m.mesh_vert[first:][:count].tolist()]
+        first, count = int(m.mesh_faceadr[mesh]), int(m.mesh_facenum[mesh])
+        lines += [f"f {a} {b} {c}" for a, b, c in (1 + m.mesh_face[first:][:count]).tolist()]
+        name = re.sub(r"[^\w.-]", "_", self._name("mesh", mesh)).removesuffix(".obj")
+        if any(name == re.sub(r"[^\w.-]", "_", self._name("mesh", k)) for k in range(mesh)):
+            name = f"{name}_{mesh}"
+        add_visual(link, "mesh", pose, color, filename=f"{name}.obj")
+        link[-1].find("geometry/mesh").text = "\n".join(lines)  # type: ignore[union-attr]
 
 
 def _pose(position: object, quaternion: object) -> RigidTransform:

@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
@@ -22,16 +21,17 @@ from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
     add_link,
-    add_visual,
     keep_servicer,
     text,
 )
 from ffsm_drake.plugins.new.urdf.formats.located import (
+    Lines,
     check_names,
     keep_lines,
     number_faults,
     read_located,
 )
+from ffsm_drake.plugins.new.urdf.formats.pictures import Pictures
 from ffsm_drake.spacecraft.checked_urdf import Faults, number, require
 
 # Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
@@ -42,37 +42,40 @@ _PASSED_OVER = (
     "particle_emitter", "projector", "battery", "audio_sink", "audio_source", "gripper",
     "must_be_base_link", "collision", "visual",
 )  # fmt: skip
-_SHAPES = {  # geometry of SDFormat -> element of a URDF, and its attributes by SDFormat's names
-    "box": ("box", {"size": "size"}),
-    "sphere": ("sphere", {"radius": "radius"}),
-    "cylinder": ("cylinder", {"radius": "radius", "length": "length"}),
-    "capsule": ("capsule", {"radius": "radius", "length": "length"}),
-    "mesh": ("mesh", {"uri": "filename", "scale": "scale"}),
-}
 
 
 def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[str]]:
     """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
     of it cannot be represented.
     """
-    tree, lines = read_located(path)
-    check_names(tree, lines, path.resolve().parent)
-    visuals, mimics = dict(_visuals(tree)), dict(_take_mimics(tree))
-    passed = Counter(_remove(tree))
-    shown = [visual for each in visuals.values() for visual in each]
-    Faults(number_faults((tree, *shown), lines)).raise_all()
-    keep_lines(tree, lines)
-    plant, springs = _parsed(tree, lines[tree], path, packages)
+    passed = Counter[str]()
+
+    def read(file: Path) -> tuple[Element, Lines]:
+        """A file ready for Drake."""
+        tree, lines = read_located(file)
+        check_names(tree, lines, file.resolve().parent)
+        known = len(pictures.visuals)
+        pictures.take(tree, file)
+        passed.update(_remove(tree))
+        shown = [*pictures.visuals.values()][known:]
+        Faults(number_faults((tree, *shown), lines)).raise_all()
+        keep_lines(tree, lines)
+        return tree, lines
+
+    pictures = Pictures(packages, lambda file: read(file)[0])
+    tree, lines = read(path)
+    mimics = dict(_take_mimics(tree))
+    plant, springs = _parsed(tree, lines[tree], path, packages, pictures)
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
-    frames = {frame.get("name", "") for frame in tree.iter("frame")}
+    frames = {frame.get("name", "") for frame in tree.iter("frame")} - pictures.visuals.keys()
     faults = Faults(
         [f"{counted(springs, 'spring')} at joints; set spring_stiffness to 0"] if springs else []
     )
     bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
     names = _unique(plant, bodies)
     for body in bodies:
-        scoped = _scoped(plant, body)
-        _add_body(root, names[scoped], body, visuals.get(scoped, []))
+        _add_body(root, names[_scoped(plant, body)], body)
+    pictures.add(root, plant, lambda body: names.get(_scoped(plant, body), ""))
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     unique = _unique(plant, joints)
     for joint in joints:
@@ -100,16 +103,6 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     if lone := keep_servicer(root):
         remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
     return root, remarks
-
-
-def _visuals(element: Element, scope: str = "") -> Iterator[tuple[str, list[Element]]]:
-    """The visuals of each link, by its scoped name."""
-    for child in element:
-        name = f"{scope}{child.get('name', '')}"
-        if child.tag == "link":
-            yield name, child.findall("visual")
-        elif child.tag in ("world", "model"):
-            yield from _visuals(child, f"{name}::" if child.tag == "model" else scope)
 
 
 def _take_mimics(element: Element, scope: str = "") -> Iterator[tuple[str, tuple[str, Element]]]:
@@ -162,7 +155,7 @@ def _remove(tree: Element) -> Iterator[str]:
 
 
 def _parsed(
-    tree: Element, line: int, path: Path, packages: Mapping[str, Path]
+    tree: Element, line: int, path: Path, packages: Mapping[str, Path], pictures: Pictures
 ) -> tuple[MultibodyPlant, int]:
     """Drake's reading of a file whose unused elements are removed, with its root on a line, and its
     number of springs.
@@ -176,6 +169,7 @@ def _parsed(
     try:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / f"{path.stem}.sdf"
+            pictures.write(Path(folder))
             above = b"\n" * (line - 1)
             file.write_bytes(above + ElementTree.tostring(tree, encoding="utf-8"))
             try:
@@ -207,30 +201,13 @@ class _Told(logging.Handler):
         self.texts.append(" ".join(record.getMessage().split()))
 
 
-def _add_body(root: Element, name: str, body: Any, visuals: list[Element]) -> None:
+def _add_body(root: Element, name: str, body: Any) -> None:
     inertia = body.default_spatial_inertia()
     mass, center = float(inertia.get_mass()), inertia.get_com()
     tensor = np.zeros((3, 3))
     if mass:
         tensor = inertia.Shift(center).CalcRotationalInertia().CopyToFullMatrix3()
-    link = add_link(root, name, mass, center, tensor)
-    for visual in visuals:
-        geometry, pose = visual.find("geometry"), visual.findtext("pose", "0 0 0 0 0 0").split()
-        for kind in () if geometry is None else geometry:
-            if kind.tag in _SHAPES and len(pose) == 6:
-                shape, keys = _SHAPES[kind.tag]
-                sizes = {
-                    to: value.strip()
-                    for given, to in keys.items()
-                    if (value := kind.findtext(given)) is not None
-                }
-                place = np.array(pose, dtype=float)
-                diffuse = visual.findtext("material/diffuse")
-                color = None if diffuse is None else np.array(diffuse.split(), dtype=float)
-                if color is not None and color.shape == (3,):
-                    color = np.append(color, 1.0)
-                at = RigidTransform(RollPitchYaw(place[3:]), place[:3])
-                add_visual(link, shape, at, color, **sizes)
+    add_link(root, name, mass, center, tensor)
 
 
 def _add_joint(
