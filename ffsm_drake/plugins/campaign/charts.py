@@ -11,7 +11,7 @@ from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.show.chart import Chart, Curve, Level
 from ffsm_drake.show.curves import cumulative
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, panel
-from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styles_of
+from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, styles_of
 
 FAILED = "#CC3311"
 SETTLED = "#4477AA"
@@ -66,7 +66,7 @@ def _success(findings: Findings) -> Panel:
         "type": "bar",
         "orientation": "h",
         "x": [100.0 * rate.value for rate in rates.values()],
-        "y": [label_of(name) for name in rates],
+        "y": [findings.spec.label(name) for name in rates],
         "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
         "error_x": {"type": "data", "symmetric": False, "color": NEUTRAL, **whiskers},
         "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
@@ -81,7 +81,7 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
     for controller, style in _styles(findings).items():
         runs = findings.table.runs[controller]
         x, y = cumulative(runs.metrics[metric][runs.settled], runs.case.size)
-        label = label_of(controller)
+        label = findings.spec.label(controller)
         curves.append(Curve(x, y, style, label, width=2.0, steps=True))
     chart = Chart(
         title=f"Cases settled with at most a given {name}", kind="chart", curves=curves, x=name,
@@ -101,7 +101,9 @@ def _differences(findings: Findings) -> list[Panel]:
     levels = {"lowerfence": 0.05, "q1": 0.25, "median": 0.5, "q3": 0.75, "upperfence": 0.95}
     boxes: Trace = {
         "type": "box", "orientation": "h", "line": {"color": BLUE, "width": 1.4}, "name": "",
-        "y": [f"{item.first} /<br>{item.second}" for item in pairs],
+        "y": [
+            " /<br>".join(map(findings.spec.label, (item.first, item.second))) for item in pairs
+        ],
     }  # fmt: skip
     for name, level in levels.items():
         boxes[name] = [float(np.quantile(item.ratios, level)) for item in pairs]
@@ -143,7 +145,7 @@ def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], met
         )
         x, y = np.array(own, dtype=float).reshape(-1, 2).T
         look: dict[str, Any] = {"width": 2.0, "marker": "circle", "size": 6.0}
-        curves.append(Curve(x, y, style, label_of(name), **look))
+        curves.append(Curve(x, y, style, findings.spec.label(name), **look))
     wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
     chart = Chart(
         title=GRID_METRICS[metric], kind="chart", curves=curves, x=along, legend=True,
@@ -167,7 +169,7 @@ def _sensitivity(findings: Findings) -> Panel:
         traces.append({
             "type": "bar",
             "orientation": "h",
-            "name": label_of(controller),
+            "name": findings.spec.label(controller),
             "y": names,
             "x": [100.0 * item.share for item in items],
             "customdata": [[item.correlation, 100.0 * item.chance] for item in items],
@@ -250,7 +252,7 @@ def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Panel:
             "marker": {"color": color, "symbol": symbol, "size": 7 if x.size < 1000 else 4},
         })  # fmt: skip
     chart = Chart(
-        title=label_of(runs.controller), kind="map", curves=[], legend=True, x=grid.x_name,
+        title=findings.spec.label(runs.controller), kind="map", curves=[], legend=True, x=grid.x_name,
         y=grid.y_name, log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
     )  # fmt: skip
     plain = {"zeroline": False}

@@ -87,7 +87,8 @@ _OPTIONS = ("cases", "dynamics")  # keys of a specification that options replace
 def plan(spec: str, cases: int | None, dynamics: str | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and estimate its run time.
 
-    Runs the first case with every controller to estimate the time; writes nothing.
+    Runs cases with every controller, until one reaches its end, to estimate the time; writes
+    nothing.
 
     \b
     Example:

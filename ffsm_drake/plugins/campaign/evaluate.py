@@ -84,6 +84,21 @@ class Judged:
         driven = velocity[:, log.coordinates.driven]
         return self.spec.settled.time(log.time, log.tracked, velocity=driven)
 
+    @property
+    def unsettled(self) -> str:
+        """Which error is farthest beyond its bound over the last ``hold`` s, or what moves."""
+        tracked, settled = self.log.tracked, self.spec.settled
+        last = self.log.time >= self.log.time[-1] - settled.hold - 5e-10
+        bound = np.array([settled.tolerance[group] for group in tracked.groups])
+        largest = np.abs(tracked.error[last]).max(axis=0, initial=0.0)
+        k = int(np.argmax(largest / np.maximum(bound, 1e-300)))
+        if largest[k] <= bound[k]:
+            return f"within the tolerance, but moving faster than {settled.rest} rad/s or m/s"
+        return (
+            f"{tracked.names[k]}: up to {largest[k]:.3g} {tracked.units[k]} in the last "
+            f"{settled.hold:g} s, tolerance {bound[k]:g}"
+        )
+
     @functools.cached_property
     def _near(self) -> Any:
         return distances_in(self.log)
@@ -387,7 +402,9 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         raise RuntimeError("the run was interrupted")
     run, outcome, message = Judged(spec, log), log.outcome.status, log.outcome.message
     if log.outcome.completed:
-        outcome, message = "not_settled" if run.settled_time is None else "settled", ""
+        outcome, message = "settled", ""
+        if run.settled_time is None:
+            outcome, message = "not_settled", run.unsettled
         if log.ending.status == GROWING:
             outcome, message = "growing", log.ending.sentence
     values = {each.column_name: each.of(log.tracking) for each in RUN_METRICS if each.column_name}

@@ -29,7 +29,6 @@ from ffsm_drake.plugins.campaign.statistics import (
 )
 from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.show.page import embedded, render
-from ffsm_drake.show.style import label_of
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
@@ -106,7 +105,7 @@ def _columns(findings: Findings) -> list[Column]:
     """A row for each controller: success in percent, and the medians of the settled runs."""
     runs_of, rates = findings.table.runs, findings.success.values()
     columns = [
-        Column(name="controller", cells=[label_of(name) for name in runs_of]),
+        Column(name="controller", cells=[findings.spec.label(name) for name in runs_of]),
         Column(name="runs", cells=[runs.settled.size for runs in runs_of.values()]),
     ]
     for name, key in (("settled", "value"), ("at least", "low"), ("at most", "high")):
@@ -126,7 +125,7 @@ def summary_text(findings: Findings) -> str:
     for item in findings.agreement:
         rate = findings.success[item.controller]
         predicted = f"{percent(item.share)} of {item.total}"
-        rates.append([item.controller, percent(rate.value), _between(rate), predicted])
+        rates.append([findings.spec.label(item.controller), percent(rate.value), _between(rate), predicted])
 
     totals = [str(sum(getattr(item, name) for item in findings.agreement)) for name in _PREDICTED]
     outcomes = [["", "settled", "not settled"]]
@@ -147,6 +146,7 @@ def _page(store: Store, findings: Findings) -> str:
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,
         "spec": spec,
+        "laws": [spec.label(name) for name in spec.controllers],
         "runs": findings.runs,
         "complete": findings.runs == spec.runs,
         "confidence": f"{100.0 * CONFIDENCE:.0f}",
@@ -192,7 +192,7 @@ def _metric_tables(spec: Spec) -> list[dict[str, str]]:
 
 def _controller_tables(findings: Findings) -> dict[str, Any]:
     """Success, metrics and limits left, a row or more for each controller."""
-    runs_of = {label_of(name): runs for name, runs in findings.table.runs.items()}
+    runs_of = {findings.spec.label(name): runs for name, runs in findings.table.runs.items()}
     success = [
         [label, percent(rate.value), _between(rate)]
         + [int((runs.outcome == kind).sum()) for kind in OUTCOMES]
@@ -222,8 +222,8 @@ def _grid_table(findings: Findings) -> dict[str, Any]:
     rows = []
     for point in findings.grid:
         outcomes = (f"{count} {kind.replace('_', ' ')}" for kind, count in point.outcomes.items())
-        means = (_mean(point.means[name]) for name in GRID_METRICS)
-        row = [*point.levels.values(), label_of(point.controller), ", ".join(outcomes), *means]
+        means = (number(point.means[name], 3) for name in GRID_METRICS)
+        row = [*point.levels.values(), findings.spec.label(point.controller), ", ".join(outcomes), *means]
         rows.append(row)
     return {"grid_header": header, "grid_rows": rows}
 
@@ -232,9 +232,9 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
     """Pairs of controllers, sensitivities, and predictions against outcomes."""
     differences = [
         [
-            f"{label_of(d.first)} against {label_of(d.second)}",
-            *_value_and_interval(d.success, "{:+.1f}", 100.0),
-            *_value_and_interval(d.itae_ratio, "{:.3g}"),
+            f"{findings.spec.label(d.first)} against {findings.spec.label(d.second)}",
+            *_value_and_interval(d.success, lambda value: f"{100.0 * value:+.1f}"),
+            *_value_and_interval(d.itae_ratio, lambda value: number(value, 3)),
             d.both,
         ]
         for d in findings.differences
@@ -243,7 +243,7 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
         (
             [
                 name,
-                label_of(s.controller),
+                findings.spec.label(s.controller),
                 percent(s.share),
                 percent(s.chance),
                 _plain(s.correlation),
@@ -255,7 +255,7 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
         if s.name == name
     ]
     agreement = [
-        [label_of(one.controller), *(getattr(one, kind) for kind in _PREDICTED), percent(one.share)]
+        [findings.spec.label(one.controller), *(getattr(one, kind) for kind in _PREDICTED), percent(one.share)]
         for one in findings.agreement
     ]
     return {"differences": differences, "sensitivities": sensitivities, "agreement": agreement}
@@ -268,24 +268,22 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
         for place in worst_runs(runs):
             case = int(runs.case[place])
             row = store.result(case, name)
-            message = row["message"] or f"final joint error {row['final_error_joints']:.3g} rad"
+            message = row["message"] or f"final joint error {number(row['final_error_joints'], 3)} rad"
             values = ", ".join(f"{key} {_plain(row[key])}" for key in findings.influential)
             command = f"ffsm campaign rerun {store.path} --case {case} --controller {name}"
             rows.append(
                 (
-                    [label_of(name), case, runs.outcome[place].replace("_", " "), message, values],
+                    [findings.spec.label(name), case, runs.outcome[place].replace("_", " "), message, values],
                     command,
                 )
             )
     return rows
 
 
-def _value_and_interval(interval: Interval | None, form: str, factor: float = 1.0) -> list[str]:
+def _value_and_interval(interval: Interval | None, form: Callable[[float], str]) -> list[str]:
     if interval is None:
         return [NONE, NONE]
-    value, low, high = (
-        form.format(factor * x) for x in (interval.value, interval.low, interval.high)
-    )
+    value, low, high = map(form, (interval.value, interval.low, interval.high))
     return [value, f"{low} … {high}"]
 
 
@@ -302,11 +300,7 @@ def _spread(values: tuple[float, float, float]) -> str:
     )
 
 
-def _mean(value: float) -> str:
-    return NONE if math.isnan(value) else number(value, 3)
-
-
 def _plain(value: Any) -> str:
     if isinstance(value, float):
-        return NONE if math.isnan(value) else f"{value:.3g}"
+        return number(value, 3)
     return str(value)

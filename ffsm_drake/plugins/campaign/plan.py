@@ -7,6 +7,7 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
 from ffsm_drake.plugins.campaign.evaluate import (
+    COMPLETED,
     DRAKE_DIFFERENCE,
     DRAKE_OUTCOME,
     DYNAMICS,
@@ -26,7 +27,8 @@ _WINDOW = 1000  # runs over which memory is averaged
 
 
 def plan_text(spec: Spec, *, workers: int) -> str:
-    """A summary of the cases and an estimate of the duration, for which the first case is run.
+    """A summary of the cases and an estimate of the duration, for which cases are run until
+    one reaches its end.
 
     Raises:
       CampaignError, ModelError, ScenarioError: a value cannot be used.
@@ -35,11 +37,20 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     cases = make_cases(spec)
     first = list(itertools.islice(cases, _SHOWN))
     evaluator = Evaluator(spec)
-    rows = dict[str, Row]()
-    for case in (first[0], first[-1]):  # the first run pays for imports
-        for name in spec.controllers:
-            with step(f"case {case.index} with {name}"):
-                rows[name] = evaluator.evaluate(case, name)
+    rows, problems = dict[str, Row](), dict[str, str]()
+
+    def evaluate(case: Case, name: str) -> Row:
+        with step(f"case {case.index} with {name}"):
+            return evaluator.evaluate(case, name)
+
+    for name in spec.controllers:
+        evaluate(first[0], name)  # pays for imports
+        for case in reversed(first):
+            rows[name] = row = evaluate(case, name)
+            if row["outcome"] in COMPLETED:
+                break
+            said = f"case {case.index} with {name}: {row['outcome']}: {row['message']}"
+            problems.setdefault(name, said)
     seconds = [row["wall_time"] for row in rows.values()]
     width = max(map(len, spec.names)) + 2
     tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
@@ -57,18 +68,19 @@ def plan_text(spec: Spec, *, workers: int) -> str:
         )
     total = statistics.fmean(seconds) * spec.runs / workers
     per_run = ", ".join(
-        f"{name} {value:.2f} s" for name, value in zip(spec.controllers, seconds, strict=True)
+        f"{spec.label(name)} {value:.2f} s" for name, value in zip(spec.controllers, seconds, strict=True)
     )
     lines += [
         "",
         f"one run: {per_run}; all of them with {counted(workers, 'worker')}: about "
         f"{duration_text(total)}",
     ]
-    lines += [
-        f"case {first[-1].index} with {name}: error: {row['message']}"
-        for name, row in rows.items()
-        if row["outcome"] == "error"
-    ]
+    lines += problems.values()
+    if early := [name for name, row in rows.items() if row["outcome"] not in COMPLETED]:
+        lines.append(
+            f"{', '.join(early)}: none of {counted(len(first), 'case')} reached its end, so a run "
+            "that does takes longer"
+        )
     lines += [
         f"{name}: {row['message']}"
         for name, row in rows.items()
@@ -81,12 +93,13 @@ def status_text(store: Store) -> str:
     """Progress of a campaign, outcomes by controller, run times and memory."""
     spec, counts = store.spec, store.counts()
     done = store.num_results()
+    width = max(12, *(len(spec.label(name)) + 1 for name in counts))
     lines = [
         f"{store.path}: {spec.description or 'campaign'}",
         f"{done} of {counted(store.runs, 'run')} ({100.0 * done / max(store.runs, 1):.1f} %)"
         + (f" of shard {store.shard}" if store.shard.count > 1 else ""),
         "",
-        f"{'controller':<12}"
+        f"{'controller':<{width}}"
         + "".join(f"{name.replace('_', ' '):>13}" for name in OUTCOMES)
         + f"{'mean s':>9}",
     ]
@@ -96,7 +109,7 @@ def status_text(store: Store) -> str:
     for controller, outcomes in counts.items():
         mean = f"{seconds[controller]:.2f}" if seconds.get(controller) is not None else "-"
         lines.append(
-            f"{controller:<12}"
+            f"{spec.label(controller):<{width}}"
             + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
             + f"{mean:>9}"
         )

@@ -213,7 +213,7 @@ def _fill(fill: Callable[[int, int], None], grid: np.ndarray, finer: int) -> Non
     if np.isnan(grid[0, 0]) and np.isnan(grid[-1, -1]):
         return  # no prediction for this controller
     coarse = range(0, size, finer)
-    for k in (len(coarse) - 1, *(k for k in (5, 3) if k < len(coarse) - 1), 1):
+    for k in (k for k in (len(coarse) - 1, 5, 3, 1) if 0 < k < len(coarse)):
         for i, j in itertools.product(coarse[::k], coarse[::k]):
             fill(i, j)
     for i, j in itertools.product(coarse[:-1], coarse[:-1]):

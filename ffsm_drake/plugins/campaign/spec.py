@@ -40,6 +40,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.layers import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+from ffsm_drake.show.style import label_of
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.registry import find_factory, module_folder
@@ -58,6 +59,7 @@ _KEYS = (
     "parameters",
     "factors",
     "derive",
+    "labels",
     "settled",
     "time_limit",
     "predictions",
@@ -66,6 +68,7 @@ _KEYS = (
 # cases, values of a case, points drawn in all
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
 _LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
+_LABEL = 60  # characters
 _TIME_LIMIT = 600.0  # s
 # Keys that the campaign itself sets.
 _RESERVED = {
@@ -137,6 +140,11 @@ class Spec:
     def description(self) -> str:
         return str(self.data.get("description", ""))
 
+    def label(self, controller: str) -> str:
+        """The name of a controller in tables and figures."""
+        labels: Mapping[str, str] = self.data.get("labels", {})
+        return labels.get(controller) or label_of(controller)
+
     @property
     def distributions(self) -> dict[str, Distribution]:
         """Parameters and factors in their order."""
@@ -181,7 +189,7 @@ class Spec:
     @property
     def fingerprint(self) -> str:
         """SHA-256 of all that shapes a result."""
-        shaping = {key: value for key, value in self.data.items() if key != "description"}
+        shaping = {key: value for key, value in self.data.items() if key not in ("description", "labels")}
         return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()
 
 
@@ -312,6 +320,19 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         dynamics=dynamics,
     )
     _check_names(spec)
+    labels = data.get("labels", {})
+    if not isinstance(labels, Mapping) or not all(
+        name in spec.controllers and isinstance(label, str) and 0 < len(label) <= _LABEL
+        for name, label in labels.items()
+    ):
+        raise CampaignError(
+            f"labels: must give controllers of this campaign a text of at most {_LABEL} characters"
+        )
+    if len(shown_as := {spec.label(name) for name in spec.controllers}) < len(spec.controllers):
+        raise CampaignError(
+            f"labels: controllers share a name in tables: {', '.join(sorted(shown_as))}; give each "
+            "its own, as labels: {'module:Class': name}"
+        )
     return spec
 
 

@@ -2,10 +2,14 @@
 it.
 """
 
+import contextlib
 import html.parser
 import json
 import math
 import re
+import shutil
+import sqlite3
+import time
 
 import numpy as np
 import pytest
@@ -201,6 +205,7 @@ def test_the_map_wants_two_sampled_numbers(database):
 
 
 def test_the_map_is_kept_with_the_results(database, monkeypatch):
+    monkeypatch.setattr(prediction, "POINTS", 2)
     with open_store(database) as store:
         first = find(store).map
 
@@ -210,7 +215,7 @@ def test_the_map_is_kept_with_the_results(database, monkeypatch):
     monkeypatch.setattr(prediction, "predict", again)
     with open_store(database) as store:
         second = find(store).map
-        ((key, _),) = store.query("SELECT * FROM campaign WHERE key LIKE 'map %'")
+        ((key, _),) = store.query("SELECT * FROM campaign WHERE key LIKE 'points %'")
         for name, radius in first.radius.items():
             np.testing.assert_array_equal(second.radius[name], radius)
         for damaged in ("", "{", "[1]", '{"tdc": "x"}', '{"tdc": [[1.0]]}', '{"tdc": [[1], 2]}'):
@@ -218,8 +223,59 @@ def test_the_map_is_kept_with_the_results(database, monkeypatch):
             with pytest.raises(AssertionError):  # computed again
                 find(store)
         monkeypatch.undo()
+        monkeypatch.setattr(prediction, "POINTS", 2)
         store.keep(key, "{}")
         assert find(store).map.radius.keys() == first.radius.keys()
+
+
+@pytest.mark.slow
+def test_the_boundary_has_a_budget_and_comes_after_the_page(database, tmp_path, monkeypatch):
+    """Points found within any budget are kept; enough of them make the whole boundary."""
+    monkeypatch.setattr(prediction, "POINTS", 2)
+    value, pages = iter(np.linspace(0.5, 1.5, 400)), []
+
+    def predict(scenario):
+        pages.append((tmp_path / "page/report.html").exists())
+        time.sleep(0.02)
+        return (next(value),)
+
+    monkeypatch.setattr(prediction, "predict", predict)
+    with open_store(database) as store:
+        for (key,) in list(store.query("SELECT key FROM campaign WHERE key LIKE 'points %'")):
+            store.keep(key, "{}")
+        write_report(store, tmp_path / "page")
+        assert not pages  # no prediction without the option
+        assert "is not computed:" in " ".join((tmp_path / "page/report.html").read_text().split())
+        rounds = 0
+        while not find(store, boundary=0.0).map.whole:
+            before = len(pages)
+            write_report(store, tmp_path / "page", boundary=0.1)
+            assert len(pages) > before
+            rounds += 1
+        assert rounds > 1
+        assert all(pages)
+        points = len(pages)
+        write_report(store, tmp_path / "page", boundary=5.0)
+        assert len(pages) == points
+    assert "Shaded:" in (tmp_path / "page/report.html").read_text()
+
+
+def test_a_report_while_the_campaign_runs(database, tmp_path):
+    """Another connection writes between any two reads: the page and the table agree."""
+    path = tmp_path / "running.db"
+    shutil.copy(database, path)
+    with open_store(path, writing=True), open_store(path) as store:
+        with store.snapshot():
+            before = store.num_results()
+            with contextlib.closing(sqlite3.connect(path)) as other, other:
+                other.execute("DELETE FROM results WHERE case_index > 3")
+            assert store.num_results() == before
+        assert store.num_results() < before
+        written = write_report(store, tmp_path / "page")
+    assert "The campaign is not finished" in (tmp_path / "page/report.html").read_text()
+    lines = (tmp_path / "page/runs.csv").read_text().count("\n") - 1
+    assert f"{lines} of {before} runs stored" in (tmp_path / "page/report.html").read_text()
+    assert written.files[0].exists()
 
 
 class Reader(html.parser.HTMLParser):
@@ -308,7 +364,7 @@ def test_every_step_that_takes_time_has_a_name(tmp_path):
     with steps_seen() as seen:
         path = run_here(write_spec(tmp_path / "small.yaml", cases=6), tmp_path / "small.db")
         with open_store(path) as store:
-            write_report(store, tmp_path / "report")
+            write_report(store, tmp_path / "report", boundary=60.0)
     assert seen[""] < 0.25 * seen.total(), seen
     for name in (
         "building case 0 with ",
