@@ -1,5 +1,6 @@
-"""SIGINT, SIGTERM and SIGHUP at drawn instants of commands: what is there is whole, the exit code
-says which, and nothing is left running.
+"""SIGINT, SIGTERM and SIGHUP at drawn instants of commands, and while something in them never
+returns: they end in time, what is there is whole, the exit code says which, and nothing is left
+running.
 """
 
 import os
@@ -9,17 +10,19 @@ import signal
 import sqlite3
 import sys
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
+import blocked
 import pytest
-from children import PIPE, TimeoutExpired, child, processes
+from children import DEVNULL, PIPE, TimeoutExpired, child, finished, processes
 
 from ffsm_drake import RunRecord
 from ffsm_drake.scenario import load_scenario
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 MOST = 60.0  # s to the end after a signal
+SLOWNESS = float(os.environ.get("SLOWNESS", "3"))  # factor on bounds of time
 SPEC = """
 description: small
 scenario: postcapture
@@ -116,4 +119,153 @@ def test_signals_at_any_instant(tmp_path, monkeypatch, run):
             unclean.append(f"{type(error).__name__}: {error}")
         ends[end] = ends.get(end, 0) + 1
         print(ends, *unclean[len(unclean) - (end == "unclean") :], flush=True)
+    assert not unclean, "\n".join(unclean)
+
+
+# Commands, and where in them a call never returns: in the law where no function is named.
+PLANT, READING = "ffsm_drake.spacecraft.plant:make_plant", "ffsm_drake.runs.record:RunRecord.load"
+STUCK = {
+    "run": ("", "run -c blocked:Law --out new --set duration=1"),
+    "compare": ("", "compare -c tdc -c blocked:Law --out new --set duration=0.2 --no-report"),
+    "benchmark": ("", "benchmark paper -c blocked:Law --out new --workers 2"),
+    "campaign run": ("", "campaign run b.yaml --database new/b.db --workers 2"),
+    "campaign run, one worker": ("", "campaign run b.yaml --database new/b.db --workers 1"),
+    "campaign plan": ("", "campaign plan b.yaml"),
+    "campaign rerun": ("", "campaign rerun b.db --case 0 --out new"),
+    "campaign report": (
+        "ffsm_drake.plugins.campaign.statistics:read_table", "campaign report b.db --out new",
+    ),
+    "campaign report, boundary": (
+        "ffsm_drake.plugins.campaign.prediction:make_case",
+        "campaign report b.db --out new --boundary 100 --map payload.truth.mass sample_time",
+    ),
+    "design": (PLANT, "design --time 5 --out new --set duration=1"),
+    "stability": (PLANT, "stability"),
+    "validate": (PLANT, "validate"),
+    "plan": (PLANT, "plan --out new/plan.yaml"),
+    "reproduce": (PLANT, "reproduce fig3 --out new"),
+    "new": (PLANT, "new new/mine"),
+    "audit": (PLANT, "audit log.csv --urdf plain.urdf"),
+    "analyze": (READING, "analyze old --out new"),
+    "export": (READING, "export old new/r.csv"),
+    "plot": (READING, "plot old --out new"),
+    "replay": (READING, "replay old --out new/r.html"),
+}  # fmt: skip
+DISPERSED = """
+scenario: postcapture
+overrides: {duration: 0.2}
+controllers: ["blocked:Law"]
+cases: 4
+parameters:
+  payload.truth.mass: {distribution: uniform, low: 20, high: 300}
+  sample_time: {distribution: uniform, low: 0.005, high: 0.01}
+settled: {hold: 0.1}
+predictions: false
+"""
+WATCHED = """
+import sys, threading, time
+from pathlib import Path
+from ffsm_drake.common import interrupts
+interrupts.GRACE = 1.0
+interrupts.handle_signals().watch()
+threading.Thread(target=time.sleep, args=(1000,), daemon=True).start()  # as the command has
+import blocked
+with interrupts.unfinished(Path(sys.argv[1])):
+    Path(sys.argv[1]).write_text("half")
+    blocked.block()
+"""
+TESTS = Path(__file__).parents[1]
+
+
+def check_ended(process, number):
+    """Its code is the signal's, or it had to be killed; nothing below it is alive."""
+    assert process.returncode in (128 + number, -signal.SIGKILL), process.returncode
+    end = time.monotonic() + 5.0
+    while left := [one for one in processes() if one.session == process.pid]:
+        assert time.monotonic() < end, [*map(str, left)]
+        time.sleep(0.05)
+
+
+def environment(kind=""):
+    folders = os.pathsep.join(map(str, (TESTS, TESTS.parent, Path.cwd())))
+    return os.environ | {"PYTHONPATH": folders, "BLOCKED": kind, "OPENBLAS_NUM_THREADS": "1"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
+def test_the_watcher_ends_what_never_returns(tmp_path):
+    """Each kind of call, side by side."""
+    draw = random.Random(58)
+    with ExitStack() as stack:
+        there = {}
+        for kind in blocked.KINDS:
+            command = [sys.executable, "-c", WATCHED, str(tmp_path / f"{kind}.partial")]
+            settings = {"env": environment(kind), "stderr": PIPE, "text": True}
+            there[kind] = stack.enter_context(child(command, longest=100.0, **settings))
+        sent = {}
+        for kind, process in there.items():
+            assert process.stderr.readline() == "blocked\n", kind
+            sent[kind] = draw.choice(SIGNALS)
+            process.send_signal(sent[kind])
+        for kind, process in there.items():
+            _, said = process.communicate(timeout=60.0)
+            check_ended(process, sent[kind])
+            assert "interrupted; again: ffsm" in said.splitlines()[-1], (kind, said)
+    assert not list(tmp_path.iterdir())
+
+
+def disturb_stuck(draw, folder):
+    """One signal, or two, to a command in a call that never returns. Returns seconds and words."""
+    name, kind = draw.choice([*STUCK]), draw.choice([*blocked.KINDS])
+    number, wait = draw.choice(SIGNALS), draw.uniform(0.0, 1.0)
+    twice = draw.random() < 0.2
+    place, words = STUCK[name]
+    shutil.rmtree("new", ignore_errors=True)
+    said = f"{name}; {kind}; {number.name}{' twice' if twice else ''}"
+    command = [sys.executable, str(TESTS / "blocked.py"), place, *words.split()]
+    settings = {"env": environment(kind), "stdout": DEVNULL, "stderr": PIPE, "text": True}
+    with child(command, **settings) as process:
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if line == "blocked\n":
+                break
+        assert "blocked\n" in lines, f"{said}: never blocked: {lines[-3:]}"
+        time.sleep(wait)
+        begun = time.monotonic()
+        process.send_signal(number)
+        if twice:
+            time.sleep(1.0)
+            process.send_signal(number)
+        _, stderr = process.communicate(timeout=MOST)
+        seconds = time.monotonic() - begun
+        check_ended(process, number)
+        assert "Traceback" not in stderr, f"{said}: {stderr}"
+        last = [line for line in stderr.splitlines() if line][-1]
+        assert last.startswith("interrupted; "), f"{said}: {stderr}"
+        assert seconds < (10.0 if not twice else 5.0) * SLOWNESS, f"{said}: {seconds:.1f} s"
+        assert not list(folder.rglob("*partial*")), said
+        code = "killed" if process.returncode < 0 else str(process.returncode)
+    return seconds, f"{said}; {code}"
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
+def test_a_command_that_never_returns_ends(tmp_path, monkeypatch, run):
+    """As many as the variable SIGNALS says, 4 without, from the seed SEED."""
+    monkeypatch.chdir(tmp_path)
+    Path("b.yaml").write_text(DISPERSED)
+    Path("plain.urdf").write_text((TESTS.parent / "models/urdf/servicer.urdf").read_text())
+    Path("log.csv").write_text("t\n0\n")
+    run("postcapture", "duration=0.2").save("old")
+    start = [sys.executable, "-m", "ffsm_drake", "campaign", "run", "b.yaml"]
+    finished([*start, "--database", "b.db", "--workers", "1"], env=environment(), check=True)
+    draw, unclean, table = random.Random(int(os.environ.get("SEED", "58"))), [], []
+    for _ in range(int(os.environ.get("SIGNALS", "4"))):
+        try:
+            table.append(disturb_stuck(draw, tmp_path))
+            print(f"{table[-1][0]:5.1f} s; {table[-1][1]}", flush=True)
+        except (AssertionError, TimeoutExpired, OSError) as error:
+            unclean.append(f"{type(error).__name__}: {error}")
+            print(unclean[-1], flush=True)
     assert not unclean, "\n".join(unclean)
