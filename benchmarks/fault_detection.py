@@ -1,11 +1,12 @@
 """What the detection of faults is worth: false alarms of healthy missions, and what it notices.
 
-    python benchmarks/fault_detection.py --healthy 500 --faulty 300 --seed 0
+    python benchmarks/fault_detection.py --healthy 500 --faulty 300 --jams 40 --seed 0
 
 Missions are drawn: arms at rest and in motion, approaches, solar panels, thrusters and wheels, the
 shipped arms, that of docs/own_arm.md and those of ``--urdf``; frequency of the disturbance times
 0.3 to 5, amplitude times 0.3 to 3, a true payload of 0.5 to 2 times the nominal one, up to 0.1 m
-off its centre. With ``--only healthy:17`` one of them is run alone.
+off its centre. ``--jams`` are of joints of the shipped ``thrusters_and_wheels``. With ``--only
+healthy:17`` one mission is run alone.
 """
 
 import argparse
@@ -50,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--healthy", type=int, default=500)
     parser.add_argument("--faulty", type=int, default=300)
+    parser.add_argument("--jams", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--urdf", type=Path, nargs="*", default=[], help="more arms")
     parser.add_argument("--log", type=Path, help="of outcomes; those that it has are not run again")
@@ -63,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(study.run(kind, int(index)))
             return
         print(healthy_table(study.outcomes("healthy", asked.healthy)), flush=True)
-        print(faulty_table(study.outcomes("faulty", asked.faulty)))
+        print(faulty_table(study.outcomes("faulty", asked.faulty)), flush=True)
+        print(faulty_table(study.outcomes("jams", asked.jams)))
 
 
 def own_missions(folder: Path, urdfs: Sequence[Path]) -> list[Path]:
@@ -138,7 +141,8 @@ class Study:
         """A mission, drawn by its number; one that cannot be built is drawn anew."""
         rng = np.random.default_rng([self._seed, len(kind), index])
         while True:
-            name, scenario = self.draw(rng, breaks=kind == "faulty")
+            jams = kind == "jams"
+            name, scenario = jam(index) if jams else self.draw(rng, breaks=kind == "faulty")
             try:
                 return fly(f"{kind}:{index} {name}", scenario)
             except FfsmError as error:
@@ -198,6 +202,19 @@ class Study:
                 rest = scenario.target_posture
                 scenario, name = dataclasses.replace(scenario, initial_posture=rest), f"{name} rest"
         return name, scenario
+
+
+def jam(index: int) -> tuple[str, Scenario]:
+    """A jam in the shipped ``thrusters_and_wheels``: each joint in turn, at four times."""
+    joint, time = 1 + index % 5, (4.5, 6.0, 9.0, 14.0)[index // 5 % 4]
+    events = {"it": {"unit": f"joints.joint_{joint}", "kind": "jammed", "time": [time]}}
+    settings: list[Any] = [
+        {"supervisor": {}, "faults": {"detection": {}, "events": events}},
+        f"random_seed={index}",
+        f"controller={('tdc', 'asmc', 'tdc', 'tdc')[index // 5 % 4]}",
+        f"duration={time + 5.0}",
+    ]
+    return "thrusters_and_wheels", load_scenario("thrusters_and_wheels", settings)
 
 
 def _parts(scenario: Scenario) -> list[str]:

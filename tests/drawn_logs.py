@@ -447,3 +447,81 @@ def wrong_logs(folder: Path, seed: int = 0) -> list[Case]:
     add("a joint turns the other way", made, scaled(log, -1.0, [joint, f"{joint}_rate"]),
         "joint_sign")  # fmt: skip
     return found
+
+
+def _tilted(log: Columns, turn: Rotation) -> Columns:
+    """Of a log in world axes, with the base's axes turned."""
+    return put(log, QUATERNION, (attitude(log) * turn).as_quat(scalar_first=True))
+
+
+# kind of mistake -> what an audit may call it
+MISTAKES = {
+    "none": (), "zero shift": ("zero_shift",), "spring": ("spring",), "damping": ("friction",),
+    "dry friction": ("friction",), "mass": ("mass",), "center": ("center_of_mass",),
+    "rotor": ("rotor_inertia",), "effort scale": ("effort_scale",), "frame": ("frame_rate",),
+    "gyro bias": ("rate_offset",), "gyro axes": ("axes",), "base axes": ("frame",),
+    "force": ("external_force",),
+}  # fmt: skip
+
+
+def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, float]:
+    """A drawn craft, a short log of it with one mistake of a kind and a drawn size, and the size;
+    zero: a vector.
+    """
+    draw = np.random.default_rng([58, list(MISTAKES).index(kind), seed])
+
+    def even(least: float, most: float) -> float:
+        return math.exp(draw.uniform(math.log(least), math.log(most)))
+
+    def vector(size: float) -> np.ndarray:
+        found = draw.normal(size=3)
+        return size * found / np.linalg.norm(found)
+
+    made = craft(int(draw.integers(10_000)), int(draw.integers(2, 6)))
+    joint, sign = int(draw.integers(len(made.joints))), float(draw.choice([-1.0, 1.0]))
+    name, own = made.joints[joint], float(reflected(made, 0)[joint])
+    size, options, after = 0.0, {}, lambda log: log
+    if kind == "zero shift":
+        size = sign * even(0.003, 0.5)
+        after = lambda log: log | {name: log[name] + size}  # noqa: E731
+    elif kind in ("spring", "damping", "dry friction", "rotor"):
+        field, share = {
+            "spring": ("jnt_stiffness", 0.5), "damping": ("dof_damping", 0.3),
+            "dry friction": ("dof_frictionloss", 0.05), "rotor": ("dof_armature", 0.3),
+        }[kind]  # fmt: skip
+        size = own * share * even(0.05, 1.0)
+        first = 1 if kind == "spring" else 6
+        options["change"] = _set(field, slice(first + joint, first + joint + 1), size)
+    elif kind == "mass":
+        size = 1.0 + sign * even(0.02, 0.4)
+        options["heavier"] = int(draw.integers(1, len(made.joints) + 2)), size
+    elif kind == "center":
+        body, off = int(draw.integers(1, len(made.joints) + 2)), vector(even(0.01, 0.1))
+        options["change"] = lambda model: model.body_ipos.__setitem__(
+            body, model.body_ipos[body] + off
+        )
+    elif kind == "effort scale":
+        size = 1.0 + sign * even(0.01, 0.3)
+        after = lambda log: scaled(log, size, [f"{name}_effort"])  # noqa: E731
+    elif kind == "frame":
+        rate = vector(even(1e-3, 2e-2))
+        after = lambda log: in_turning_frame(world_rates(log), rate)  # noqa: E731
+    elif kind == "gyro bias":
+        bias = vector(even(3e-4, 3e-2))
+        after = lambda log: put(log, ANGULAR, rows(log, ANGULAR) + bias)  # noqa: E731
+    elif kind in ("gyro axes", "base axes"):
+        turn = Rotation.from_rotvec(vector(even(0.02, 2.0)))
+        after = (
+            (lambda log: put(log, ANGULAR, turn.apply(rows(log, ANGULAR))))
+            if kind == "gyro axes" else (lambda log: _tilted(world_rates(log), turn))
+        )  # fmt: skip
+    elif kind == "force":
+        force = np.zeros(6)  # MuJoCo's: world axes, the torque's are the base's
+        turns = bool(draw.random() < 0.5)
+        force[3 * turns : 3 * turns + 3] = vector(even(0.01, 1.0))
+        options["push"] = lambda t: force
+    log = by_mujoco(
+        made, int(draw.integers(10_000)), period=float(draw.choice([0.01, 0.02])), step=0.005,
+        duration=3.0, spin=draw.uniform(0.05, 0.3), **options,
+    )  # fmt: skip
+    return made, after(log), size

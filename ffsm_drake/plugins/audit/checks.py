@@ -4,6 +4,9 @@ import dataclasses
 from typing import Literal
 
 
+UNEXPLAINED = "no_single_mistake"  # cause of a check that no tried mistake explains
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Check:
     """The result of one check."""

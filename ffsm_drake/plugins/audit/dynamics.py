@@ -24,6 +24,18 @@ class Bodies:
     velocity: Array  # (n, bodies, 3) of these
     spin: Array  # (n, bodies, 3) angular velocities
     inertia: Array  # (n, bodies, 3, 3) about the centres of mass
+    turn: Array  # (n, bodies, 3, 3) from a body's own axes
+
+    def shifted(self, body: int, by: Array) -> "Bodies":
+        """One body with its centre of mass moved by a vector (3) in its own axes, m."""
+        one = {
+            field.name: np.take(getattr(self, field.name), [body], axis=-1 if k == 0 else 1)
+            for k, field in enumerate(dataclasses.fields(self))
+        }
+        arm, found = one["turn"] @ by, Bodies(**one)
+        return dataclasses.replace(
+            found, center=found.center + arm, velocity=found.velocity + np.cross(found.spin, arm)
+        )
 
     def momenta(self, log: Log) -> tuple[Array, Array]:
         """Momenta of every body (n, bodies, 6) with the base's motion from a log: the part of its
@@ -85,6 +97,7 @@ class Dynamics:
             velocity=velocities + np.cross(spins, arm),
             spin=spins,
             inertia=np.einsum("nbij,bjk,nblk->nbil", turns, self._inertias, turns),
+            turn=turns,
         )
 
     def points(self, log: Log) -> dict[str, tuple[Array, Array]]:

@@ -119,13 +119,9 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
         said = f"follows the work of the efforts within {worst:.2g} of it"
         return [Check(name=name, statement=said)]
     checks = [
-        joints[j].judged(name, names[j], _mistakes(log, joints, j, names), tolerance, "effort")
-        for j in wrong
+        joints[j].judged(name, names[j], _mistakes(log, joints, j, names), tolerance) for j in wrong
     ]
-    faults = [
-        _sign(check, names[j]) if found and found.sizes[0] < -1.9 else check
-        for j, (check, found) in zip(wrong, checks, strict=True) if check.verdict == "does not hold"
-    ]  # fmt: skip
+    faults = [check for check, _ in checks if check.verdict == "does not hold"]
     if not faults:
         return [max(zip(wrong, checks, strict=True), key=lambda each: joints[each[0]].share)[1][0]]
     moving = [each for each, size in zip(factors, sizes, strict=True) if size > least]
@@ -138,12 +134,6 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
         )
         return [fault(name, "mass_or_effort_scale", said)]
     return faults
-
-
-def _sign(check: Check, name: str) -> Check:
-    said = f"{name}'s effort has the other sign"
-    is_sign = check.cause == "effort_scale"
-    return fault(check.name, "effort_sign", said) if is_sign else check
 
 
 def _is_odd(joint: Followed, factor: Estimate, tolerance: float) -> bool:
@@ -161,24 +151,29 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
 
     yield Mistake(
         cause="effort_scale", text="has a momentum of {0} that of its effort", unit="times",
-        offset=1.0, columns=[expected],
+        offset=1.0, columns=[expected], floors=[-1.0],
     )  # fmt: skip
-    for cause, text, columns, factor, unit, least in (
+    yield Mistake(
+        cause="effort_sign", text="has an effort of the other sign", columns=[expected],
+        least=-2.1, most=-1.9,
+    )  # fmt: skip
+    free, real = -math.inf, 0.0  # smallest possible sizes
+    for cause, text, columns, factor, unit, *floors in (
         ("effort_shift", "has an effort that is {0} late", [joints[j].parts.lag], 1.0, "periods",
          0.55),
         ("effort_offset", "has an effort with a constant offset of {0}", [period], -1.0, "N m or N",
-         -math.inf),
+         free),
         ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
-         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", -math.inf),
-        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", 0.0),
-        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", 0.0),
+         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", real),
+        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", real),
+        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", real),
         ("friction", "is damped by {1:.4g} N m s and has dry friction of {2:.4g} N m",
-         [-moved, against], 1.0, "", 0.0),
+         [-moved, against], 1.0, "", real, real),
         ("spring", "has a spring of {1:.4g} N m/rad (or N/m)",
-         [-means(from_start) * period, period], 1.0, "", 0.0),
+         [-means(from_start) * period, period], 1.0, "", real, free),
     ):  # fmt: skip
         yield Mistake(
-            cause=cause, text=text, columns=columns, factor=factor, unit=unit, least=least
+            cause=cause, text=text, columns=columns, factor=factor, unit=unit, floors=floors
         )
     for i, other in enumerate(names):
         if i != j:

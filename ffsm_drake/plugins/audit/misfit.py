@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.audit.checks import Check, fault, undecided
+from ffsm_drake.plugins.audit.checks import UNEXPLAINED, Check, fault, undecided
 from ffsm_drake.plugins.audit.log import Array, every, only
 
 NAMED = 0.15  # largest share of the residual that a named mistake may leave
 SURE = 0.03  # the same, for residuals within the doubt of sampling, digits or noise
+_ALIKE = 2.0  # ratio of the remainders of two mistakes that cannot be told apart
 _CLEAR = 0.01  # the same, below which fewer sizes are preferred to a smaller remainder
 TRIMMED = 0.9  # share of the periods used in a fit; jumps are found separately
 STILL = 1e-9  # rad or m
@@ -45,6 +46,7 @@ class Mistake:
     offset: float = 0.0
     least: float = -math.inf  # limits of the first size
     most: float = math.inf
+    floors: Sequence[float] = ()  # smallest physically possible sizes; empty: any
     more: int = 0  # number of sizes beside those of the columns
 
 
@@ -56,18 +58,32 @@ class Estimate:
     sizes: Array
     errors: Array  # standard errors
     left: float  # largest remaining residual
+    others: Sequence["Estimate"] = ()  # other mistakes that explain the residual about as well
+
+    @property
+    def count(self) -> int:
+        """Number of sizes."""
+        return len(self.sizes) + self.mistake.more
+
+    @property
+    def cause(self) -> str:
+        """Cause, or the causes that cannot be told apart."""
+        return " or ".join(dict.fromkeys(x.mistake.cause for x in (self, *self.others)))
 
     @property
     def is_possible(self) -> bool:
         """Whether the sizes are beyond their errors and within their limits."""
         first = self.sizes[0] if len(self.sizes) else 0.0
         within = self.mistake.least < first < self.mistake.most
-        return bool(within and (np.abs(self.sizes) > 3.0 * self.errors).any())
+        floors = np.array(self.mistake.floors or [-math.inf])
+        possible = bool((self.sizes >= floors - 3.0 * self.errors).all())
+        return within and possible and bool((np.abs(self.sizes) > 3.0 * self.errors).any())
 
     def __str__(self) -> str:
-        numbers = self.mistake.offset + self.mistake.factor * self.sizes
+        sizes = np.maximum(self.sizes, self.mistake.floors or -math.inf)
+        numbers = self.mistake.offset + self.mistake.factor * sizes
         said = about(numbers, abs(self.mistake.factor) * self.errors, self.mistake.unit)
-        return self.mistake.text.format(said, *numbers)
+        return ", or ".join([self.mistake.text.format(said, *numbers), *map(str, self.others)])
 
 
 def swing(path: Array) -> float:
@@ -162,10 +178,13 @@ def named(
     if best > (max(share * before, doubt) if before > doubt else min(share, sure) * before):
         return None
     enough = max(2.0 * best, 0.5 * doubt, _CLEAR * before)
-    return min(
-        (each for each in tried if each.left <= enough),
-        key=lambda each: (len(each.sizes) + each.mistake.more, each.left),
+    found, *others = sorted(
+        (each for each in tried if each.left <= enough), key=lambda each: (each.count, each.left)
     )
+    alike = [
+        each for each in others if each.count == found.count and each.left < _ALIKE * found.left
+    ]
+    return dataclasses.replace(found, others=alike)
 
 
 def noise(values: Array, parts: Array | None = None) -> float:
@@ -328,18 +347,14 @@ class Followed:
         return estimate(self.missed, self._along(scale), self.lag)
 
     def judged(
-        self, name: str, said: str, mistakes: Iterable[Mistake], tolerance: float, cause: str
+        self, name: str, said: str, mistakes: Iterable[Mistake], tolerance: float
     ) -> tuple[Check, Estimate | None]:
-        """Check of a residual beyond the tolerance, and the mistake that explains it, if any.
-
-        Args:
-          cause: cause of the fault if neither a mistake nor a doubt explains the residual.
-        """
+        """Check of a residual beyond the tolerance, and the mistake that explains it, if any."""
         if found := self.named(mistakes):
-            return fault(name, found.mistake.cause, f"{said} {found}"), found
+            return fault(name, found.cause, f"{said} {found}"), found
         (doubt, why), missed = self.doubt, f"{said} misses {100.0 * self.share:.2g} %"
         if self.left > max(tolerance * self.scale, doubt):
-            return fault(name, cause, f"{missed}, which no one mistake explains"), None
+            return fault(name, UNEXPLAINED, f"{missed}, which no one mistake explains"), None
         return undecided(name, why, f"{missed}, but {DOUBTS[why]}"), None
 
 

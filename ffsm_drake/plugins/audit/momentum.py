@@ -6,12 +6,13 @@ import itertools
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from pydrake.multibody.tree import RevoluteJoint
 from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.plugins.audit.checks import Check, fault, undecided
+from ffsm_drake.plugins.audit.checks import UNEXPLAINED, Check, fault, undecided
 from ffsm_drake.plugins.audit.dynamics import Bodies, Dynamics
 from ffsm_drake.plugins.audit.log import Array, Log, attitudes, every, only
 from ffsm_drake.plugins.audit.misfit import (
@@ -21,6 +22,7 @@ from ffsm_drake.plugins.audit.misfit import (
     Mistake,
     about,
     areas,
+    estimate,
     greatest,
     means,
     named,
@@ -33,6 +35,8 @@ from ffsm_drake.plugins.audit.motions import turned
 _GROUPS = 60  # places of the log at which momentum is compared, of four samples each
 _DRIFTED = 0.2  # largest share of the residual that an integrator's drift may leave
 _DEGREE = np.pi / 180.0
+_ROUNDS = 4  # of the fit of a centre of mass
+_FARTHEST, _GRID = 2.0, 721  # largest offset of a sliding joint, m; offsets that are tried
 
 
 def _integral(time: Array, rate: Array) -> Array:
@@ -113,6 +117,11 @@ class Momentum:
         found: Array = np.sum(momenta, axis=(0, 2)) / self.scale
         return found
 
+    @property
+    def still(self) -> Array:
+        """No lag (n, 6)."""
+        return np.zeros_like(self.missed)
+
     @functools.cached_property
     def share(self) -> float:
         """Largest deviation of a component of ``missed`` from its mean."""
@@ -137,7 +146,7 @@ class Momentum:
 
     def named(self, mistakes: Iterator[Mistake], *, share: float = SURE) -> Estimate | None:
         """The mistake that explains the residual; None if none does."""
-        return named(self.missed, np.zeros_like(self.missed), mistakes, self.doubt[0], share=share)
+        return named(self.missed, self.still, mistakes, self.doubt[0], share=share)
 
     @functools.cached_property
     def drift(self) -> tuple[float, float] | None:
@@ -169,7 +178,7 @@ def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Chec
     said = f"changes by {found.share:.2g} of what the bodies exchange"
     if explained := found.named(_mistakes(found)):
         words = f"{said}, by {explained.left:.2g} if {explained}"
-        return fault(name, explained.mistake.cause, words), found
+        return fault(name, explained.cause, words), found
     doubt, why = found.doubt
     if found.share <= doubt:
         return undecided(name, why, f"{said}, but {DOUBTS[why]}"), found
@@ -179,12 +188,14 @@ def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Chec
             f"{said}, by {left:.2g} beside the drift of an integrator with steps of {step:.2g} s"
         )
         return undecided(name, "integrator", f"{words}: log a run with shorter ones"), found
-    words = "no one mistake explains it: an external force that is not logged, or several at once"
-    return fault(name, "external_force", f"{said}; {words}"), found
+    words = "no one mistake explains it: several at once, or a force that varies and is not logged"
+    return fault(name, UNEXPLAINED, f"{said}; {words}"), found
 
 
 def _mistakes(found: Momentum) -> Iterator[Mistake]:
     yield from _of_masses(found)
+    yield from _of_centers(found)
+    yield from _of_zeros(found)
     yield from _of_forces(found)
     yield from _of_frames(found)
     for cause, words, changed in _of_columns(found):
@@ -203,8 +214,76 @@ def _of_masses(found: Momentum) -> Iterator[Mistake]:
     for i, body in enumerate(bodies if len(bodies) > 1 else ()):
         words = " has {1:.3g} times the mass of the URDF and {2:.3g} times the inertia"
         yield Mistake(
-            cause="mass", text=body.name() + words, offset=1.0, least=-1.0,
+            cause="mass", text=body.name() + words, offset=1.0, floors=[-1.0, -1.0],
             columns=[-part[:, i] / found.scale for part in found.momenta],
+        )  # fmt: skip
+
+
+def _of_centers(found: Momentum) -> Iterator[Mistake]:
+    """One body with another centre of mass: momentum is of the second degree in its offset, so
+    that the slopes halfway to an offset, times it, are the whole change.
+    """
+    bodies = found.dynamics.bodies
+    for i, body in enumerate(bodies if len(bodies) > 1 else ()):
+
+        def total(by: Array, i: int = i) -> Array:
+            momenta = found.bodies.shifted(i, by).momenta(found.some)
+            whole: Array = np.sum(momenta, axis=(0, 2)) / found.scale
+            return whole
+
+        def slopes(at: Array) -> list[Array]:
+            return [0.5 * (total(at + axis) - total(at - axis)) for axis in np.eye(3)]
+
+        by = np.zeros(3)
+        for _ in range(_ROUNDS):
+            columns = [-slope for slope in slopes(0.5 * by)]
+            fit = estimate(found.missed, Mistake(cause="", text="", columns=columns), found.still)
+            by = fit.sizes
+        yield Mistake(
+            cause="center_of_mass", columns=columns, unit="m",
+            text=f"{body.name()}'s centre of mass is off by {{0}} in its own axes from the URDF's",
+        )  # fmt: skip
+
+
+def _of_zeros(found: Momentum) -> Iterator[Mistake]:
+    """A joint's position with a constant offset. Momentum is a polynomial of the second degree in
+    it, of its sine and cosine if the joint turns: five offsets tell all.
+    """
+    log = found.some
+    for i, name in enumerate(found.dynamics.names):
+        turns = found.dynamics.plant.GetJointByName(name).type_name() == RevoluteJoint.kTypeName
+        most, unit = (np.pi, "rad") if turns else (_FARTHEST, "m")
+
+        def missed(offset: float, i: int = i) -> Array:
+            total = found.total(
+                log.replace(angles=log.angles - offset * np.eye(len(log.angles.T))[i])
+            )
+            return total - found.impulse / found.scale
+
+        def terms(offsets: Array, turns: bool = turns) -> Array:
+            x = offsets[..., None] * np.arange(3)
+            waves = [np.cos(x), np.sin(x[..., 1:])] if turns else [x[..., 1:2] ** np.arange(3)]
+            return np.concatenate(waves, axis=-1)
+
+        tried = most * np.linspace(-0.8, 0.8, 5)
+        values = np.stack([missed(offset) - found.missed for offset in tried])
+        values -= values.mean(axis=1, keepdims=True)
+        shapes = np.linalg.pinv(terms(tried)) @ values.reshape(5, -1)
+        flat = (found.missed - found.missed.mean(axis=0)).ravel()
+        square, with_flat, own = shapes @ shapes.T, shapes @ flat, flat @ flat
+
+        def left(offset: Array) -> Array:
+            x = terms(np.asarray(offset))
+            return np.einsum("...i,ij,...j", x, square, x) + 2.0 * x @ with_flat + own
+
+        grid = np.linspace(-most, most, _GRID)
+        near = grid[np.argmin(left(grid))]
+        sides = near - most / _GRID * 4.0, near + most / _GRID * 4.0
+        best = minimize_scalar(left, bounds=sides, method="bounded", options={"xatol": 1e-9}).x
+        yield Mistake(
+            cause="zero_shift", columns=[(found.missed - missed(best)) / best], unit=unit,
+            text=f"{name}'s position has a constant offset of {{0}}",
+            least=min(0.9 * best, 1.1 * best), most=max(0.9 * best, 1.1 * best),
         )  # fmt: skip
 
 
@@ -230,17 +309,17 @@ def _of_forces(found: Momentum) -> Iterator[Mistake]:
         return [impulse(axis, place, still) for axis in axes] + torques
 
     pushed = "the base is pushed by {0} (N, N m) in "
-    for cause, text, columns, least in (
+    for cause, text, columns, *floors in (
         ("gravity", "gravity of {0} m/s^2 acts",
-         [impulse(found.dynamics.mass * axis, center, still) for axis in world], -np.inf),
-        ("external_force", pushed + "world axes", pushes(world), -np.inf),
-        ("external_force", pushed + "base axes", pushes(base), -np.inf),
+         [impulse(found.dynamics.mass * axis, center, still) for axis in world]),
+        ("external_force", pushed + "world axes", pushes(world)),
+        ("external_force", pushed + "base axes", pushes(base)),
         ("damping", "the base is damped by {1:.3g} N s/m and {2:.3g} N m s",
-         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], 0.0),
+         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], 0.0, 0.0),
         ("damping", "it decays by {1:.3g} per s, the angular part by {2:.3g} per s: a simulator's "
-         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], 0.0),
+         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], 0.0, 0.0),
     ):  # fmt: skip
-        yield Mistake(cause=cause, text=text, columns=columns, least=least)
+        yield Mistake(cause=cause, text=text, columns=columns, floors=floors)
 
 
 def _of_frames(found: Momentum) -> Iterator[Mistake]:

@@ -27,7 +27,6 @@ class Kind:
     name: str
     path: str  # name of the log's array of positions
     rate: str  # name of the log's array of rates
-    cause: str  # cause of a fault if no mistake explains the rates
     mistakes: Callable[[Log], Iterator[Mistake]]
 
     def motion(self, log: Log) -> Motion:
@@ -143,15 +142,13 @@ def _of_joint(log: Log) -> Iterator[Mistake]:
 
 
 ANGULAR = Kind(
-    name="angular velocity", path="quaternion", rate="angular", cause="angular_velocity",
-    mistakes=_of_angular,
+    name="angular velocity", path="quaternion", rate="angular", mistakes=_of_angular,
 )  # fmt: skip
 LINEAR = Kind(
-    name="base velocity", path="position", rate="linear", cause="base_velocity",
-    mistakes=_of_linear,
+    name="base velocity", path="position", rate="linear", mistakes=_of_linear,
 )  # fmt: skip
 
 
 def of_joint(name: str) -> Kind:
     """The motion of one joint, in a log with its column alone."""
-    return Kind(name=name, path="angles", rate="rates", cause="joint_rate", mistakes=_of_joint)
+    return Kind(name=name, path="angles", rate="rates", mistakes=_of_joint)

@@ -155,9 +155,7 @@ def _followed(reading: _Reading, tolerance: float) -> _Outcome:
     )  # fmt: skip
     if found.share <= tolerance:
         return fine
-    check, named = found.judged(
-        kind.name, f"{reading.said};", kind.mistakes(log), tolerance, kind.cause
-    )
+    check, named = found.judged(kind.name, f"{reading.said};", kind.mistakes(log), tolerance)
     if named:
         return dataclasses.replace(
             fine, checks=[check], log=mended(log, kind.rate, named),

@@ -8,7 +8,7 @@ At each sample it compares measurements with the commands of the actuators:
 - a wheel has stopped if its momentum, from its tachometer, does not follow the commanded torque;
 - a joint is jammed if it stands still under a force beyond the stated bounds of disturbance,
   friction and payload;
-- thrusters: see ``systems.residuals``.
+- thrusters: see ``plugins.faults.residuals``.
 
 A lost position is extrapolated with its velocity, a lost velocity comes from an observer of
 position and reported force, a bias is subtracted (base sensors: in the base's axes). A lost
@@ -615,7 +615,9 @@ class _Detector(LeafSystem):
                 if self._thrusters is not None and is_known:
                     most = np.max([np.abs(np.linalg.inv(each)) @ total for each in mass], axis=0)
                     most += _FLEXIBLE * memory["largest"]
-                    suspicions.append(self._look_at_thrusters(memory, blocks, pushes, most))
+                    stands = self._stand(memory, blocks[-_CONFIRMED:])
+                    holds = np.linalg.inv(mass[0])[:, NUM_BASE_VELOCITIES:][:, stands]
+                    suspicions.append(self._look_at_thrusters(memory, blocks, pushes, most, holds))
                     self._confirm(memory, suspicions, window)
 
     def _noise(self, memory: Memory) -> np.ndarray:
@@ -645,6 +647,14 @@ class _Detector(LeafSystem):
                 if not memory["codes"][self._names.index(unit)]:
                     self._notice(memory, unit, "stops")
 
+    def _stand(self, memory: Memory, blocks: np.ndarray) -> np.ndarray:
+        """Mask of the joints that stand still."""
+        nv = self._nv
+        moved = blocks[:, (MODELS + 1) * nv : (MODELS + 2) * nv]
+        most = _STILL + self._settings.threshold * self._position_noise / np.sqrt(_EVERY)
+        still: np.ndarray = (np.ptp(moved, axis=0) < most)[NUM_BASE_VELOCITIES:]
+        return still
+
     def _look_at_joints(
         self, memory: Memory, blocks: np.ndarray, mass: Sequence[np.ndarray], bound: np.ndarray
     ) -> None:
@@ -654,9 +664,7 @@ class _Detector(LeafSystem):
         frequency.
         """
         nv, step, base = self._nv, _EVERY * self._step, NUM_BASE_VELOCITIES
-        moved = blocks[len(blocks) // 2 :, (MODELS + 1) * nv : (MODELS + 2) * nv]
-        most = _STILL + self._settings.threshold * self._position_noise / np.sqrt(_EVERY)
-        stands = np.ptp(moved, axis=0)[base:] < most[base:]
+        stands = self._stand(memory, blocks[len(blocks) // 2 :])
         if not stands.any():
             return
         time = times_of(len(blocks), step)
@@ -709,23 +717,29 @@ class _Detector(LeafSystem):
                 self._lose(memory, name, "biased")
 
     def _look_at_thrusters(
-        self, memory: Memory, blocks: np.ndarray, pushes: np.ndarray, bound: np.ndarray
+        self,
+        memory: Memory,
+        blocks: np.ndarray,
+        pushes: np.ndarray,
+        bound: np.ndarray,
+        holds: np.ndarray,
     ) -> Suspicion:
-        """The best hypothesis of ``systems.residuals``; ``bound``: of accelerations (nv)."""
+        """The best hypothesis of ``residuals``; ``bound``: of accelerations (nv)."""
         assert self._thrusters is not None
-        nv, count, base = self._nv, len(self._force), slice(NUM_BASE_VELOCITIES)
+        nv, count = self._nv, len(self._force)
         pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
         at = (MODELS + 3) * nv
         return suspect(
-            blocks[:, : MODELS * nv].reshape(-1, MODELS, nv)[:, :, base],
+            blocks[:, : MODELS * nv].reshape(-1, MODELS, nv),
             blocks[:, at : at + count],
-            pushes=pushes[base],
+            pushes=pushes,
             force=self._force,
-            bound=bound[base],
-            noise=np.hypot(self._noise(memory), pulse)[base],
+            bound=bound,
+            noise=np.hypot(self._noise(memory), pulse),
             in_use=memory["codes"][:count] == 0.0,
             step=_EVERY * self._step,
             band=self._settings.band,
+            holds=holds,
         )
 
     def _confirm(self, memory: Memory, suspicions: Sequence[Suspicion], window: int) -> None:

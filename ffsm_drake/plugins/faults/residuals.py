@@ -10,7 +10,11 @@ In the axes of such disturbances (``_axes``) each number of Y is then within an 
 noise; an excess is evidence of a fault. If thruster i fires without a command, Y grows by
 theta a_i (F_i t - I_i); if its force is too low, by -theta a_i I_i (a_i: acceleration of its unit
 force; I_i: commanded impulse; F_i: its force). The score of such a hypothesis is the reduction,
-with its best theta, of the sum of squares beyond the intervals.
+with its best theta, of the sum of squares beyond the intervals of the base's coordinates.
+
+The force that holds a jammed joint j moves the base, too: Y grows by H^-1 e_j s(t), with any s. A
+thruster is named only if its force explains more than this does for every joint that stands still,
+in all coordinates.
 """
 
 import dataclasses
@@ -18,11 +22,14 @@ import functools
 
 import numpy as np
 
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+
 LEAST_LEAK, LEAST_LOSS, WHOLE = 0.08, 0.3, 0.75  # least shares theta: leak, loss, complete
 _MARGIN = 9.0  # least margin between the scores of an isolated thruster and of all others
 _LEFT = 2.0  # largest unexplained rest: times its share of the noise, or the explained part
 _SHARES = np.array([0.08, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])  # theta
 _WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
+_HALVINGS = 40  # of the interval of a jam's force
 _FREQUENCIES = 24  # number of frequencies of the disturbances evaluated
 
 
@@ -98,6 +105,7 @@ def suspect(
     in_use: np.ndarray,
     step: float,
     band: float,
+    holds: np.ndarray,
 ) -> Suspicion:
     """The best hypothesis on thrusters for a window of blocks.
 
@@ -111,6 +119,7 @@ def suspect(
       in_use: thrusters to be examined (n).
       step: time between blocks, s.
       band: largest frequency of a disturbance, rad/s.
+      holds: accelerations (nv, joints) by unit forces on the joints that stand still.
     """
     time, count = times_of(len(unexplained), step), force.size
     axes, largest = _axes(len(unexplained), step, band)
@@ -125,28 +134,55 @@ def suspect(
         """Sums of squares beyond the intervals (thetas, hypotheses)."""
         taken = theta[:, None, None, None] * of
         outside = np.maximum(low[..., None] - taken, 0.0) + np.maximum(taken - high[..., None], 0.0)
-        squares: np.ndarray = (outside**2).sum(axis=(1, 2))
-        return squares
+        squares: np.ndarray = (outside**2).sum(axis=1)
+        return squares  # (thetas, nv, hypotheses)
 
-    total = float(beyond(np.zeros(1), signature[..., :1])[0, 0])
-    explained = total - beyond(_SHARES, signature)  # (thetas, 2 n)
+    base = slice(NUM_BASE_VELOCITIES)
+    squares, at_rest = beyond(_SHARES, signature), beyond(np.zeros(1), signature[..., :1])[0, :, 0]
+    total = float(at_rest[base].sum())
+    explained = total - squares[:, base].sum(axis=1)  # (thetas, 2 n)
     least = np.repeat([LEAST_LEAK, LEAST_LOSS], count)
     explained[(_SHARES[:, None] < least) | ~np.tile(in_use, 2)] = 0.0
     theta, best = np.unravel_index(int(explained.argmax()), explained.shape)
     most, share = float(explained[theta, best]), float(_SHARES[theta])
     others = np.tile(np.arange(count), 2) != best % count
-    rest = total - most
+    rest, size = total - most, low[:, base].size
+    left = float(squares[..., best].sum(axis=1).min())
     names = ("stuck_on", "leaking") if best < count else ("stuck_off", "weak")
     return Suspicion(
         explained=most,
         is_isolated=bool(
             most - explained[:, others].max(initial=0.0) > _MARGIN
-            and rest < max(_LEFT * low.size, most)
+            and rest < max(_LEFT * size, most)
+            and (_left_by_jams(low, high, holds / noise[:, None]) > left + _MARGIN).all()
         ),
         thruster=int(best) % count,
         kind=names[0] if share > WHOLE else names[1],
         theta=share,
     )
+
+
+def _left_by_jams(low: np.ndarray, high: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Least sums of squares (joints) beyond the intervals (m - 1, nv) with the force of a jam
+    along (nv, joints): one of any size on each axis, by halving the interval of its sizes.
+    """
+
+    def missing(sizes: np.ndarray) -> np.ndarray:
+        taken = sizes[:, None] * along
+        found: np.ndarray = np.maximum(low[..., None] - taken, 0.0) - np.maximum(
+            taken - high[..., None], 0.0
+        )
+        return found  # (m - 1, nv, joints)
+
+    far = np.maximum(np.abs(low), np.abs(high)).max() / np.abs(along).max(axis=0, initial=0.0)
+    first = np.broadcast_to(-far, (len(low), along.shape[1]))
+    last = -first
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (first + last)
+        more = (missing(middle) * along).sum(axis=1) > 0.0
+        first, last = np.where(more, middle, first), np.where(more, last, middle)
+    left: np.ndarray = (missing(0.5 * (first + last)) ** 2).sum(axis=(0, 1))
+    return left
 
 
 class Observer:

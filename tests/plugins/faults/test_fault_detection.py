@@ -171,11 +171,13 @@ def window(rng, noise=1e-5):
 BOUND, NOISE, BAND = 1e-3, 1e-5, 10.0  # rad/s^2 and m/s^2; rad/s and m/s; rad/s
 
 
-def ask(unexplained, told, *others):
+def ask(unexplained, told, *others, pushes=SET.wrenches / 500.0, holds=None):
+    count = len(pushes)
     return suspect(
-        np.stack([unexplained, *others], axis=1), told, pushes=SET.wrenches / 500.0,
-        force=SET.force, bound=np.full(6, BOUND), noise=np.full(6, NOISE),
+        np.stack([unexplained, *others], axis=1), told, pushes=pushes,
+        force=SET.force, bound=np.full(count, BOUND), noise=np.full(count, NOISE),
         in_use=np.ones(len(SET.force), dtype=bool), step=STEP, band=BAND,
+        holds=np.zeros((count, 0)) if holds is None else holds,
     )  # fmt: skip
 
 
@@ -200,6 +202,37 @@ def test_the_bank_names_the_thruster(index, is_loss, share, seed):
     assert found.kind in (("stuck_off", "weak") if is_loss else ("stuck_on", "leaking"))
     assert found.theta == pytest.approx(share, abs=0.25)
     assert found.explained > 64.0
+
+
+def bodies(rng):
+    """Accelerations (9, n) by thrusters and (9, 3) by forces on three joints, of a drawn mass
+    matrix.
+    """
+    arm = rng.uniform(0.3, 1.0, (9, 9)) * rng.choice([-1.0, 1.0], (9, 9))
+    inverse = np.linalg.inv(np.diag([500.0] * 6 + [5.0] * 3) + 0.5 * arm @ arm.T)
+    return inverse[:, :6] @ SET.wrenches, inverse[:, 6:]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 11), st.integers(0, 2), st.integers(0, 10**6))
+def test_the_bank_accuses_no_thruster_of_a_jam(index, joint, seed):
+    """The force that holds a joint pushes the base as a thruster would: what the joints do tells
+    them apart, and a thruster is still named beside joints that stand still.
+    """
+    rng = np.random.default_rng(seed)
+    pushes, holds = bodies(rng)
+    told, _ = window(rng)
+    noise = NOISE * rng.standard_normal((COUNT, 9))
+    thrust = SET.force[index] * STEP * np.arange(COUNT) - told[:, index]
+    size = SET.force[index] * np.linalg.norm(pushes[:6, index]) / np.linalg.norm(holds[:6, joint])
+    held = noise + np.outer(size * thrust / SET.force[index], holds[:, joint])
+    assert not ask(held, told, pushes=pushes, holds=holds).is_isolated
+    found = ask(noise + np.outer(thrust, pushes[:, index]), told, pushes=pushes, holds=holds)
+    assert (found.thruster, found.is_isolated) == (index, True)
+    # a jam that moves the base alone would be that thruster
+    pushes[:6, index] = holds[:6, joint] * np.linalg.norm(pushes[:6, index])
+    pushes[:6, index] /= np.linalg.norm(holds[:6, joint])
+    assert ask(held, told, pushes=pushes).is_isolated
 
 
 def test_the_bank_is_silent_on_noise_disturbances_and_wrong_masses():
