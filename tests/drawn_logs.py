@@ -409,7 +409,9 @@ def wrong_logs(folder: Path, seed: int = 0) -> list[Case]:
               change=lambda model: model.opt.gravity.__setitem__(slice(None), pull))  # fmt: skip
     force = np.concatenate([vector(draw.uniform(0.1, 1.0)), np.zeros(3)])
     simulated("a constant force", made, "external_force", "gravity", push=lambda t: force)
-    simulated("a force for a while", made, "external_force", push=lambda t: force * (1.0 < t < 2.0))
+    simulated(
+        "a force for a while", made, "no_single_mistake", push=lambda t: force * (1.0 < t < 2.0)
+    )
     for size in (3e-3, 3e-2):
         made, log, _ = motion()
         add(f"gyro bias {size:g} rad/s", made,
@@ -464,9 +466,9 @@ MISTAKES = {
 }  # fmt: skip
 
 
-def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, float]:
-    """A drawn craft, a short log of it with one mistake of a kind and a drawn size, and the size;
-    zero: a vector.
+def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, np.ndarray]:
+    """A drawn craft, a short log of it with one mistake of a kind, and the mistake's drawn sizes in
+    the units in which an audit gives them.
     """
     draw = np.random.default_rng([58, list(MISTAKES).index(kind), seed])
 
@@ -480,7 +482,7 @@ def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, float]:
     made = craft(int(draw.integers(10_000)), int(draw.integers(2, 6)))
     joint, sign = int(draw.integers(len(made.joints))), float(draw.choice([-1.0, 1.0]))
     name, own = made.joints[joint], float(reflected(made, 0)[joint])
-    size, options, after = 0.0, {}, lambda log: log
+    size, options, after = [], {}, lambda log: log
     if kind == "zero shift":
         size = sign * even(0.003, 0.5)
         after = lambda log: log | {name: log[name] + size}  # noqa: E731
@@ -496,21 +498,24 @@ def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, float]:
         size = 1.0 + sign * even(0.02, 0.4)
         options["heavier"] = int(draw.integers(1, len(made.joints) + 2)), size
     elif kind == "center":
-        body, off = int(draw.integers(1, len(made.joints) + 2)), vector(even(0.01, 0.1))
+        body, size = int(draw.integers(1, len(made.joints) + 2)), vector(even(0.01, 0.1))
         options["change"] = lambda model: model.body_ipos.__setitem__(
-            body, model.body_ipos[body] + off
+            body, model.body_ipos[body] + size
         )
     elif kind == "effort scale":
         size = 1.0 + sign * even(0.01, 0.3)
-        after = lambda log: scaled(log, size, [f"{name}_effort"])  # noqa: E731
+        after = lambda log: scaled(log, 1.0 / size, [f"{name}_effort"])  # noqa: E731
     elif kind == "frame":
-        rate = vector(even(1e-3, 2e-2))
-        after = lambda log: in_turning_frame(world_rates(log), rate)  # noqa: E731
+        size = vector(even(1e-3, 2e-2))
+        after = lambda log: in_turning_frame(world_rates(log), size)  # noqa: E731
     elif kind == "gyro bias":
-        bias = vector(even(3e-4, 3e-2))
-        after = lambda log: put(log, ANGULAR, rows(log, ANGULAR) + bias)  # noqa: E731
+        size = np.degrees(vector(even(3e-4, 3e-2)))
+        after = lambda log: put(  # noqa: E731
+            log, ANGULAR, rows(log, ANGULAR) + np.radians(size)
+        )
     elif kind in ("gyro axes", "base axes"):
-        turn = Rotation.from_rotvec(vector(even(0.02, 2.0)))
+        size = np.degrees(vector(even(0.02, 2.0)))
+        turn = Rotation.from_rotvec(size, degrees=True)
         after = (
             (lambda log: put(log, ANGULAR, turn.apply(rows(log, ANGULAR))))
             if kind == "gyro axes" else (lambda log: _tilted(world_rates(log), turn))
@@ -518,10 +523,10 @@ def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, float]:
     elif kind == "force":
         force = np.zeros(6)  # MuJoCo's: world axes, the torque's are the base's
         turns = bool(draw.random() < 0.5)
-        force[3 * turns : 3 * turns + 3] = vector(even(0.01, 1.0))
+        force[3 * turns : 3 * turns + 3] = size = vector(even(0.01, 1.0))
         options["push"] = lambda t: force
     log = by_mujoco(
         made, int(draw.integers(10_000)), period=float(draw.choice([0.01, 0.02])), step=0.005,
         duration=3.0, spin=draw.uniform(0.05, 0.3), **options,
     )  # fmt: skip
-    return made, after(log), size
+    return made, after(log), np.atleast_1d(size)

@@ -3,7 +3,6 @@
 import dataclasses
 from typing import Literal
 
-
 UNEXPLAINED = "no_single_mistake"  # cause of a check that no tried mistake explains
 
 

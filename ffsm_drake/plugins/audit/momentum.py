@@ -17,6 +17,7 @@ from ffsm_drake.plugins.audit.dynamics import Bodies, Dynamics
 from ffsm_drake.plugins.audit.log import Array, Log, attitudes, every, only
 from ffsm_drake.plugins.audit.misfit import (
     DOUBTS,
+    STILL,
     SURE,
     Estimate,
     Mistake,
@@ -231,60 +232,64 @@ def _of_centers(found: Momentum) -> Iterator[Mistake]:
             whole: Array = np.sum(momenta, axis=(0, 2)) / found.scale
             return whole
 
-        def slopes(at: Array) -> list[Array]:
-            return [0.5 * (total(at + axis) - total(at - axis)) for axis in np.eye(3)]
-
-        by = np.zeros(3)
+        words = f"{body.name()}'s centre of mass is off by {{0}} from the URDF's, in its own axes"
+        offset = np.zeros(3)
         for _ in range(_ROUNDS):
-            columns = [-slope for slope in slopes(0.5 * by)]
-            fit = estimate(found.missed, Mistake(cause="", text="", columns=columns), found.still)
-            by = fit.sizes
-        yield Mistake(
-            cause="center_of_mass", columns=columns, unit="m",
-            text=f"{body.name()}'s centre of mass is off by {{0}} in its own axes from the URDF's",
-        )  # fmt: skip
+            sides = [(total(0.5 * offset + x), total(0.5 * offset - x)) for x in np.eye(3)]
+            columns = [0.5 * (less - more) for more, less in sides]
+            mistake = Mistake(cause="center_of_mass", text=words, columns=columns, unit="m")
+            offset = estimate(found.missed, mistake, found.still).sizes
+        yield mistake
 
 
 def _of_zeros(found: Momentum) -> Iterator[Mistake]:
-    """A joint's position with a constant offset. Momentum is a polynomial of the second degree in
-    it, of its sine and cosine if the joint turns: five offsets tell all.
-    """
+    """A joint's position with a constant offset."""
     log = found.some
-    for i, name in enumerate(found.dynamics.names):
-        turns = found.dynamics.plant.GetJointByName(name).type_name() == RevoluteJoint.kTypeName
-        most, unit = (np.pi, "rad") if turns else (_FARTHEST, "m")
+    for name, axis in zip(found.dynamics.names, np.eye(len(log.angles.T)), strict=True):
 
-        def missed(offset: float, i: int = i) -> Array:
-            total = found.total(
-                log.replace(angles=log.angles - offset * np.eye(len(log.angles.T))[i])
-            )
+        def missed(offset: float, axis: Array = axis) -> Array:
+            total = found.total(log.replace(angles=log.angles - offset * axis))
             return total - found.impulse / found.scale
 
-        def terms(offsets: Array, turns: bool = turns) -> Array:
-            x = offsets[..., None] * np.arange(3)
-            waves = [np.cos(x), np.sin(x[..., 1:])] if turns else [x[..., 1:2] ** np.arange(3)]
-            return np.concatenate(waves, axis=-1)
+        turns = found.dynamics.plant.GetJointByName(name).type_name() == RevoluteJoint.kTypeName
+        offset = _least(missed, turns=turns)
+        if abs(offset) > STILL:
+            sides = np.sort([0.9 * offset, 1.1 * offset])
+            yield Mistake(
+                cause="zero_shift", text=f"{name}'s position has a constant offset of {{0}}",
+                unit="rad" if turns else "m", columns=[(found.missed - missed(offset)) / offset],
+                least=float(sides[0]), most=float(sides[1]),
+            )  # fmt: skip
 
-        tried = most * np.linspace(-0.8, 0.8, 5)
-        values = np.stack([missed(offset) - found.missed for offset in tried])
-        values -= values.mean(axis=1, keepdims=True)
-        shapes = np.linalg.pinv(terms(tried)) @ values.reshape(5, -1)
-        flat = (found.missed - found.missed.mean(axis=0)).ravel()
-        square, with_flat, own = shapes @ shapes.T, shapes @ flat, flat @ flat
 
-        def left(offset: Array) -> Array:
-            x = terms(np.asarray(offset))
-            return np.einsum("...i,ij,...j", x, square, x) + 2.0 * x @ with_flat + own
+def _least(missed: Callable[[float], Array], *, turns: bool) -> float:
+    """The offset of a joint's position, rad or m, with the least residual. That is a polynomial of
+    the second degree in the offset, of its sine and cosine if the joint turns: five tell all.
+    """
+    most = np.pi if turns else _FARTHEST
 
-        grid = np.linspace(-most, most, _GRID)
-        near = grid[np.argmin(left(grid))]
-        sides = near - most / _GRID * 4.0, near + most / _GRID * 4.0
-        best = minimize_scalar(left, bounds=sides, method="bounded", options={"xatol": 1e-9}).x
-        yield Mistake(
-            cause="zero_shift", columns=[(found.missed - missed(best)) / best], unit=unit,
-            text=f"{name}'s position has a constant offset of {{0}}",
-            least=min(0.9 * best, 1.1 * best), most=max(0.9 * best, 1.1 * best),
-        )  # fmt: skip
+    def terms(offset: Array) -> Array:
+        x = offset[..., None] * np.arange(3)
+        waves = [np.cos(x), np.sin(x[..., 1:])] if turns else [x[..., 1:2] ** np.arange(3)]
+        return np.concatenate(waves, axis=-1)
+
+    tried, own = most * np.linspace(-0.8, 0.8, 5), missed(0.0)
+    changes = np.stack([missed(offset) - own for offset in tried])
+    changes -= changes.mean(axis=1, keepdims=True)
+    shapes = np.linalg.pinv(terms(tried)) @ changes.reshape(5, -1)
+    square, along = shapes @ shapes.T, shapes @ (own - own.mean(axis=0)).ravel()
+
+    def left(offset: Array) -> Array:
+        """Square of the residual, minus that without an offset."""
+        x = terms(np.asarray(offset))
+        found: Array = np.einsum("...i,ij,...j", x, square, x) + 2.0 * x @ along
+        return found
+
+    grid = np.linspace(-most, most, _GRID)
+    near, step = grid[np.argmin(left(grid))], grid[1] - grid[0]
+    bounds = near - step, near + step
+    fit = minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    return float(fit.x)
 
 
 def _of_forces(found: Momentum) -> Iterator[Mistake]:

@@ -2,9 +2,12 @@
 named.
 """
 
+import collections
 import csv
 import dataclasses
 import json
+import os
+import re
 from pathlib import Path
 
 import drawn_logs
@@ -340,7 +343,7 @@ BROKEN = {
     ),
     "wrong frame": (
         lambda log: log | rotated(log | rotated(log, "base_velocity"), "base_velocity"),
-        "base_velocity", "which no one mistake explains",
+        "no_single_mistake", "which no one mistake explains",
     ),
     "dropped samples": (lambda log: taken(log, KEPT), "dropped_samples", "about 6 samples"),
     "dropped samples, renumbered": (
@@ -361,7 +364,11 @@ BROKEN = {
         "-9.81] ±",
     ),
     "damping": (lambda _: mujoco_log(damping=5.0), "damping", "N s/m and 5 N m s"),
-    "unknown force": (lambda _: mujoco_log(push=3.0), "external_force", "not logged"),
+    "unknown force": (lambda _: mujoco_log(push=3.0), "no_single_mistake", "not logged"),
+    "a joint's zero": (
+        lambda log: offset(log, 0.1, "joint_2"), "zero_shift",
+        "joint_2's position has a constant offset of 0.1 ±",
+    ),
     "heavier units": (
         lambda log: scaled(log, 2.0, *(f"{name}_effort" for name in JOINTS)),
         "mass_or_effort_scale", "2 times those of the URDF",
@@ -516,6 +523,35 @@ def test_sixty_drawn_logs(seed, tmp_path):
         why = ", ".join(found.causes or found.doubts)
         print(f"| {case.name} | {found.verdict}{': ' if why else ''}{why} |")
     assert named >= 39
+
+
+def outcome(kind, seed, folder):
+    """Whether an audit names a drawn mistake within 5 % of its size: right, undecided or wrong; and
+    the audit.
+    """
+    made, log, sizes = drawn_logs.mistaken(kind, seed)
+    (folder / "craft.urdf").write_text(made.urdf)
+    found = audit(drawn_logs.write(folder / "log.csv", log), folder / "craft.urdf")
+    named = {cause for causes in found.causes for cause in causes.split(" or ")}
+    if not found.causes or "no_single_mistake" in named:
+        is_right = found.verdict == "yes" and kind == "none"
+        return ("right" if is_right else "undecided"), found
+    said = " ".join(check.statement for check in found.checks if check.cause)
+    numbers = np.array([float(x) for x in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", said)])
+    off = [np.abs(np.abs(numbers) - abs(x)).min() for x in sizes]
+    is_right = named & set(drawn_logs.MISTAKES[kind]) and max(off) < 0.05 * np.abs(sizes).max()
+    return ("right" if is_right else "wrong"), found
+
+
+@pytest.mark.parametrize("kind", drawn_logs.MISTAKES)
+def test_a_drawn_mistake_is_named_or_nothing_is(kind, tmp_path):
+    """AUDIT_DRAWS logs of each kind (``drawn_logs.mistaken``); -s prints the table."""
+    draws = int(os.environ.get("AUDIT_DRAWS", "1"))
+    found = [outcome(kind, seed, tmp_path) for seed in range(draws)]
+    table = collections.Counter(how for how, _ in found)
+    print(f"| {kind} | {' | '.join(str(table[x]) for x in ('right', 'undecided', 'wrong'))} |")
+    assert not table["wrong"], "\n".join(str(each) for how, each in found if how == "wrong")
+    assert table["right"] >= 0.9 * draws - 1, table
 
 
 def test_a_disturbance_of_a_record_is_accounted_for(tmp_path):
