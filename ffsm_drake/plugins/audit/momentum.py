@@ -145,6 +145,11 @@ class Momentum:
             doubts["digits"] = 3.0 * swing(self.total(self.some.shaken()) - total)
         return greatest(doubts)
 
+    @functools.cached_property
+    def mistake(self) -> Estimate | None:
+        """The mistake that explains the residual; None if none does."""
+        return self.named(_mistakes(self))
+
     def named(self, mistakes: Iterator[Mistake], *, share: float = SURE) -> Estimate | None:
         """The mistake that explains the residual; None if none does."""
         return named(self.missed, self.still, mistakes, self.doubt[0], share=share)
@@ -177,7 +182,7 @@ def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Chec
             said += f" (rates of every second sample change it by {found.doubt[0]:.1g})"
         return Check(name=name, statement=said), found
     said = f"changes by {found.share:.2g} of what the bodies exchange"
-    if explained := found.named(_mistakes(found)):
+    if explained := found.mistake:
         words = f"{said}, by {explained.left:.2g} if {explained}"
         return fault(name, explained.cause, words), found
     doubt, why = found.doubt
@@ -309,16 +314,17 @@ def _of_forces(found: Momentum) -> Iterator[Mistake]:
     )
     decay = -_integral(some.time, found.missed)
 
-    def pushes(axes: list[Array]) -> list[Array]:
-        torques = [impulse(still, place, axis) for axis in axes]
-        return [impulse(axis, place, still) for axis in axes] + torques
-
-    pushed = "the base is pushed by {0} (N, N m) in "
+    for words, axes in (("world axes", world), ("base axes", base)):
+        pushes = [impulse(axis, place, still) for axis in axes]
+        turns = [impulse(still, place, axis) for axis in axes]
+        for what, columns in (("N", pushes), ("N m", turns), ("(N, N m)", pushes + turns)):
+            yield Mistake(
+                cause="external_force", text=f"the base is pushed by {{0}} {what} in {words}",
+                columns=columns,
+            )  # fmt: skip
     for cause, text, columns, *floors in (
         ("gravity", "gravity of {0} m/s^2 acts",
          [impulse(found.dynamics.mass * axis, center, still) for axis in world]),
-        ("external_force", pushed + "world axes", pushes(world)),
-        ("external_force", pushed + "base axes", pushes(base)),
         ("damping", "the base is damped by {1:.3g} N s/m and {2:.3g} N m s",
          [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], 0.0, 0.0),
         ("damping", "it decays by {1:.3g} per s, the angular part by {2:.3g} per s: a simulator's "
