@@ -491,8 +491,10 @@ def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, np.ndarray]:
             "spring": ("jnt_stiffness", 0.5), "damping": ("dof_damping", 0.3),
             "dry friction": ("dof_frictionloss", 0.05), "rotor": ("dof_armature", 0.3),
         }[kind]  # fmt: skip
-        size = own * share * even(0.05, 1.0)
+        size = own * share * even(0.05, 200.0 if kind == "spring" else 1.0)
         first = 1 if kind == "spring" else 6
+        if kind == "spring" and draw.random() < 0.4:
+            options["size"] = 0.0  # one frequency: as if a rotor had a negative inertia
         options["change"] = _set(field, slice(first + joint, first + joint + 1), size)
     elif kind == "mass":
         size = 1.0 + sign * even(0.02, 0.4)
