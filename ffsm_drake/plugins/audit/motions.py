@@ -50,7 +50,7 @@ def _mistakes(log: Log, rate: str, *table: _Row) -> Iterator[Mistake]:
     values = getattr(log, rate)
     yield Mistake(
         cause="rate_scale", text="the position changes by {0} what the rate says", unit="times",
-        offset=1.0, columns=[areas(log.time, values)], changes=[values],
+        offset=1.0, columns=[areas(log.time, values)], changes=[values], floors=[-1.0],
     )  # fmt: skip
     lag = [np.diff(log.time)[:, None] * np.diff(values, axis=0)]
     late = "the rates are {0} "

@@ -543,7 +543,16 @@ def outcome(kind, seed, folder):
     return ("right" if is_right else "wrong"), found
 
 
-@pytest.mark.parametrize("kind", drawn_logs.MISTAKES)
+QUICK = {"zero shift", "spring", "center"}
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=() if kind in QUICK else pytest.mark.slow)
+        for kind in drawn_logs.MISTAKES
+    ],
+)
 def test_a_drawn_mistake_is_named_or_nothing_is(kind, tmp_path):
     """AUDIT_DRAWS logs of each kind (``drawn_logs.mistaken``); -s prints the table."""
     draws = int(os.environ.get("AUDIT_DRAWS", "1"))
