@@ -203,10 +203,14 @@ class PolicyFile:
         """Actions (..., na) for what is seen (..., n), each row by itself."""
         name = self.session.get_inputs()[0].name
         rows = observation(seen.reshape(-1, seen.shape[-1]))
-        found = [self.session.run(None, {name: row[None]})[0] for row in rows]
+        try:
+            found = [self.session.run(None, {name: row[None]})[0] for row in rows]
+        except Exception as error:  # many kinds of errors
+            problem = f"the network cannot be run: {_why(error)}"
+            raise BlockError(f"policy:{self.path.name}: {problem}") from error
         actions = np.clip(np.array(found, dtype=float), -1.0, 1.0)
         if not np.isfinite(actions).all():
-            raise BlockError(f"{self.path.name}: an action is not a number")
+            raise BlockError(f"policy:{self.path.name}: an action is not a number")
         return actions.reshape(*seen.shape[:-1], len(self.action_names))
 
 
@@ -252,8 +256,8 @@ def _read(path: Path, changed: int) -> PolicyFile:
         check_regular(path, limit=_MAX_FILE)
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # many kinds of errors
-        why = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", one_line(error))
-        raise BlockError(f"policy:{path.name} is no ONNX model that can be run: {why}") from error
+        problem = f"is no ONNX model that can be run: {_why(error)}"
+        raise BlockError(f"policy:{path.name} {problem}") from error
     return _checked(path, session, session.get_modelmeta().custom_metadata_map)
 
 
@@ -278,18 +282,46 @@ def _checked(path: Path, session: Any, given: Mapping[str, str]) -> PolicyFile:
         raise BlockError(f"policy:{path.name} {problem}") from error
     except (ValueError, TypeError) as error:
         raise BlockError(f"policy:{path.name}: metadata: {one_line(error)}") from error
-    shapes = [tuple(each[0].shape) for each in (session.get_inputs(), session.get_outputs())]
     wanted = [len(each) for each in names]
     right = policy.action in ACTIONS and policy.scale.shape == (wanted[1],)
     if not (right and np.isfinite(policy.scale).all() and policy.samples_per_step >= 1):
         problem = f"action is one of {', '.join(ACTIONS)}, scale a number for each action"
         raise BlockError(f"policy:{path.name}: metadata: {problem}, samples_per_step 1 or more")
-    for kind, shape, size in zip(("input", "output"), shapes, wanted, strict=True):
-        batch, *width = shape or (0,)
-        if width not in ([size], [None]) or (isinstance(batch, int) and batch != 1):
-            problem = f"its {kind} has the shape {shape}; must be (1, {size}), as its names are"
-            raise BlockError(f"policy:{path.name}: {problem}")
+    if problem := _problem_of(session, *wanted):
+        raise BlockError(f"policy:{path.name}: {problem}")
     return policy
+
+
+def _problem_of(session: Any, observations: int, actions: int) -> str:
+    """The first problem of a network's input and output, for these numbers; empty: there is none.
+
+    Sizes without a number are those of the trial.
+    """
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1 or not outputs:
+        names = ", ".join(each.name for each in inputs) or "none"
+        problem = f"must have one input and an output, not the inputs {names:.80}"
+        return f"{problem}; a recurrent network, which needs its state as an input, cannot be used"
+    ports = {"input": (inputs[0], observations), "output": (outputs[0], actions)}
+    for kind, (port, size) in ports.items():
+        if port.type not in ("tensor(float)", *(["tensor(double)"] * (kind == "output"))):
+            return f"its {kind} has the type {port.type:.80}; must be tensor(float); export float32"
+        shape = tuple(port.shape)
+        pairs = zip(shape, (1, size), strict=False)
+        if len(shape) != 2 or any(isinstance(own, int) and own != n for own, n in pairs):
+            return f"its {kind} has the shape {shape}; must be (1, {size}), as its names are"
+    trial = np.zeros((1, observations), np.float32)
+    try:
+        shape = np.shape(session.run(None, {inputs[0].name: trial})[0])
+    except Exception as error:  # many kinds of errors
+        return f"the network cannot be run: {_why(error)}"
+    wanted = (1, actions)
+    return "" if shape == wanted else f"gives actions of the shape {shape}, not {wanted}"
+
+
+def _why(error: Exception) -> str:
+    """The first words of an error of ONNX Runtime."""
+    return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", one_line(error))[:300]
 
 
 def _check_names(what: str, own: Sequence[str], there: Sequence[str], path: Path) -> None:

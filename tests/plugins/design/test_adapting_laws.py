@@ -61,7 +61,9 @@ def test_a_probe_that_is_not_finite_is_unstable(k_d):
 def test_limits_of_such_a_law_are_found(law):
     """A trial that leaves the plan, where the law is not smooth or asks for what is not finite."""
     given = complete_gains(scenario(law))
-    radii = [probed_radius(with_gains(given, factor), [0.0], adapted=True) for factor in (1.0, 30.0, 1e5)]
+    radii = [
+        probed_radius(with_gains(given, factor), [0.0], adapted=True) for factor in (1.0, 30.0, 1e5)
+    ]
     assert radii[0] < 1.0
     assert min(radii[1:]) > 1.0
 

@@ -217,6 +217,73 @@ def test_a_bad_file_has_one_clear_line(metadata, size, line, tmp_path, coordinat
     assert "\n" not in str(raised.value)
 
 
+FLOAT, DOUBLE, INT = (onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE, onnx.TensorProto.INT64)
+NODE = onnx.helper.make_node
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "nodes", "line"),
+    [
+        (
+            {"x": (FLOAT, [1, 45]), "h": (FLOAT, [1, 11])},
+            {"y": (FLOAT, [1, 11])},
+            [("MatMul", ["x", "w"], ["m"]), ("Add", ["m", "h"], ["y"])],
+            "must have one input and an output, not the inputs x, h; a recurrent network",
+        ),
+        (
+            {"x": (DOUBLE, [1, 45])},
+            {"y": (FLOAT, [1, 11])},
+            [("Cast", ["x"], ["f"], {"to": FLOAT}), ("MatMul", ["f", "w"], ["y"])],
+            "its input has the type tensor(double); must be tensor(float)",
+        ),
+        (
+            {"x": (FLOAT, [1, 45])},
+            {"y": (INT, [1, 11])},
+            [("MatMul", ["x", "w"], ["m"]), ("Cast", ["m"], ["y"], {"to": INT})],
+            "its output has the type tensor(int64); must be tensor(float)",
+        ),
+        (
+            {"x": (FLOAT, ["batch", "time", 45])},
+            {"y": (FLOAT, ["batch", "time", 11])},
+            [("MatMul", ["x", "w"], ["y"])],
+            "its input has the shape ('batch', 'time', 45); must be (1, 45)",
+        ),
+        (
+            {"x": (FLOAT, ["batch", "width"])},
+            {"y": (FLOAT, ["batch", "actions"])},
+            [("Concat", ["x", "x"], ["y"], {"axis": 1})],
+            "gives actions of the shape (1, 90), not (1, 11)",
+        ),
+        (
+            {"x": (FLOAT, ["batch", "width"])},
+            {"y": (FLOAT, ["batch", 11])},
+            [("Slice", ["x", "s", "s"], ["c"]), ("MatMul", ["c", "w"], ["y"])],
+            "the network cannot be run: ",
+        ),
+    ],
+)
+def test_a_network_with_other_ports_is_refused_as_it_is_loaded(
+    inputs, outputs, nodes, line, tmp_path, coordinates
+):
+    made = [NODE(*each[:3], **dict(*each[3:])) for each in nodes]
+    ports = [
+        [onnx.helper.make_tensor_value_info(name, *each) for name, each in ports.items()]
+        for ports in (inputs, outputs)
+    ]
+    constants = {"w": np.zeros((45, 11), np.float32), "s": np.array([3, 5], np.int64)}
+    known = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = onnx.helper.make_graph(made, "graph", *ports, known)
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
+    model.ir_version = 9
+    onnx.helper.set_model_props(model, metadata_of(load_scenario("postcapture"), coordinates))
+    onnx.save(model, tmp_path / "bad.onnx")
+    with pytest.raises(BlockError) as raised:
+        find_factory("controller", "policy:bad.onnx", python_path=[str(tmp_path)])
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert "ONNXRuntimeError" not in str(raised.value)
+
+
 def test_a_file_that_is_none_is_named(tmp_path, coordinates):
     (tmp_path / "text.onnx").write_text("no network")
     linear_policy(tmp_path / "bare.onnx", np.zeros((11, 45)), {})
