@@ -82,7 +82,7 @@ def mutated(rng, kind):
     for _ in range(rng.integers(1, 4)):
         text = _FAULTS[rng.integers(len(_FAULTS))](rng, text)
     content = text.encode()
-    match rng.integers(8):
+    match rng.integers(16):
         case 0:
             content = text.replace("name", "näme").encode("latin-1")
         case 1:
