@@ -324,10 +324,10 @@ def test_a_signal_ends_a_command_and_its_reader(number, tmp_path):
 def test_mutated_models_are_read_or_refused_in_one_line(
     kind, tmp_path, monkeypatch, apart_for_good
 ):
-    _draw(functools.partial(mutated, kind=kind), kind, tmp_path, monkeypatch, DRAWS or 5)
+    _draw(functools.partial(mutated, kind=kind), kind, tmp_path, monkeypatch, DRAWS or 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_hostile_models_end(tmp_path, monkeypatch, apart_for_good):
     os.mkfifo(tmp_path / "fifo")
     for kind in VALID:
