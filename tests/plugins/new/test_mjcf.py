@@ -5,6 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from pydrake.geometry import Mesh
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
@@ -155,8 +156,9 @@ def test_mesh_with_density(tmp_path: Path) -> None:
     written = text.replace('file="block.obj"', f'file="{tmp_path}/block.obj"')
     expected, found = mass_matrices(written, urdf)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
-    assert (tmp_path / "meshes/1/block.obj").is_file()
-    assert 'scale="1.0 2.0 1.0"' in urdf.read_text()
+    hull = Mesh(str(tmp_path / "meshes/1/block.obj")).GetConvexHull()
+    sides = np.ptp([hull.vertex(k) for k in range(hull.num_vertices())], axis=0)
+    assert np.sort(sides) == pytest.approx([0.3, 0.4, 0.5], rel=1e-6)
 
 
 def test_includes_and_classes(tmp_path: Path) -> None:

@@ -48,15 +48,11 @@ _PASSED_OVER = {  # number in the compiled model -> what it counts
 
 
 def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[str]]:
-    """The URDF of an MJCF file, and remarks. Raises ModelError: MuJoCo is not installed or cannot
-    compile it, or parts of it cannot be represented.
+    """The URDF of an MJCF file, and remarks. Raises ModelError: MuJoCo cannot compile it, or
+    parts of it cannot be represented.
     """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ModelError(
-            "is MJCF, which MuJoCo compiles: pip install 'ffsm-drake[mjcf]'"
-        ) from error
+    import mujoco  # slow
+
     check_counts(path)
     usual = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT
