@@ -30,15 +30,17 @@ _SHAPES = {  # geometry of SDFormat -> element of a URDF, and its attributes by 
 class Pictures:
     """Takes the visuals out of files, and gives them to the bodies of a URDF."""
 
-    def __init__(self, packages: Mapping[str, Path], prepare: Callable[[Path], Element]) -> None:
+    def __init__(
+        self, packages: Mapping[str, Path], folder: Path, prepare: Callable[[Path], Element]
+    ) -> None:
         """Args:
         packages: folders of the packages that the files name.
+        folder: gets the copies of included files.
         prepare: reads an included file, calls ``take``, and makes it ready for Drake.
         """
-        self._packages, self._prepare = packages, prepare
+        self._packages, self._folder, self._prepare = packages, folder, prepare
         self.visuals = dict[str, Element]()  # by the name of the frame in its place
-        self._copies, self._open = dict[Path, str](), list[Path]()
-        self._texts = dict[str, bytes]()
+        self._copies, self._open = dict[Path, Path](), list[Path]()
 
     def take(self, tree: Element, path: Path) -> None:
         """Put a frame in place of each visual of a file, of its collision shapes for a link without
@@ -78,14 +80,10 @@ class Pictures:
             return
         if file not in self._copies:
             require(len(self._copies) < _MOST_FILES, f"includes more than {_MOST_FILES} files")
-            name = self._copies[file] = f"{len(self._copies)}_{file.stem}.sdf"
-            self._texts[name] = ElementTree.tostring(self._prepare(file), encoding="utf-8")
-        uri.text = self._copies[file]
-
-    def write(self, folder: Path) -> None:
-        """Write the copies of included files, beside the file that includes them."""
-        for name, content in self._texts.items():
-            (folder / name).write_bytes(content)
+            copy = self._copies[file] = self._folder / f"{len(self._copies)}" / file.name
+            copy.parent.mkdir()
+            copy.write_bytes(ElementTree.tostring(self._prepare(file), encoding="utf-8"))
+        uri.text = str(self._copies[file])
 
     def add(self, root: Element, plant: MultibodyPlant, name_of: Callable[[Any], str]) -> None:
         """Add the visuals to the links of a URDF, as a plant has their frames.

@@ -62,10 +62,11 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
         keep_lines(tree, lines)
         return tree, lines
 
-    pictures = Pictures(packages, lambda file: read(file)[0])
-    tree, lines = read(path)
-    mimics = dict(_take_mimics(tree))
-    plant, springs = _parsed(tree, lines[tree], path, packages, pictures)
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = Pictures(packages, Path(folder), lambda file: read(file)[0])
+        tree, lines = read(path)
+        mimics = dict(_take_mimics(tree))
+        plant, springs = _parsed(tree, lines[tree], path, packages, Path(folder))
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
     frames = {frame.get("name", "") for frame in tree.iter("frame")} - pictures.visuals.keys()
     faults = Faults(
@@ -155,7 +156,7 @@ def _remove(tree: Element) -> Iterator[str]:
 
 
 def _parsed(
-    tree: Element, line: int, path: Path, packages: Mapping[str, Path], pictures: Pictures
+    tree: Element, line: int, path: Path, packages: Mapping[str, Path], folder: Path
 ) -> tuple[MultibodyPlant, int]:
     """Drake's reading of a file whose unused elements are removed, with its root on a line, and its
     number of springs.
@@ -167,21 +168,21 @@ def _parsed(
     log.addHandler(told)
     before, log.propagate = log.propagate, False
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / f"{path.stem}.sdf"
-            pictures.write(Path(folder))
-            above = b"\n" * (line - 1)
-            file.write_bytes(above + ElementTree.tostring(tree, encoding="utf-8"))
-            try:
-                parser.AddModels(str(file))
-            except (RuntimeError, ValueError, SystemExit) as error:
-                from ffsm_drake.spacecraft.plant import cause_of
+        file = folder / f"{path.stem}.sdf"
+        above = b"\n" * (line - 1)
+        file.write_bytes(above + ElementTree.tostring(tree, encoding="utf-8"))
+        try:
+            parser.AddModels(str(file))
+        except (RuntimeError, ValueError, SystemExit) as error:
+            from ffsm_drake.spacecraft.plant import cause_of
 
-                text, is_placed = cause_of(error), str(file) in one_line(error)
-                told.texts.append(text if is_placed else f"Drake cannot read it: {text}")
-            told.texts = [
-                re.sub(f"/?{re.escape(str(file))}", path.name, each) for each in told.texts
-            ]
+            text, is_placed = cause_of(error), str(file) in one_line(error)
+            told.texts.append(text if is_placed else f"Drake cannot read it: {text}")
+        given = re.escape(str(folder))
+        told.texts = [
+            re.sub(f"/?{given}/(\\d+/)?", "", each.replace(str(file), path.name))
+            for each in told.texts
+        ]
     finally:
         log.removeHandler(told)
         log.propagate = before
