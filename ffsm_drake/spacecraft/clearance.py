@@ -1,10 +1,10 @@
 """Clearance: the smallest distance between parts of the spacecraft with relative motion.
 
-The shapes are collision geometry, or visual geometry of a model (servicer, target) without
-collision geometry; a mesh is represented by its convex hull. Invented shapes, which stand for a
-base without a picture, do not count. Excluded are pairs of parts fixed to each other (target and
-gripper), connected by a joint, or with few joints between them and always near each other, such as
-the links of a wrist. A held body, from another model than the base's, is always checked against the
+The shapes are collision geometry, or visual geometry of a body without collision geometry; a mesh
+is represented by its convex hull. Invented shapes, which stand for a base without a picture, do not
+count. Shapes that cannot be measured are named. Excluded are pairs of parts fixed to each other
+(target and gripper), connected by a joint, or with few joints between them and always near each
+other, such as the links of a wrist. A held body, from another model than the base's, is always checked against the
 base, and against every part with a deep overlap at every joint angle. Before a grasp the target is
 a separate body; over the last decimetre and 20 degrees it may touch the gripper and the parts
 excluded after the grasp. A flexible panel is represented by its plates, with their deflections, but
@@ -20,7 +20,7 @@ import numpy as np
 from pydrake.geometry import Mesh, Role, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, RigidBody
+from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, one_line
@@ -82,7 +82,7 @@ class Approach:
 
 
 class Clearance:
-    """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad.
+    """Distances between the parts of a spacecraft. The plant's context is a scratch pad.
 
     Configurations are the spacecraft's, then the pose of a body that is apart, then deflections;
     without the last, flexible parts are at rest.
@@ -107,7 +107,7 @@ class Clearance:
           hands: frames (scoped names) of further hands, which may touch the target.
 
         Raises:
-          ModelError: the model does not load, or Drake cannot measure one of its shapes.
+          ModelError: the model does not load, or MuJoCo does not accept its shapes.
         """
         builder = self._builder = DiagramBuilder()  # keeps the plant
         self.plant: MultibodyPlant = add_combined_plant(
@@ -177,25 +177,15 @@ class Clearance:
         first, second = sorted(body.name() for body in bodies[index])
         return Nearest(distance=distance, first=first, second=second)
 
-    def within(self, q: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
-        """The distances (n) of shapes nearer to each other than ``most`` (m) in configuration q,
-        and their derivatives (n, nv) with respect to the plant's velocities' integrals.
+    def within(
+        self, q: np.ndarray, most: float
+    ) -> Iterator[tuple[float, np.ndarray, tuple[RigidBody, RigidBody]]]:
+        """The shapes nearer to each other than ``most`` (m) in configuration q (n): distance (m),
+        nearest points (2, 3) in the world, and bodies.
         """
         pairs, bodies = self._place(q)
-        distances, rates = list[float](), [np.empty((0, self.plant.num_velocities()))]
         for index, distance, points in self._solids.within(pairs, most):
-            distances.append(distance)
-            away = (points[1] - points[0]) / (distance or np.inf)
-            first, second = (
-                self.plant.CalcJacobianTranslationalVelocity(
-                    self.plant_context, JacobianWrtVariable.kV, body.body_frame(),
-                    body.EvalPoseInWorld(self.plant_context).inverse() @ point,
-                    self.plant.world_frame(), self.plant.world_frame(),
-                )
-                for body, point in zip(bodies[index], points, strict=True)
-            )  # fmt: skip
-            rates.append((away @ (second - first))[None])
-        return np.array(distances), np.vstack(rates)
+            yield distance, points, bodies[index]
 
     def _place(self, q: np.ndarray) -> tuple[np.ndarray, list[tuple[RigidBody, RigidBody]]]:
         """Take a configuration; the pairs of shapes that may not touch then, and their bodies."""
@@ -220,7 +210,7 @@ class Clearance:
             [k for k, each in enumerate(self._shapes) if each.body is body]
             for body in (first, second)
         )
-        return self._solids.pairs(*numbers)
+        return list(itertools.product(*numbers))
 
     def along(self, positions: np.ndarray, *, enough: float = -np.inf) -> Approach:
         """The closest approach along configurations (n, nq); those not ``usable`` are skipped, and

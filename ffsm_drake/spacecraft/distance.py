@@ -5,7 +5,7 @@ box). A mesh is represented by its convex hull, in single precision.
 """
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Shape, Sphere
@@ -55,17 +55,14 @@ class Solids:
         """
         import mujoco  # slow
 
-        spec, bodies = mujoco.MjSpec(), [body for body, _, _ in shapes]
+        spec = mujoco.MjSpec()
         spec.option.ccd_iterations, spec.option.ccd_tolerance = _ITERATIONS, _TOLERANCE
         made = [(*measures_of(shape), X_BG) for _, shape, X_BG in shapes]
-        self._capsules = {k for k, (kind, *_) in enumerate(made) if kind == "capsule"}
-        self._corners_of = dict[int, int]()
-        for k, (kind, sizes, X_BG) in enumerate(made[:] if self._capsules else ()):
-            if kind == "box":
-                self._corners_of[k] = len(made)
-                made.append(("mesh", sizes * _CORNERS, X_BG))
-                bodies.append(bodies[k])
+        # MuJoCo's depth of a capsule in a box is inexact; of one in the box's corners it is not.
+        has_capsule = any(kind == "capsule" for kind, *_ in made)
         for k, (kind, sizes, X_BG) in enumerate(made):
+            if has_capsule and kind == "box":
+                kind, sizes = "mesh", sizes * _CORNERS
             geom = spec.worldbody.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"))
             if kind == "mesh":
                 X_BG = X_BG @ RigidTransform(middle := sizes.mean(axis=0))
@@ -80,19 +77,9 @@ class Solids:
         turns = np.empty((len(made), 9))
         for turn, quaternion in zip(turns, self._model.geom_quat, strict=True):
             mujoco.mju_quat2Mat(turn, quaternion)
-        self._bodies, self._turns = np.array(bodies, dtype=int), turns.reshape(-1, 3, 3)
+        self._bodies = np.array([body for body, _, _ in shapes], dtype=int)
+        self._turns = turns.reshape(-1, 3, 3)
         self._box = self._model.geom_aabb.reshape(-1, 2, 3)  # centre, half its sides
-
-    def pairs(self, first: Iterable[int], second: Iterable[int]) -> list[tuple[int, int]]:
-        """The pairs to measure between two bodies' solids."""
-        # MuJoCo's distance of a capsule and a box is inexact; from the box's corners it is not.
-        return [
-            (
-                self._corners_of.get(i, i) if j in self._capsules else i,
-                self._corners_of.get(j, j) if i in self._capsules else j,
-            )
-            for i, j in itertools.product(first, second)
-        ]
 
     def place(self, poses: np.ndarray) -> None:
         """Put the bodies at poses (bodies, 3, 4) in the world."""

@@ -57,8 +57,9 @@ def measured(first, second):
     """Distance and nearest points of two shapes at poses."""
     solids = Solids([(0, *first), (1, *second)])
     solids.place(STILL)
-    ((_, distance, points),) = solids.within(np.array(solids.pairs([0], [1])), 1e9)
-    assert solids.least(np.array(solids.pairs([0], [1])))[0] == pytest.approx(distance, abs=1e-9)
+    pair = np.array([[0, 1]])
+    ((_, distance, points),) = solids.within(pair, 1e9)
+    assert solids.least(pair)[0] == pytest.approx(distance, abs=1e-9)
     return distance, points
 
 
@@ -126,7 +127,7 @@ def test_odd_shapes_return(size: float, tmp_path: Path) -> None:
         solids.place(np.array([np.eye(3, 4), away]))
         for k in range(len(known) ** 2):
             i, j = divmod(k, len(known))
-            distance, _ = solids.least(np.array(solids.pairs([i], [len(known) + j])))
+            distance, _ = solids.least(np.array([[i, len(known) + j]]))
             what = (names[i], names[j], shift, distance)
             assert -4.1 * size - 1e-5 <= distance <= size * max(shift, 1.0) + 1e-5, what
             assert distance >= size * (shift - 4.1) - 1e-5, what

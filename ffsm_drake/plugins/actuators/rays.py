@@ -6,6 +6,8 @@ from functools import singledispatch
 import numpy as np
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 
+from ffsm_drake.spacecraft.distance import vertices_of
+
 _LEAST = 1e-4  # m; rays that begin on a shape or within it do not meet it
 
 
@@ -44,8 +46,7 @@ def reach_of(shape: Shape) -> float:
 
 def _corners(shape: Convex | Mesh) -> np.ndarray:
     """Least and largest corner (2, 3) of the box of its vertices."""
-    surface = shape.GetConvexHull()
-    vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
+    vertices = vertices_of(shape)
     return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
+from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.solvers import (
     LinearConstraint,
     MathematicalProgram,
@@ -330,7 +331,7 @@ class PlanningProgram:
             found, slope = np.empty(len(values)), np.zeros_like(values[:, joints])
             for k, row in enumerate(values[:, joints]):
                 q[joints] = row
-                distance, rate = clearance.within(q, self._kept + _INFLUENCE)
+                distance, rate = _distances(clearance, q, self._kept + _INFLUENCE)
                 found[k], weight = _nearness(distance, self._kept)
                 slope[k] = weight @ rate[:, joints]
             return found, np.einsum("kj,kjx->kx", slope, by[:, joints])
@@ -525,6 +526,27 @@ def _splines(window: np.ndarray, place: np.ndarray, _: np.ndarray) -> np.ndarray
         value = value + np.pad(after, ((0, 1), (0, 0))) * upper[0]
         found = np.concatenate([value[None], degree * (lower - upper)])
     return found[:3].reshape(-1, own.size)
+
+
+def _distances(clearance: Clearance, q: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """The distances (n) below ``most`` (m) in a configuration, and their derivatives (n, nv) along
+    the plant's velocities.
+    """
+    plant, context = clearance.plant, clearance.plant_context
+    found, rates = list[float](), [np.empty((0, plant.num_velocities()))]
+    for distance, points, bodies in clearance.within(q, most):
+        first, second = (
+            plant.CalcJacobianTranslationalVelocity(
+                context, JacobianWrtVariable.kV, body.body_frame(),
+                body.EvalPoseInWorld(context).inverse() @ point,
+                plant.world_frame(), plant.world_frame(),
+            )
+            for body, point in zip(bodies, points, strict=True)
+        )  # fmt: skip
+        found.append(distance)
+        away = (points[1] - points[0]) / (distance or np.inf)
+        rates.append((away @ (second - first))[None])
+    return np.array(found), np.vstack(rates)
 
 
 def _nearness(distance: np.ndarray, kept: float) -> tuple[float, np.ndarray]:
