@@ -346,13 +346,14 @@ def _finish(
 
     advice_on = optional(SERVICES, "advice") or (lambda record: ())
     said: dict[str, list[str]] = {}  # remark -> controllers
-    for record in records:
+    stopped = any(record.outcome.status == "interrupted" for record in records)
+    for record in () if stopped else records:  # an interrupted command has little time
         for remark in (*run_remarks(record), *advice_on(record)):
             said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
     remedy_of = optional(SERVICES, "remedy") or (lambda record, directory: None)
-    for record in records:
+    for record in () if stopped else records:
         if file := remedy_of(record, directory):
             click.echo(
                 f"{record.scenario.controller}: what may help, as a scenario: ffsm run {file}",
@@ -386,7 +387,7 @@ def _finish(
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
         end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
         click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)
-    if any(record.outcome.status == "interrupted" for record in records):
+    if stopped:
         return interrupted()
     failed = any(
         record.ending.is_failure

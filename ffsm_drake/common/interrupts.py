@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 GRACE = 7.0  # s for what a first signal ends, after which the signal is repeated
-_AT_ONCE = 1.0  # s for the end after a second one
+_AT_ONCE = 2.0  # s for the end after a second one
 _SAME = 0.2  # s within which it is the same signal, sent on by a wrapper such as ``timeout``
 _SILENCE = 0.3  # s to the first line after a signal
 _WRITING = 60.0  # s for a result that is being written

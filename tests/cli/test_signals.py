@@ -144,10 +144,10 @@ STUCK = {
     "validate": (PLANT, "validate"),
     "plan": (PLANT, "plan --out new/plan.yaml"),
     "reproduce": (PLANT, "reproduce fig3 --out new"),
-    "new": (PLANT, "new new/mine"),
+    "new": (PLANT, "new new/mine --urdf plain.urdf"),
     "audit": (PLANT, "audit log.csv --urdf plain.urdf"),
     "analyze": (READING, "analyze old --out new"),
-    "export": (READING, "export old new/r.csv"),
+    "export": (READING, "export old --to new/r.csv"),
     "plot": (READING, "plot old --out new"),
     "replay": (READING, "replay old --out new/r.html"),
 }  # fmt: skip

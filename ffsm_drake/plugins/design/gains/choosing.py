@@ -60,6 +60,7 @@ from ffsm_drake.systems.limits import actuation_limit
 
 # Confirming a choice takes at least this many evaluations, and s beyond the expected time.
 _CONFIRMING, _GRACE = 4.0, 1.0
+_AFTER_INTERRUPT = 2.0  # s; an interrupted process is soon ended
 _TRANSIENT = 5.0  # s, at the start, which is not counted as the motion
 # Seeds of the noise under which a design must not diverge with its base actuators.
 _SEEDS = 2
@@ -281,7 +282,7 @@ class _Search:
             self.ended_by = "the time limit"
         except KeyboardInterrupt:
             self.ended_by = INTERRUPT
-            end = 0.0
+            end, reserve = 0.0, min(reserve, _AFTER_INTERRUPT)
         self._search_end = math.inf
         try:
             with _until(max(end, time.monotonic() + reserve + _GRACE)):
