@@ -253,6 +253,8 @@ def _of_zeros(found: Momentum) -> Iterator[Mistake]:
     for name, axis in zip(found.dynamics.names, np.eye(len(log.angles.T)), strict=True):
 
         def missed(offset: float, axis: Array = axis) -> Array:
+            if offset == 0.0:
+                return found.missed
             total = found.total(log.replace(angles=log.angles - offset * axis))
             return total - found.impulse / found.scale
 
