@@ -162,23 +162,25 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
         offset=1.0, columns=[expected], floors=[-1.0],
     )  # fmt: skip
     yield Mistake(
+        cause="effort_shift", text="has an effort that is {0} late", columns=[joints[j].parts.lag],
+        unit="periods", least=0.55,
+    )  # fmt: skip
+    yield Mistake(
         cause="effort_sign", text="has an effort of the other sign", columns=[expected],
         least=-2.1, most=-1.9,
     )  # fmt: skip
     free, real = -math.inf, 0.0  # smallest possible sizes
-    for cause, text, columns, factor, unit, *floors in (
-        ("effort_shift", "has an effort that is {0} late", [joints[j].parts.lag], 1.0, "periods",
-         0.55),
+    for cause, text, columns, factor, unit, floors in (
         ("effort_offset", "has an effort with a constant offset of {0}", [period], -1.0, "N m or N",
-         free),
+         [free]),
         ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
-         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", real),
-        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", real),
-        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", real),
+         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", [real]),
+        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", [real]),
+        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", [real]),
         ("friction", "is damped by {1:.4g} N m s and has dry friction of {2:.4g} N m",
-         [-moved, against], 1.0, "", real, real),
+         [-moved, against], 1.0, "", [real, real]),
         ("spring", "has a spring of {1:.4g} N m/rad (or N/m)",
-         [-means(from_start) * period, period], 1.0, "", real, free),
+         [-means(from_start) * period, period], 1.0, "", [real, free]),
     ):  # fmt: skip
         yield Mistake(
             cause=cause, text=text, columns=columns, factor=factor, unit=unit, floors=floors

@@ -324,13 +324,13 @@ def _of_forces(found: Momentum) -> Iterator[Mistake]:
                 cause="external_force", text=f"the base is pushed by {{0}} {what} in {words}",
                 columns=columns,
             )  # fmt: skip
-    for cause, text, columns, *floors in (
+    for cause, text, columns, floors in (
         ("gravity", "gravity of {0} m/s^2 acts",
-         [impulse(found.dynamics.mass * axis, center, still) for axis in world]),
+         [impulse(found.dynamics.mass * axis, center, still) for axis in world], []),
         ("damping", "the base is damped by {1:.3g} N s/m and {2:.3g} N m s",
-         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], 0.0, 0.0),
+         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], [0.0, 0.0]),
         ("damping", "it decays by {1:.3g} per s, the angular part by {2:.3g} per s: a simulator's "
-         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], 0.0, 0.0),
+         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], [0.0, 0.0]),
     ):  # fmt: skip
         yield Mistake(cause=cause, text=text, columns=columns, floors=floors)
 
