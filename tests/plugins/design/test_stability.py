@@ -372,7 +372,7 @@ def test_table_and_picture(tmp_path):
     result = CliRunner().invoke(main, ["stability", "--limits", "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "further sensor delay" in result.output
-    assert "base_rotation_x 60 70 70 100 1.43 12.50" in " ".join(result.output.split())
+    assert "base_rotation_x 60 70 70 100 1.43 11.76" in " ".join(result.output.split())
     pixels = image.imread(tmp_path / "new" / "stability.png")
     assert pixels.shape[1] > 1000
     assert pixels[..., :3].std() > 0.1
