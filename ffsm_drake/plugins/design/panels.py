@@ -17,6 +17,7 @@ from ffsm_drake.plugins.design.charts import (
     radius_chart,
 )
 from ffsm_drake.plugins.design.stability import Margins, stability
+from ffsm_drake.plugins.design.stability.linear_loop import radius_digits
 from ffsm_drake.plugins.design.tables import margins_data
 from ffsm_drake.show.chart import Chart
 from ffsm_drake.show.page import Section, render
@@ -95,8 +96,8 @@ def _told(result: Result, margins: Margins | None, problem: str) -> dict[str, An
         "excuse": "",
         "cells": [
             _span(*data["eta"]),
-            f"{data['spectral_radius']:.5f}",
-            f"{expected:.5f}" if adapts else NONE,
+            radius_digits(data["spectral_radius"]),
+            radius_digits(expected) if adapts else NONE,
             f"{max(highest):.3g} / {min(limits):.3g}" if adapts else NONE,
             f"{period} / {longest}",
         ],

@@ -42,7 +42,7 @@ from ffsm_drake.systems.setup import BlockSetup
 LOST, LATE, DOUBLED, REFUSED = FAULTS = ("lost", "late", "doubled", "refused")
 
 
-def _number(default: float, unit: str, meaning: str, **limits: float) -> Any:
+def _number(default: float, unit: str, meaning: str, **limits: Any) -> Any:
     declared = Gain(
         default=default, unit=unit, meaning=meaning, scalar=True, bound=False, feedback=False,
         **limits,
@@ -63,7 +63,7 @@ class Settings:
     def of(cls, setup: BlockSetup) -> "Settings":
         """The settings of a scenario. Raises ScenarioError: a value or a key is wrong."""
         given = gain_values(cls, setup.settings, setup.coordinates, name=setup.name)
-        made = cls(**given)
+        made = cls(**{name: float(value) for name, value in given.items()})
         for name in ("port", "real_time"):
             if (value := getattr(made, name)) != int(value):
                 key = f"controllers.{setup.name}.{name}"

@@ -76,7 +76,7 @@ def changes_of(scenario, found):
 
 
 def settled(scenario):
-    """The scenario with K_s constant, where adaptation leaves it."""
+    """The scenario with K_s constant, where adaptation leaves it, and without the sign term."""
     with Linearizer(scenario) as linearizer:
         held = {}
         for held, _ in reached_gains(linearizer):  # the first that is stable, or the last
@@ -87,6 +87,7 @@ def settled(scenario):
         return scenario
     k_s, key = dict(zip(names, held["reaching_gain"].tolist(), strict=True)), scenario.controller
     gains = {**scenario.controllers[controller_key(key)], "k_s_initial": k_s, "k_s_max": k_s}
+    gains |= {name: {"all": 0.0} for name in ("g_initial", "g_max") if name in gains}
     return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
 
 

@@ -18,10 +18,15 @@ _KEPT = 1e-7  # singular value of A - 1 that is zero, but for the differences' r
 STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
 
 
+def radius_digits(radius: float) -> str:
+    """A spectral radius as a number: five decimals, or three digits from 100 on."""
+    return f"{radius:.5f}" if radius < 100.0 else f"{radius:.3g}"
+
+
 def radius_told(radius: float) -> str:
     """A spectral radius in words, which a loop without a finite one has too."""
     if math.isfinite(radius):
-        return f"{radius:.5f}" if radius < 100.0 else f"{radius:.3g}"
+        return radius_digits(radius)
     return f"none, since it diverges within {WARM_UP} samples of a start on the plan"
 
 
