@@ -156,6 +156,8 @@ class Scenario:
             )
         elif self.num_control_periods < 1:
             yield "sample_time", f"must be at most duration ({self.duration} s)"
+        if self.reference.duration > (most := 100 * MAX_SAMPLES * self.sample_time):
+            yield "reference.duration", f"must be at most {most:g} s"
         if config.use_error_control and config.integration_scheme in FIXED_STEP_SCHEMES:
             yield (
                 "simulator_config.use_error_control",

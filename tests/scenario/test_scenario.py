@@ -146,6 +146,10 @@ directives:
             "'rk9' is unknown; choose one of bogacki_shampine3",
         ),
         (
+            "reference.duration=1e15",
+            "override: reference.duration: must be at most 1e+07 s",
+        ),
+        (
             "simulator_config.max_step_size=0",
             "override: simulator_config.max_step_size: must be > 0 s",
         ),

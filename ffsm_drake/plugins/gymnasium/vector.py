@@ -281,5 +281,6 @@ class MissionVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise
         over = not run.goes_on
         seen, spent = (self._exchange.end, found) if over else found
+        assert seen is not None
         self._seen = observation(seen, self._seen.dtype)
         return spent, over
