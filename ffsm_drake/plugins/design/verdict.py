@@ -140,6 +140,14 @@ class Verdict:
         return self.load is not None and self.load > 1.0
 
     @property
+    def is_as_planned(self) -> bool:
+        """Whether nothing speaks against the mission as planned: no alarm, a stable linear loop
+        and, with a run, one that settles within its limits.
+        """
+        settles = self.run is None or (self.run.ending.is_settled and not self.run.limits)
+        return settles and not self.is_alarm and not self.is_linearly_unstable
+
+    @property
     def lines(self) -> list[str]:
         """The results of each part, a line each, and their disagreements."""
         return list(self._lines())

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ffsm_drake.scenario.actuation import DRIVEN, Wheel
 _CAPTURE = "tumbling_capture"  # the estimator through a grasp
 _THRUST = 0.0125  # m/s^2, of a thruster sized for a base, as 5 N on the shipped servicer
 _LAYOUT_BOX, _FITS = np.array([0.6, 0.6, 0.95]), 0.01  # m; half the base of the shipped layouts
+_SLOWER = (0.5, 0.2)  # shares of a target's tumble
 _TOLERANCE = 5e-3  # m, of a base that thrusters hold in place
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _POSITIVE = rf"(?=[\d.]*[1-9]){_NUMBER}"
@@ -141,6 +142,20 @@ class Asked:
         # The inertia of a light wrist grows by orders of magnitude at a grasp: an estimate of
         # force outlasts that, one of acceleration does not.
         return grasp if self.capture is not None and grasp.sensing == found.sensing else found
+
+    def milder(self) -> Iterator[tuple[str, "Asked"]]:
+        """Requests that ask less of the spacecraft, each after the words for what is to change."""
+        if self.thrusters is not None and self.thrusters[1] is not None:
+            count = self.thrusters[0]
+            yield f"give --thrusters {count}", dataclasses.replace(self, thrusters=(count, None))
+        if self.wheels is not None and self.wheels != (sized := WheelData(self.wheels.count)):
+            yield f"give --wheels {sized.count}", dataclasses.replace(self, wheels=sized)
+        for share in _SLOWER if self.capture else ():
+            rate = rounded(math.degrees(share * (self.capture or 0.0)))
+            slow = dataclasses.replace(self, capture=math.radians(rate))
+            yield f"give --capture {rate:g}deg/s", slow
+        if self.panels is not None:
+            yield "leave out --panels", dataclasses.replace(self, panels=None)
 
     def thruster_settings(self, mass: float, box: BaseBox) -> dict[str, Any]:
         """A shipped layout with the given number and thrust where it fits a base of a mass (kg) in

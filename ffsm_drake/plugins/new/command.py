@@ -1,12 +1,13 @@
 """The command new."""
 
 import re
+import sys
 from contextlib import suppress
 from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.common import json_option, print_result
+from ffsm_drake.cli.common import EXIT_GOOD, EXIT_UNSTABLE, json_option, print_result
 
 
 def _packages(
@@ -157,9 +158,10 @@ def new(
 ) -> None:
     """Start a scenario for your own servicer from its model file.
 
-    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every
-    shipped controller, a copy of the URDF for Drake, and its meshes. The folder can be edited,
-    moved or sent.
+    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run, a copy of
+    the URDF for Drake, and its meshes. The folder can be edited, moved or sent. The mission is
+    rehearsed. Exit code 0: it is expected to go as planned, or the verdict cannot tell; 3: it is
+    not, and the last line names an option that helps, if one of a few tried does.
 
     \b
     Examples:
@@ -173,11 +175,8 @@ def new(
       ffsm new mine --urdf my_robot.urdf --package
       my_robot_description=~/ws/src/my_robot_description
     """
-    from ffsm_drake.common.steps import step
-    from ffsm_drake.plugins.design.verdict import verdict
     from ffsm_drake.plugins.new.asked import Asked
     from ffsm_drake.plugins.new.first_scenario import new_scenario
-    from ffsm_drake.scenario import load_scenario
 
     mass, side, file = (None, None, None) if target is None else _target(target)
     made = new_scenario(
@@ -193,8 +192,13 @@ def new(
         asked=Asked.parsed(**words),
         xacro_args=xacro_args,
         trust=trust,
+        rehearse=True,
     )
-    with step("the verdict"):
-        mission = verdict(load_scenario(str(made.scenario_file)))
-    text = "\n".join([made.summary(), "", *mission.lines, mission.conclusion])
-    print_result(as_json, made.data() | {"mission": mission.as_data()}, text)
+    mission = made.mission
+    assert mission is not None
+    lines = [made.summary(), "", *mission.lines, mission.conclusion]
+    if not made.is_as_planned:
+        helps = f"{made.remedy}: such a mission is expected to go as planned"
+        lines.append(f"what helps: {helps if made.remedy else 'none of the options tried'}")
+    print_result(as_json, made.data() | {"mission": mission.as_data()}, "\n".join(lines))
+    sys.exit(EXIT_GOOD if made.is_as_planned else EXIT_UNSTABLE)

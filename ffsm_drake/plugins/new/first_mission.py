@@ -5,9 +5,11 @@ for the sensors' noise. Then the mission is looked at; where it does not settle,
 shrinks.
 """
 
+import copy
 import dataclasses
 import itertools
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -35,9 +37,11 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
 )
+from ffsm_drake.spacecraft.limits import POSITION, RATE, urdf_limits
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import base_body, find_frame
 from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import SHIPPED, find_factory
 
 BY_AXIS = ("tdc", "asmc", "aismc", "tde_aismc")
@@ -46,6 +50,11 @@ _SAMPLES, _STARTS, _WAY = 400, 8, 6  # candidates; initial postures kept; instan
 _HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
 _CLEAR = 0.05  # m, that parts keep to each other
 _LENGTHS = (0.3, 0.2, 0.5)  # m, of an approach along the grasp axis
+# Shares of the joints' limits that a plan may use, and of the durations, of approach and motion,
+# with which it is tried: a joint that moves at the grasp turns back later in a longer motion.
+_WITHIN = {POSITION: 0.98, RATE: 0.9}
+_SHORTER = ((1.0, 1.0), (0.5, 1.0), (0.75, 0.75), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))
+_ROUNDS, _SECONDS = 3, 5.0  # of durations, then postures; durations are multiples of these
 # Peaks along the motion.
 _RATE, _SHARE_OF_VELOCITY = {"rad": 0.1, "m": 0.05}, 0.2  # rad/s, m/s; of the URDF's limits
 _JOINT, _MOTION, _DISTURBED = 0.3, 0.65, 0.3  # shares of what the actuators give
@@ -71,11 +80,16 @@ _PANEL_SIDES = ([0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
 class Draft:
     """A scenario's plain data, filled step by step; ``remarks`` say what cannot be met."""
 
-    def __init__(self, data: dict[str, Any], asked: Asked, servicer: Servicer, source: str):
+    def __init__(
+        self, data: dict[str, Any], asked: Asked, servicer: Servicer, source: str, *, seed: int = 0
+    ) -> None:
+        """Args: see the attributes; another seed draws other postures."""
         self.data, self.asked, self.servicer, self.source = data, asked, servicer, source
+        self._seed, self._starts = seed, list[np.ndarray]()
         self.remarks, self.margins = list[str](), dict[str, Margins]()
         self.is_held = True  # by all hands
         self.touching = ""  # the parts that no posture and approach found keeps clear
+        self._outside = ""  # the joints that leave their limits in every motion tried
         if servicer.normal is not None:
             initial = self.data["initial_posture"]
             initial["base_position"][servicer.normal] = 0.0
@@ -85,6 +99,8 @@ class Draft:
         self.peaks, self.weak = np.zeros(0), ""  # (nv) forces of motion and disturbance
         self.true = make_true_plant(self.scenario)
         self.coordinates = self.true.coordinates
+        limits = urdf_limits(self.scenario.model, self.true.plant)
+        self._limits = [each for each in limits if each.quantity in _WITHIN]
 
     @property
     def scenario(self) -> Scenario:
@@ -108,18 +124,23 @@ class Draft:
             self.is_held = Hands(self, target, clear=_CLEAR).place()
             return
         self._starts = self._postures()
-        self._approach(self._starts)
+        if self.asked.has_approach:
+            self._approach(_SHORTER[:1])
 
     @step("gains, wheels and durations")
     def fill(self) -> None:
         """Disturbance, durations, wheels, then gains, once all is placed."""
         self._disturb()
-        if self._pace():
-            self._approach(self._starts)
-        if self.touching:
-            self.remarks.append(self.touching)
-        if self.weak:
-            self.remarks.append(self.weak)
+        moves = bool(self._starts) and self.asked.capture is not None
+        for _ in range(_ROUNDS):
+            if not (self._pace() or self._used()[0] > 1.0) or not moves:
+                break
+            self._approach(_SHORTER)
+        else:
+            self._pace()
+        used, self._outside = self._used()
+        found = self.touching, self._outside if used > 1.0 else "", self.weak
+        self.remarks += filter(None, found)
         self._tune()
 
     def _postures(self) -> list[np.ndarray]:
@@ -127,7 +148,7 @@ class Draft:
 
         Returns: initial configurations (nq) that are clear of contact, the best first.
         """
-        arm, rng = _Arm(self), np.random.default_rng(0)
+        arm, rng = _Arm(self), np.random.default_rng(self._seed)
         low, high = arm.limits.T
         rest = 0.5 * (low + high)
         target = arm.best([rest, *(low + (high - low) * rng.random((_SAMPLES, low.size)))])[0]
@@ -154,40 +175,84 @@ class Draft:
         joint = next(each for each in self.servicer.joints if each.name == name)
         return min(_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity)
 
-    def _approach(self, starts: list[np.ndarray]) -> None:
-        """The initial posture, and the way to it along the grasp axis, that keep clear of the
-        tumbling target; where none does, those that come least near.
+    def _used(self) -> tuple[float, str]:
+        """The share of the joints' limits, less their margins, that the planned motion uses, and
+        the joint that uses it, in words.
         """
-        if not self.asked.has_approach:
-            return
-        initial, approach = self.data["initial_posture"], self.data["capture"]["approach"]
-        tip = find_frame(self.true.plant, self.data["model"]["end_effector"], key="tip")
-        turn = RollPitchYaw(initial["base_rpy"]).ToRotationMatrix().matrix()
-        best: tuple[float, str, dict[str, float], dict[str, Any]] = (-math.inf, "", {}, {})
-        ways = [*itertools.product(starts, _LENGTHS)]
-        for k, (start, length) in enumerate(ways):
-            self.true.plant.SetPositions(self.true.context, start)
-            axis = turn @ tip.CalcPoseInWorld(self.true.context).rotation().matrix()[:, 2]
-            place = np.array(initial["base_position"]) - length * axis
-            joints = zip(self.coordinates.joints, start[NUM_BASE_POSITIONS:].tolist(), strict=True)
-            initial["joints"] = dict(joints)
-            approach["posture"] = {
-                **initial, "base_position": [rounded(x) for x in place.tolist()]
-            }  # fmt: skip
-            with step(f"approach {k + 1} of {len(ways)}"):
-                near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
-            if near.distance > best[0]:
-                told = str(near)
-                best = near.distance, told, initial["joints"], approach["posture"]
-            if near.distance >= 2.0 * Scenario().clearance:
-                return
-        _, told, initial["joints"], approach["posture"] = best
-        if best[0] < Scenario().clearance:
+        motion, limits = make_motion(self.scenario, self.coordinates), self._limits
+        rows = motion.rows(np.linspace(0.0, motion.end, 4 * _INSTANTS))
+        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
+        q, v, _ = np.split(rows, [nq, nq + nv], axis=1)
+        used = np.array([
+            limit.used({POSITION: q[:, 1:], RATE: v}[limit.quantity]).max(axis=0)
+            / _WITHIN[limit.quantity] for limit in limits
+        ])  # fmt: skip
+        which, joint = np.unravel_index(np.argmax(used), used.shape)
+        limit = limits[which]
+        what = f"{100.0 * used.max() * _WITHIN[limit.quantity]:.3g} % of {limit.source}"
+        return float(used.max()), (
+            f"no motion within the joints' limits was found: {limit.names[joint]} takes {what} "
+            "(from the middle of its range); try a slower tumble, or lighter target"
+        )
+
+    def _approach(self, durations: Iterable[tuple[float, float]]) -> None:
+        """The initial posture, the way to it along the grasp axis, and the durations of approach
+        and motion, in shares of the present ones, so that joints stay within their limits, and
+        parts clear of the tumbling target; where none does, the best.
+        """
+        enough, told = Scenario().clearance, ""
+        best, chosen, before = (-math.inf, -math.inf), dict[str, Any](), self._choice
+        ways = [*itertools.product(self._starts, _LENGTHS if self.asked.has_approach else (0.0,))]
+        for shares in durations:
+            if best >= (-1.0, enough):
+                break
+            for k, (start, length) in enumerate(ways):
+                self.data |= copy.deepcopy(before)
+                self._begin(start, length, shares)
+                with step(f"approach {k + 1} of {len(ways)}"):
+                    used = max(self._used()[0], 1.0)
+                    if -used < best[0] or (min(shares) < 1.0 and self._overloads()):
+                        continue
+                    near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
+                if (-used, near.distance) > best:
+                    told = str(near)
+                    best, chosen = (-used, near.distance), self._choice
+                if best >= (-1.0, 2.0 * enough):
+                    return
+        self.data |= chosen
+        if best[1] < enough:
             self.touching = (
                 f"no approach keeps clear of the target: {told}; try a "
                 "slower tumble, or a --tip at the end of the hand (now "
                 f"{self.data['model']['end_effector']})"
             )
+
+    @property
+    def _choice(self) -> dict[str, Any]:
+        """A copy of what ``_approach`` chooses."""
+        keys = "initial_posture", "reference", "capture"
+        return copy.deepcopy({key: self.data[key] for key in keys})
+
+    def _begin(self, start: np.ndarray, length: float, shares: tuple[float, float]) -> None:
+        """Put an initial configuration (nq), an approach of a length (m), and durations in shares
+        of the present ones.
+        """
+        initial, joints = self.data["initial_posture"], start[NUM_BASE_POSITIONS:].tolist()
+        initial["joints"] = dict(zip(self.coordinates.joints, joints, strict=True))
+        timed = [(self.data["reference"], shares[1])]
+        if self.asked.has_approach:
+            tip = find_frame(self.true.plant, self.data["model"]["end_effector"], key="tip")
+            turn = RollPitchYaw(initial["base_rpy"]).ToRotationMatrix().matrix()
+            self.true.plant.SetPositions(self.true.context, start)
+            axis = turn @ tip.CalcPoseInWorld(self.true.context).rotation().matrix()[:, 2]
+            place = np.array(initial["base_position"]) - length * axis
+            approach = self.data["capture"]["approach"]
+            approach["posture"] = {**initial, "base_position": list(map(rounded, place.tolist()))}
+            timed.append((approach, shares[0]))
+        for section, share in timed:
+            if share < 1.0:
+                whole = round(share * section["duration"] / _SECONDS)
+                section["duration"] = _SECONDS * max(whole, 1)
 
     @property
     def _bus(self) -> tuple[RigidBody, float, np.ndarray]:
@@ -310,28 +375,45 @@ class Draft:
 
     def _pace(self) -> bool:
         """Size wheels, and lengthen the motion, then the approach, until the actuators have enough
-        for it; whether the approach became longer.
+        for it; whether one became longer.
         """
         reference, longer = self.data["reference"], math.inf
+        before = reference["duration"]
         while longer > reference["duration"]:
             if longer < math.inf:
                 reference["duration"] = longer
             with step(f"a motion of {reference['duration']:g} s"):
-                planned = self._planned()
-            first = 0.0 if self.asked.capture is None else min(_SETTLE, 0.1 * planned.motion.end)
-            self.peaks = _peaks(planned, first) + self._disturbance
+                self.peaks = self._motion_peaks() + self._disturbance
             self._size_wheels()
             longer = self._longer(reference["duration"], self.peaks - self._disturbance)
+        is_longer = bool(reference["duration"] > before)
         if not self.asked.has_approach:
-            return False
+            return is_longer
         approach = self.data["capture"]["approach"]
         before = approach["duration"]
-        whole = PlannedDynamics(self._scenario(disturbance={}))  # as if the target were held
-        approach["duration"] = self._longer(before, _peaks(whole, 0.0, before))
-        return bool(approach["duration"] > before)
+        approach["duration"] = self._longer(before, self._approach_peaks())
+        return is_longer or bool(approach["duration"] > before)
+
+    def _overloads(self) -> bool:
+        """Whether motion or approach are too short for the actuators."""
+        timed = [(self.data["reference"]["duration"], self._motion_peaks())]
+        if self.asked.has_approach:
+            timed.append((self.data["capture"]["approach"]["duration"], self._approach_peaks()))
+        return any(self._longer(*each) > each[0] for each in timed)
+
+    def _motion_peaks(self) -> np.ndarray:
+        """The largest forces (nv) of the motion, N m or N, without a moment after a grasp."""
+        planned = self._planned()
+        first = 0.0 if self.asked.capture is None else min(_SETTLE, 0.1 * planned.motion.end)
+        return _peaks(planned, first)
+
+    def _approach_peaks(self) -> np.ndarray:
+        """The largest forces (nv) of the approach, N m or N, as if the target were held."""
+        whole = PlannedDynamics(self._scenario(disturbance={}))
+        return _peaks(whole, 0.0, self.data["capture"]["approach"]["duration"])
 
     def _longer(self, duration: float, peaks: np.ndarray) -> float:
-        """The duration, in steps of 5 s, of a motion whose peak forces (nv) leave the actuators
+        """The duration, a multiple of 5 s, of a motion whose peak forces (nv) leave the actuators
         their reserve.
         """
         limit, base = self._limit, np.arange(peaks.size) < NUM_BASE_VELOCITIES
@@ -339,7 +421,8 @@ class Draft:
         left = np.maximum(share * limit - self._disturbance, _LEAST_LEFT * limit)
         driven = np.array([self.asked.drives(group) for group in self.coordinates.group_of])
         ratio = math.sqrt(float((driven * peaks / left).max()))
-        return min(5.0 * math.ceil(max(ratio, 1.0) * duration / 5.0 - 1e-9), _LONGEST)
+        whole = math.ceil(max(ratio, 1.0) * duration / _SECONDS - 1e-9)
+        return min(_SECONDS * whole, _LONGEST)
 
     def motion_forces(self) -> np.ndarray:
         """The largest forces (nv) of perfect tracking of the planned motion, N m or N."""

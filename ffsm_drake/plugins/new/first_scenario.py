@@ -4,12 +4,14 @@ it, and its meshes.
 
 import copy
 import dataclasses
+import functools
 import re
 import shlex
 import shutil
 import tempfile
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability import Margins
+from ffsm_drake.plugins.design.verdict import Verdict, verdict
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_mission import Draft
 from ffsm_drake.plugins.new.urdf import (
@@ -36,12 +39,13 @@ from ffsm_drake.plugins.new.urdf import (
     read_urdf,
     write_urdf,
 )
-from ffsm_drake.scenario import Scenario, shipped_scenarios, write_yaml
+from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, write_yaml
 from ffsm_drake.spacecraft.plant import check_pictures
 
 _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # share of the base's mass
+_TRIES, _LIGHTER = 3, 0.4  # missions with other postures; share of a target's mass
 _HALVED = 3  # times that the side of a target may be, until it touches nothing
 _NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
@@ -57,6 +61,24 @@ class NewScenario:
     margins: Mapping[str, Margins]  # stability margins of the paper's mission, by controller
     side: float | None  # m, of a target that is a cube
     remarks: tuple[str, ...]
+    mission: Verdict | None = None  # with ``rehearse``
+    remedy: str = ""  # of a mission not expected to go as planned: the change of options that helps
+
+    def judged(self) -> "NewScenario":
+        """The same with a verdict on the mission in its file."""
+        with step("the verdict"):
+            mission = verdict(load_scenario(str(self.scenario_file)), advises=False)
+        return dataclasses.replace(self, mission=mission)
+
+    @property
+    def is_as_planned(self) -> bool:
+        """Whether nothing is known that speaks against the mission as planned."""
+        return self.mission is None or self.mission.is_as_planned
+
+    @property
+    def has_alarm(self) -> bool:
+        """Whether its verdict is an alarm."""
+        return self.mission is not None and self.mission.is_alarm
 
     @property
     def payload_mass(self) -> float:
@@ -86,6 +108,7 @@ class NewScenario:
                 for name, each in self.margins.items()
             },
             "remarks": list(self.remarks),
+            "remedy": self.remedy,
         }
 
     def summary(self) -> str:
@@ -141,6 +164,7 @@ def new_scenario(
     asked: Asked | None = None,
     xacro_args: Mapping[str, str] | None = None,
     trust: bool = False,
+    rehearse: bool = False,
 ) -> NewScenario:
     """Write a folder with a scenario for the servicer of a model file, its URDF as Drake loads it,
     and its meshes.
@@ -164,6 +188,8 @@ def new_scenario(
       xacro_args: values of the arguments of a xacro file.
       trust: allow xacro files ``load_yaml``, environment variables, and files outside the folder of
         the model and of packages.
+      rehearse: run the mission; if its verdict is not good, try other postures, and then other
+        options for a remedy, which takes up to ten times as long.
 
     Raises:
       ModelError: the URDF is not that of a free base with an arm; the message says what to change.
@@ -194,17 +220,53 @@ def new_scenario(
         )  # fmt: skip
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
-            folder = Path(temporary) / directory.name
-            folder.mkdir()
-            made = _make(
-                servicer, folder, asked, held, packages=folders,
-                mass=payload_mass, side=payload_size,
-            )  # fmt: skip
+
+            def make(asked: Asked, mass: float | None = payload_mass, seed: int = 0) -> NewScenario:
+                folder = Path(tempfile.mkdtemp(dir=temporary)) / directory.name
+                folder.mkdir()
+                return _make(
+                    servicer, folder, asked, held, packages=folders, mass=mass, side=payload_size,
+                    seed=seed,
+                )  # fmt: skip
+
+            made = make(asked)
+            if rehearse:
+                others: dict[str, Callable[[], NewScenario]] = {
+                    words: functools.partial(make, other) for words, other in asked.milder()
+                }
+                if held is None:
+                    mass = rounded(_LIGHTER * made.payload_mass)
+                    size = "" if payload_size is None else f",{payload_size:g}m"
+                    others[f"give --target {mass:g}kg{size}"] = lambda: make(asked, mass)
+                again = (functools.partial(make, asked, seed=k) for k in range(1, _TRIES))
+                made = _rehearsed(made, [*again], others)
             with published(directory) as new:
-                shutil.copytree(folder, new, dirs_exist_ok=True)
+                shutil.copytree(made.scenario_file.parent, new, dirs_exist_ok=True)
     except OSError as error:
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
+
+
+def _rehearsed(
+    first: NewScenario,
+    again: Sequence[Callable[[], NewScenario]],
+    others: Mapping[str, Callable[[], NewScenario]],
+) -> NewScenario:
+    """The first mission that is expected to go as planned, of one and further ones with the same
+    options; else the best of them, with what helps of other options, by the words for it.
+    """
+    found = [first.judged()]
+    for k, make in enumerate(again):
+        if found[-1].is_as_planned:
+            return found[-1]
+        with step(f"other postures, {k + 1} of {len(again)}"), suppress(FfsmError):
+            found.append(make().judged())
+    best = min(found, key=lambda each: (not each.is_as_planned, each.has_alarm))
+    for k, (words, make) in enumerate(others.items() if not best.is_as_planned else ()):
+        with step(f"a remedy, {k + 1} of {len(others)}: {words}"), suppress(FfsmError):
+            if make().judged().is_as_planned:
+                return dataclasses.replace(best, remedy=words)
+    return best
 
 
 def _check_arguments(directory: Path, packages: Mapping[str, Path]) -> None:
@@ -231,9 +293,10 @@ def _make(
     packages: Mapping[str, Path],
     mass: float | None,
     side: float | None,
+    seed: int,
 ) -> NewScenario:
     """Make everything in a folder that is still temporary, with a target, or a cube of a mass (kg)
-    and side (m).
+    and side (m); another seed draws other postures.
     """
     file, text = folder / f"{folder.name}.yaml", _TEMPLATE.read_text(encoding="utf-8")
     data = yaml.safe_load(text)
@@ -249,7 +312,7 @@ def _make(
     def placed(target: Target, place: Path) -> tuple[list[str], Draft]:
         own = copy.deepcopy(data)
         left_out = _write_models(own, servicer, place, target, packages=packages)
-        draft = Draft(own, asked, servicer, source=str(place / file.name))
+        draft = Draft(own, asked, servicer, source=str(place / file.name), seed=seed)
         draft.place(target)
         return left_out, draft
 
