@@ -32,7 +32,7 @@ NEEDS = {
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
     "gymnasium": {"policy", "task_space"},
-    "new": {"design"},
+    "new": {"actuators", "design"},
     "paper": {"analysis", "design"},
     "planning": {"design", "task_space"},
     "policy": {"task_space"},

@@ -33,6 +33,12 @@ def power_of_ten(exponent: int) -> str:
     return f"×10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
+def rounded_up(value: float, digits: int) -> float:
+    """The smallest number with so many digits that a finite value does not exceed, for a bound."""
+    unit = 10.0 ** (math.floor(math.log10(abs(value) or 1.0)) - digits + 1)
+    return math.ceil(value / unit - 1e-9) * unit
+
+
 def percent(share: float | None) -> str:
     """Such as 97.5 %; a dash where there is none."""
     return f"{100.0 * share:.1f} %" if share is not None and math.isfinite(share) else NONE

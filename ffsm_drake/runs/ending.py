@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from ffsm_drake.common.numbers import number
+from ffsm_drake.common.numbers import number, rounded_up
 from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.part import Signals
@@ -183,7 +183,7 @@ def _largest_by_unit(errors: np.ndarray, units: Sequence[str]) -> str:
         for unit in ("rad", "m")
         if unit in units
     }
-    return ", ".join(f"{number(error, 3)} {unit}" for unit, error in largest.items())
+    return ", ".join(f"{number(rounded_up(error, 3), 3)} {unit}" for unit, error in largest.items())
 
 
 def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.ndarray:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ffsm_drake.common.numbers import number
+from ffsm_drake.common.numbers import number, rounded_up
 from ffsm_drake.plugins.benchmark.missions import Board, Reproduced, Standing
 from ffsm_drake.show.page import render
 from ffsm_drake.show.table_files import Column
@@ -105,8 +105,8 @@ def _bounds(board: Board) -> str:
             f"{least}{propellant}"
         )
     return (
-        f"Motion of {board.motion:.3g} s, at most {board.ratio:.3g} times the least possible. "
-        f"Least time: {', '.join(parts)}.{propellant}"
+        f"Motion of {board.motion:.3g} s, at most {rounded_up(board.ratio, 3):.3g} times the least "
+        f"possible. Least time: {', '.join(parts)}.{propellant}"
     )
 
 

@@ -98,16 +98,17 @@ class Asked:
     panels: tuple[int, float] | None = None  # number, mass of each, kg
     capture: float | None = None  # rad/s, at which the target tumbles
     tips: tuple[str, str] | None = None  # frames of two hands
+    friction: bool = False  # that of the model's joints, in their drives
     driven: tuple[str, ...] = ("all",)  # groups of coordinates
 
     @classmethod
-    def parsed(cls, **words: str | None) -> "Asked":
+    def parsed(cls, *, friction: bool = False, **words: str | None) -> "Asked":
         """From the options of ``ffsm new`` by name; None: not given.
 
         Raises ScenarioError: one of them cannot be used.
         """
         given = {name: word.strip() for name, word in words.items() if word is not None}
-        asked = cls(**{name: _value(name, word) for name, word in given.items()})
+        asked = cls(friction=friction, **{name: _value(name, word) for name, word in given.items()})
         for name, group in (("thrusters", "base_position"), ("wheels", "base_rotation")):
             if getattr(asked, name) is not None and not asked.drives(group):
                 raise ScenarioError(

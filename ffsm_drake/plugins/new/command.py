@@ -142,6 +142,11 @@ def _target(value: str) -> tuple[float | None, float | None, Path | None]:
     metavar="GROUPS",
     help="Actuated groups: all (default), base_rotation,joints, or joints.",
 )
+@click.option(
+    "--friction",
+    is_flag=True,
+    help="Damping and friction of the model's joints, as friction of their drives.",
+)
 @json_option
 def new(
     directory: Path,
@@ -154,6 +159,7 @@ def new(
     bus_mass: float | None,
     bus_size: tuple[float, ...] | None,
     as_json: bool,
+    friction: bool,
     **words: str | None,
 ) -> None:
     """Start a scenario for your own servicer from its model file.
@@ -189,7 +195,7 @@ def new(
         target=file,
         bus_mass=bus_mass,
         bus_size=bus_size,
-        asked=Asked.parsed(**words),
+        asked=Asked.parsed(friction=friction, **words),
         xacro_args=xacro_args,
         trust=trust,
         rehearse=True,

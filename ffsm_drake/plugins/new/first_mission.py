@@ -18,6 +18,7 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
 from ffsm_drake.plugins.design.stability import Margins, stability
@@ -39,7 +40,7 @@ from ffsm_drake.spacecraft.coordinates import (
 )
 from ffsm_drake.spacecraft.limits import POSITION, RATE, urdf_limits
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.spacecraft.plant import base_body, find_frame
+from ffsm_drake.spacecraft.plant import base_body, configuration, find_frame
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import SHIPPED, find_factory
@@ -64,6 +65,10 @@ _LONGEST, _SETTLE, _INSTANTS = 120.0, 1.0, 60  # s; s after a grasp that do not 
 # m/s^2; its frequencies, rad/s, are taken in turn.
 _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)
+# Steps, s, and rates within which friction changes its sign, rad/s or m/s; its time constant near
+# rest over a step, at least.
+_RESOLVED = 1.3
+_STEP_SIZES, _SMOOTHED = (0.01, 0.005, 0.002, 0.001, 0.0005), (5e-3, 2e-2, 5e-2)
 _PULSES, _WHEEL = 0.4, (0.05, 5.0)  # wheels' share of the thrusters' torque; a wheel, N m
 _SLOW_WHEEL, _ROTOR = 0.4, 0.005  # torque (1/s^2) and rotor per least moment of base
 # Natural frequencies to start from, rad/s, and what shrinks them.
@@ -138,6 +143,7 @@ class Draft:
             self._approach(_SHORTER)
         else:
             self._pace()
+        self._resolve_friction()
         used, self._outside = self._used()
         found = self.touching, self._outside if used > 1.0 else "", self.weak
         self.remarks += filter(None, found)
@@ -428,6 +434,29 @@ class Draft:
         """The largest forces (nv) of perfect tracking of the planned motion, N m or N."""
         return _peaks(self._planned())
 
+    def _resolve_friction(self) -> None:
+        """Steps of the integrator that resolve friction near rest, with its change of sign within
+        the slowest rate that one of few steps resolves.
+        """
+        drives, config = self.data["actuation"].get("drives"), self.data["simulator_config"]
+        if drives is None:
+            return
+        joints, free = slice(NUM_BASE_VELOCITIES, None), list[np.ndarray]()
+        for held in {True, self.asked.capture is None}:
+            model = make_true_plant(dataclasses.replace(self.scenario, holds=held))
+            for key, each in self.scenario.postures.items():
+                q = configuration(model.plant, each, key=key)
+                free.append(np.linalg.inv(model.calc_mass_matrix(q))[joints, joints])
+        for step_size, rate in itertools.product(_STEP_SIZES, _SMOOTHED):
+            config["max_step_size"], drives["smoothing_rate"] = step_size, rate
+            made = DriveSet(self.scenario.drives, self.scenario.actuation.limit, self.coordinates)
+            if min(made.time_constant(each)[0] for each in free) > _RESOLVED * step_size:
+                return
+        self.remarks.append(
+            "friction is too stiff for steps of any size tried: give "
+            "simulator_config.integration_scheme: implicit_euler"
+        )
+
     def _size_wheels(self) -> None:
         """Wheels with the torque for the peak forces and, beside thrusters, for their pulses; given
         ones, and those that feel a grasp, get the thrusters' help.
@@ -492,17 +521,21 @@ class Draft:
         self.remarks.append(f"{found}; see 'ffsm stability'")
 
     def _put_gains(self, omega: np.ndarray, matrices: np.ndarray) -> None:
-        """Gains of the laws that natural frequencies (nv), rad/s, are known for, with the mass
-        matrices (m, nv, nv) along the motion.
+        """Gains of every law of the package for natural frequencies (nv), rad/s, with the mass
+        matrices (m, nv, nv) along the motion. With real sensors, laws that are not designed by axis
+        have half of them, since they may be stiffer.
         """
-        paper, found = self.asked.is_paper, self.data["controllers"]
-        for name in SHIPPED["controller"] if paper else BY_AXIS:
+        found = self.data["controllers"]
+        for name in SHIPPED["controller"]:
             law: Any = find_factory("controller", name)
-            gains = law.starting_gains(omega, matrices)
-            if not paper:
+            if self.asked.is_paper:
+                gains = law.starting_gains(omega, matrices)
+            elif name in BY_AXIS:
                 gains = law.gains_for(omega, _K_S * omega)
                 if "g_max" in law.__dataclass_fields__:
                     gains |= {"g_initial": _SWITCHING, "g_max": _SWITCHING}
+            else:
+                gains = law.starting_gains(0.5 * omega, matrices)
             if gains:
                 found[name] = {
                     key: value if np.ndim(value) == 0 else rounded_by_group(value, self.coordinates)

@@ -306,6 +306,8 @@ def _make(
         data["controller"] = Scenario.controller
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
     data["actuation"] = {"limit": efforts} if efforts else {}
+    if asked.friction and (drives := servicer.drives):
+        data["actuation"]["drives"] = drives
     asked.fill(data)
     given = target or cube(mass, side, servicer, share=_PAYLOAD_SHARE)
 
@@ -355,6 +357,8 @@ def _make(
         told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
     data = draft.data
+    if "drives" in data["actuation"]:
+        left_out = [each for each in left_out if "--friction" not in each]
     limits = "; ".join(f"{joint.name} {_limits(joint)}" for joint in servicer.joints)
     named = text.replace("LIMITS", limits).replace("CONTROLLERS", ", ".join(data["controllers"]))
     write_text(file, _filled(named, data))

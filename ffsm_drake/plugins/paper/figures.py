@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffsm_drake.common.files import written_whole
+from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.paper.runs import (
     CONTROLLERS,
     DISTURBANCES,
@@ -261,7 +262,8 @@ def plot_divergence(results: Results) -> Figure:
 def _largest_departure(record: RunRecord) -> str:
     peak = record.metrics["peak_error"]
     rotation = max(peak["base_rotation"], peak["joints"])
-    return f"{1e6 * rotation:.2g} µrad and {1e6 * peak['base_position']:.2g} µm"
+    sizes = (1e6 * rounded_up(each, 2) for each in (rotation, peak["base_position"]))
+    return "{:.2g} µrad and {:.2g} µm".format(*sizes)
 
 
 def _write(figure: Figure, name: str, title: str, caption: str, directory: Path) -> FigureFile:

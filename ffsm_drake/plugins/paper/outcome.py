@@ -5,6 +5,7 @@ The figures belong to the setting ``euler``, the known part of the paper's simul
 
 from collections.abc import Callable
 
+from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, STUDY
 from ffsm_drake.plugins.paper.table import METRICS, Cell, Row
@@ -14,6 +15,7 @@ from ffsm_drake.plugins.paper.wording import (
     between,
     listed,
     named,
+    percent,
     span,
 )
 
@@ -58,7 +60,10 @@ def _values(metric: str, rows: list[Row]) -> tuple[bool, str]:
     ratios = [cell.ratio for cell in _cells(metric, rows)]
     off = max(abs(ratio - 1.0) for ratio in ratios)
     if off <= paper.REPRODUCED:  # false for NaN, where a run diverged
-        return True, f"{METRICS[metric]}: all {len(ratios)} values within {100.0 * off:.1f} %."
+        return (
+            True,
+            f"{METRICS[metric]}: all {len(ratios)} values within {percent(rounded_up(off, 2))}.",
+        )
     return False, f"{METRICS[metric]}: the values are {span(ratios, 2)} times the paper's."
 
 

@@ -20,6 +20,8 @@ from ffsm_drake.plugins.paper.wording import NAMES, fate, fixed, listed, percent
 from ffsm_drake.runs.record import RunRecord
 
 claim = claims_about("Theory")
+_N_STAR = "the largest TDE error of the run, the least bound"
+_LEMMA_1 = f"with N* {_N_STAR}"
 
 
 @functools.lru_cache(maxsize=4)
@@ -32,6 +34,10 @@ def proof_is_conclusive(results: Results) -> Evaluated:
     """Evaluate the premises: a completed run agrees with the conclusion, but does not prove it."""
     premise = _shares(results, "lemma_1_premise", "share_of_samples")
     conclusion = _shares(results, "lemma_1_conclusion", "share_of_gains")
+    more = [
+        _shares(results, key, "ratio").pair(fixed)
+        for key in ("lemma_1_premise", "lemma_1_conclusion")
+    ]
     margins = {
         (setting, name): stability(
             Case(setting=setting, controller=name).scenario(results.overrides)
@@ -52,7 +58,9 @@ def proof_is_conclusive(results: Results) -> Evaluated:
     return (
         f"The proof needs Lemma 1, whose premise is true of {premise.pair(percent)} of the samples "
         f"(explicit Euler; exact, K_s bounded) and whose conclusion of {conclusion.pair(percent)} "
-        "of the gains. It is in continuous time, too: with the force held, the published gains' "
+        f"of the gains, with N* {_N_STAR}: the verdict depends on it. The premise holds for N* "
+        f"beyond {more[0]} times that, the conclusion beyond {more[1]} times. "
+        "The proof is in continuous time, too: with the force held, the published gains' "
         f"run {fate(results.run('exact', PROPOSED))}. The sampled loop predicts the outcome, "
         f"{agreement}: it is stable for K_s below {fixed(limit)} 1/s on the exactly integrated "
         f"plant and {fixed(euler_limit)} 1/s on the Euler plant. That runs complete proves "
@@ -93,8 +101,10 @@ def tde_errors_are_bounded(results: Results) -> Evaluated:
     return f"{'; '.join(measured)}.", (kind, condition)
 
 
-def _finding(key: str, text: str, place: str) -> Claim:
-    """A claim that is a finding of the analysis, in the paper's and the exact bounded run."""
+def _finding(key: str, text: str, place: str, condition: str = "") -> Claim:
+    """A claim that is a finding of the analysis, in the paper's and the exact bounded run; a
+    condition that the finding rests on completes the verdict.
+    """
 
     def evaluate(results: Results) -> Evaluated:
         found = {
@@ -106,7 +116,8 @@ def _finding(key: str, text: str, place: str) -> Claim:
         )
         if all(finding.verdict == "not tested" for finding in found.values()):
             return measured, ("not tested", "")
-        return measured, in_both(*(finding.verdict == "holds" for finding in found.values()))
+        kind, where = in_both(*(finding.verdict == "holds" for finding in found.values()))
+        return measured, (kind, f"{where} {condition}".strip())
 
     return Claim("Theory", text, place, evaluate)
 
@@ -115,12 +126,13 @@ lemma_1_premise = _finding(
     "lemma_1_premise",
     "The normalization factor satisfies β_i < N*/‖s‖∞.",
     "After (9); premise of Lemma 1",
+    _LEMMA_1,
 )
 lemma_1_conclusion = _finding(
-    "lemma_1_conclusion", "The gain dynamics stays below N*: K_si < N*.", "Lemma 1, (11)"
+    "lemma_1_conclusion", "The gain dynamics stays below N*: K_si < N*.", "Lemma 1, (11)", _LEMMA_1
 )
 switching_gain_is_limited = _finding(
-    "switching_gain_bound", "The switching gain stays below N*.", "After (10)"
+    "switching_gain_bound", "The switching gain stays below N*.", "After (10)", _LEMMA_1
 )
 lyapunov_function_decreases = _finding(
     "lyapunov_derivative",

@@ -33,7 +33,7 @@ class Verdict:
     place: str  # section, equation or table of the paper
     measured: str  # sentences with the numbers
     kind: Kind
-    condition: str = ""  # completes "holds only", such as "without measurement noise"
+    condition: str = ""  # completes the kind, such as "without measurement noise"
 
     @property
     def verdict(self) -> str:

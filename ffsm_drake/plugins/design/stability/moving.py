@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 
@@ -64,7 +65,11 @@ class MotionStability:
     @property
     def growing(self) -> str:
         """The growth in words, with its bound if that is informative."""
-        most = f" (at most {self.growth_bound:.2g})" if self.growth_bound < LARGE_GROWTH else ""
+        most = (
+            f" (at most {rounded_up(self.growth_bound, 2):.2g})"
+            if self.growth_bound < LARGE_GROWTH
+            else ""
+        )
         return f"grow {self.growth:.2g} times{most}"
 
     @property

@@ -18,7 +18,7 @@ from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.numbers import percent, rounded_up
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.base import attitude_ahead
@@ -90,7 +90,7 @@ class Rehearsal:
             return f"it diverges with {count} of {self.noises} noises"
         return (
             f"it diverges with none of {self.noises} noises (chance below "
-            f"{percent(_CONFIDENCE / self.noises)}, at 95 % confidence)"
+            f"{percent(rounded_up(_CONFIDENCE / self.noises, 3))}, at 95 % confidence)"
         )
 
     @property

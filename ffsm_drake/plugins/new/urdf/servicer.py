@@ -24,7 +24,7 @@ from ffsm_drake.plugins.new.urdf.elements import (
 from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.mounting import Bus, mount
 from ffsm_drake.plugins.new.urdf.simplifying import fix_followers, free_base, vague_limits
-from ffsm_drake.spacecraft.checked_urdf import DRAKE, Faults, require
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, Faults, number, require
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 _RESERVED = ("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION)
@@ -61,6 +61,22 @@ class Servicer:
     def reach(self) -> float:
         """Reach of the arm that holds the target, of two the shorter one's, m."""
         return min(tip.reach for tip in (self.tip, self.second) if tip is not None)
+
+    @property
+    def drives(self) -> dict[str, dict[str, float]]:
+        """Drives with the damping and friction of the moving joints, as a scenario has them; empty
+        if there are none.
+        """
+        found: dict[str, dict[str, float]] = {}
+        moving = {joint.name for joint in self.joints}
+        for joint in self.root.findall("joint"):
+            if (name := name_of(joint)) not in moving:
+                continue
+            for element in joint.findall("dynamics"):
+                for key, own in (("coulomb_friction", "friction"), ("viscous_friction", "damping")):
+                    if (size := number(element, own, f"joint '{name}'", "0")) > 0.0:
+                        found.setdefault(key, {})[name] = size
+        return found
 
     @property
     def half_side(self) -> float:

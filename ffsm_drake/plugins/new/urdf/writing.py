@@ -27,7 +27,7 @@ _NAMED_FILE = re.compile(
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "ellipsoid")  # that Drake reads
 _CONVERTED = {".stl": stl.as_wavefront, ".dae": collada.as_wavefront}
 _REASONS = {
-    "dynamics": "damping and friction left out ({times}): the equations of motion here have none",
+    "dynamics": "joint damping and friction left out ({times}): --friction adds them as drives",
     "collision": "collision shapes left out ({times}): contact is not modelled",
     "picture": "collision shapes drawn ({times}), of links without a picture that can be drawn",
 }
