@@ -251,10 +251,21 @@ def test_counts_are_bounded_before_mujoco_compiles(old, new, told, tmp_path):
     assert told in str(error.value)
 
 
-def test_huge_limits_are_none(tmp_path):
-    (tmp_path / "a.urdf").write_text(urdf().replace('lower="-1"', 'lower="-1.79e308"'))
+@pytest.mark.parametrize(
+    ("limits", "found"),
+    [
+        ('lower="-1.79e308" upper="1.79e308" effort="1e300" velocity="1e16"', (-np.inf, np.inf)),
+        ('lower="-1.79e308" upper="1"', (-1e4, 1.0)),
+    ],
+)
+def test_huge_limits_are_none(limits, found, tmp_path):
+    text = (
+        urdf().replace('lower="-1" upper="1"', limits, 1).replace('effort="10" velocity="1"', "", 1)
+    )
+    (tmp_path / "a.urdf").write_text(text)
     first, *_ = read_urdf(tmp_path / "a.urdf").joints
-    assert (first.lower, first.upper) == (-np.inf, 1.0)
+    assert (first.lower, first.upper) == found
+    assert first.effort == first.velocity == np.inf
 
 
 def readers_left(leader, *, of="session"):

@@ -27,7 +27,8 @@ _BASES = {  # kinds of the joints between the world and a base -> kind of base
     ("prismatic", "prismatic", "turn"): "planar",
     ("prismatic", "prismatic", "prismatic", "turn", "turn", "turn"): "free",
 }
-_NO_LIMIT = 1e16  # what SDFormat writes; others write the largest number
+_NO_LIMIT = 1e16  # what SDFormat writes; others write the largest number, which overflows
+_FAR = 1e4  # rad or m, in place of such a limit where the other side has a limit
 _DEGREES = (20.0, 720.0)  # a range (upper less lower) between these is not in radians
 
 
@@ -162,9 +163,13 @@ def vague_limits(root: Element) -> Iterator[str]:
             for key in ("lower", "upper", "effort", "velocity")
             if key in limit.attrib
         }
-        for key, value in given.items():
-            if abs(value) >= _NO_LIMIT:  # overflows where a range is computed
-                limit.set(key, f"{math.copysign(math.inf, value)}")
+        huge = [key for key, value in given.items() if abs(value) >= _NO_LIMIT]
+        for key in huge:
+            if key in ("lower", "upper") and not {"lower", "upper"} <= {*huge}:
+                given[key] = math.copysign(_FAR, given[key])
+                limit.set(key, f"{given[key]}")
+            else:
+                del limit.attrib[key], given[key]
         for key in ("effort", "velocity"):
             unknown[key] += [name] if given.get(key) == 0.0 else []
         if joint.get("type") == "continuous" or not given.keys() & {"lower", "upper"}:

@@ -73,7 +73,8 @@ def number_faults(elements: Iterable[Element], lines: Lines) -> Iterator[str]:
             place = f"line {lines.get(element, 0)}: <{element.tag}>"
             values = [_number(word) for word in text.split()]
             if len(values) not in counts or any(map(math.isnan, values)):
-                count = "a number" if counts == (1,) else f"{counts[-1]} numbers"
+                many = " or ".join(str(each) for each in counts if each)
+                count = "a number" if counts == (1,) else f"{many} numbers"
                 yield f"{place} must be {count}, not '{text[:60]}'"
             elif element.tag not in _INFINITE and not all(map(math.isfinite, values)):
                 yield f"{place} must be finite, not '{text[:60]}'"

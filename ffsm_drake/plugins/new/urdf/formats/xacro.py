@@ -27,6 +27,7 @@ from ffsm_drake.spacecraft.checked_urdf import MAX_URDF
 _MISSING = re.compile(r"Undefined substitution argument (\w+)")
 _DEPTH, _FILES, _CALLS = 50, 1000, 20_000  # nested includes, files read, macros called
 _PACKAGE = "package.xml"  # in the folder of every ROS package
+_SUFFIX = 80  # characters of an expression that is told
 _TRUST = "; if you trust the file, give --trust"
 
 
@@ -79,7 +80,7 @@ def _told(xacro: Any, error: BaseException, path: Path) -> str:
     """What went wrong, once, and where."""
     cause, suffix = error, ""
     while isinstance(cause, xacro.XacroException) and cause.exc is not None:
-        suffix, cause = cause.suffix or suffix, cause.exc
+        suffix, cause = (cause.suffix or suffix).strip()[:_SUFFIX], cause.exc
     told = one_line(cause)
     if isinstance(cause, OSError) and cause.filename:
         told = f"{cause.strerror}: {cause.filename}"
