@@ -40,7 +40,7 @@ _PASSED_OVER = (
     "gravity", "audio", "actor", "road", "state", "population", "spherical_coordinates",
     "self_collide", "enable_wind", "allow_auto_disable", "kinematic", "velocity_decay",
     "particle_emitter", "projector", "battery", "audio_sink", "audio_source", "gripper",
-    "must_be_base_link", "collision", "visual",
+    "must_be_base_link", "collision", "visual", "auto_inertia_params",
 )  # fmt: skip
 
 
@@ -48,7 +48,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
     of it cannot be represented.
     """
-    passed = Counter[str]()
+    passed, frictions = Counter[str](), dict[str, float]()
 
     def read(file: Path) -> tuple[Element, Lines]:
         """A file ready for Drake."""
@@ -59,6 +59,12 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
         passed.update(_remove(tree))
         shown = [*pictures.visuals.values()][known:]
         Faults(number_faults((tree, *shown), lines)).raise_all()
+        added = [*tree.iter("fluid_added_mass")]
+        require(not added, "has <fluid_added_mass>, which is no mass in free flight; remove it")
+        for joint in tree.iter("joint"):  # one name in several models: the largest
+            friction = _value(joint.find("axis/dynamics/friction"), "friction")
+            frictions[name_of(joint)] = max(friction, frictions.get(name_of(joint), 0.0))
+        _complete(tree, file.resolve().parent)
         keep_lines(tree, lines)
         return tree, lines
 
@@ -81,7 +87,8 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     unique = _unique(plant, joints)
     for joint in joints:
         with faults:
-            _add_joint(root, unique[_scoped(plant, joint)], plant, joint, names)
+            friction = frictions.get(joint.name(), 0.0)
+            _add_joint(root, unique[_scoped(plant, joint)], plant, joint, names, friction)
     for follower, (leader, mimic) in mimics.items():
         if follower in unique:
             mimic.set("joint", unique.get(leader, leader))
@@ -147,12 +154,43 @@ def _unique(plant: MultibodyPlant, elements: list[Any]) -> dict[str, str]:
 
 
 def _remove(tree: Element) -> Iterator[str]:
-    """Remove what is passed over; yields its tags."""
+    """Remove what is passed over; yields its tags. Shapes that give a link its inertia stay."""
     for element in list(tree.iter()):
+        inertial = element.find("inertial")
+        weighs = inertial is not None and inertial.get("auto", "").lower() in ("1", "true")
         for child in list(element):
-            if child.tag in _PASSED_OVER:
+            if weighs and child.tag == "collision":
+                for part in list(child):
+                    if part.tag not in ("geometry", "pose", "density"):
+                        child.remove(part)
+            elif child.tag in _PASSED_OVER:
                 element.remove(child)
                 yield child.tag
+
+
+def _value(element: Element | None, what: str) -> float:
+    """The number that is an element's text; 0 without the element."""
+    given = "0" if element is None else (element.text or "").strip()
+    return number(Element("axis", {what: given}), what, "a joint")
+
+
+def _complete(tree: Element, folder: Path) -> None:
+    """Give relative meshes their folder, and Drake's elements the prefix that its parser looks
+    for; remove effort limits of 0, which say nothing.
+    """
+    for mesh in tree.iter("mesh"):
+        for uri in mesh.findall("uri"):
+            if "://" not in (given := uri.text or ""):
+                uri.text = str(folder / given.strip())
+    for limit in tree.iter("limit"):
+        for effort in limit.findall("effort"):
+            if _value(effort, "effort") == 0.0:
+                limit.remove(effort)  # else the joint has no drive, and no rotor
+    for element in tree.iter():
+        space, _, tag = element.tag.rpartition("}")
+        if space.endswith("drake.mit.edu"):
+            element.tag = f"drake:{tag}"
+            tree.set("xmlns:drake", "drake.mit.edu")
 
 
 def _parsed(
@@ -199,7 +237,9 @@ class _Told(logging.Handler):
         self.texts = list[str]()
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(" ".join(record.getMessage().split()))
+        text = " ".join(record.getMessage().split())
+        if not text.endswith(("element in collision: density", "element in geometry: cone")):
+            self.texts.append(text)  # the others have given a link its inertia
 
 
 def _add_body(root: Element, name: str, body: Any) -> None:
@@ -212,8 +252,9 @@ def _add_body(root: Element, name: str, body: Any) -> None:
 
 
 def _add_joint(
-    root: Element, name: str, plant: MultibodyPlant, joint: Any, names: Mapping[str, str]
-) -> None:
+    root: Element, name: str, plant: MultibodyPlant, joint: Any, names: Mapping[str, str],
+    friction: float,
+) -> None:  # fmt: skip
     """A joint; where its frame is not the child's, with a link between."""
     kind = joint.type_name()
     known = ("revolute", "prismatic", "weld")
@@ -244,8 +285,9 @@ def _add_joint(
     element = add_joint(
         root, name, kind, (parent, between), pose, axis=axis, limits=limits, rotor=rotor
     )
-    if damping := float(joint.default_damping()):
-        SubElement(element, "dynamics", damping=text(damping), friction="0")
+    damping = float(joint.default_damping())
+    if damping or friction:
+        SubElement(element, "dynamics", damping=text(damping), friction=text(friction))
     if between != child:
         SubElement(root, "link", name=between)
         add_joint(root, f"{name}_fixed", "fixed", (between, child), onward)
