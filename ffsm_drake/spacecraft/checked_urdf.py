@@ -42,7 +42,7 @@ _LENGTH = _Numbers(1e4, unit="m")
 _SIDE = _Numbers(1e4, least=1e-6, unit="m", positive=True)
 _ANGLES = _Numbers(1e3, unit="rad", count=(3,))
 _PLACE = dataclasses.replace(_LENGTH, count=(3,))
-_MOMENT = _Numbers(1e15, least=1e-15, unit="kg m^2")
+_MOMENT = _Numbers(1e15, unit="kg m^2")
 _FACTOR = _Numbers(1e9)
 
 _CHECKED = {

@@ -127,7 +127,7 @@ def test_all_faults_of_an_sdformat_file(tmp_path: Path) -> None:
     with pytest.raises(ModelError) as error:
         read(text, tmp_path)
     for name in ("upper", "fore"):
-        assert f"link named {name} has invalid inertia" in str(error.value)
+        assert f"link '{name}': no body has the principal moments" in str(error.value)
     spring = "<dynamics><spring_stiffness>3</spring_stiffness></dynamics>"
     with pytest.raises(ModelError, match="1 spring at joints"):
         read(sdf(limit=spring), tmp_path)

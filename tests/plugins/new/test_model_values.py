@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
+from scipy.spatial.transform import Rotation
 
+from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf.elements import MOMENTS
+from ffsm_drake.spacecraft.inertia import SIX
 
 DRAWS = [6, pytest.param(500, marks=pytest.mark.exhaustive)]
 INERTIAL = (
     "<inertial><mass>8</mass><inertia><ixx>0.5</ixx><iyy>0.4</iyy><izz>0.2</izz></inertia>"
     "</inertial>"
 )
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 
 
 def numbers(values: object) -> str:
@@ -57,11 +63,8 @@ def shapes(rng: np.random.Generator, mesh: Path) -> Iterator[str]:
 
 @pytest.mark.parametrize("draws", DRAWS)
 def test_automatic_inertia_is_drakes(draws: int, tmp_path: Path) -> None:
-    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-    faces = "1 2 4,1 4 3,5 8 6,5 7 8,1 6 2,1 5 6,3 4 8,3 8 7,1 3 7,1 7 5,2 6 8,2 8 4".split(",")
     mesh, file = tmp_path / "block.obj", tmp_path / "craft.sdf"
-    lines = [f"v {numbers(corner)}" for corner in corners] + [f"f {face}" for face in faces]
-    mesh.write_text("\n".join(lines))
+    mesh.write_text(TETRAHEDRON)
     rng, log = np.random.default_rng(21), logging.getLogger("drake")
     for draw in range(draws):
         inside = f"<density>{rng.uniform(5, 900)}</density>" * bool(rng.random() < 0.4)
@@ -85,3 +88,91 @@ def test_automatic_inertia_is_drakes(draws: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(
             found, expected, rtol=0.0, atol=1e-12 * expected.max(), err_msg=f"{draw}: {text}"
         )
+
+
+# rounding in inertias
+
+
+def drawn_inertia(rng: np.random.Generator, excess: float) -> tuple[np.ndarray, float]:
+    """An inertia (3, 3) of a turned rod, plate or solid, kg m^2, and its largest moment. ``excess``
+    is a violation of the triangle inequality, a share of that.
+    """
+    one, other = 10.0 ** rng.uniform(-6.0, 3.0, 2)
+    low, middle = rng.choice([[0.0, one], [one, one], [min(one, other), max(one, other)]])
+    high = low + middle
+    if not excess:
+        high *= rng.choice([1.0, rng.uniform(middle / high, 1.0)])
+    turn = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
+    turn = turn if rng.random() < 0.7 else np.eye(3)
+    moments = np.array([low, middle, high + excess * high])
+    noise = rng.normal(size=(3, 3)) * high * rng.choice([0.0, 1e-17, 1e-15, 1e-13, 1e-12]) / 3.0
+    inertia = (turn * moments) @ turn.T + noise
+    return 0.5 * (inertia + inertia.T), moments.max()
+
+
+def file_with(inertia: np.ndarray, place: str, kind: str) -> str:
+    """A URDF or an SDF whose second link has an inertia."""
+    six = dict(zip(MOMENTS, inertia[SIX].tolist(), strict=True))
+    if kind == "sdf":
+        tags = "".join(f"<{key}>{value!r}</{key}>" for key, value in six.items())
+        return (
+            f'<sdf version="1.9"><model name="craft"><link name="bus">{INERTIAL}</link>'
+            f'<link name="arm"><inertial><pose>{place} 0 0 0</pose><mass>8</mass>'
+            f'<inertia>{tags}</inertia></inertial></link><joint name="j" type="revolute"><parent>'
+            "bus</parent><child>arm</child><axis><xyz>0 1 0</xyz></axis></joint></model></sdf>"
+        )
+    moments = " ".join(f'{key}="{value!r}"' for key, value in six.items())
+    return (
+        '<robot name="craft"><link name="bus"><inertial><mass value="8"/><inertia ixx="0.5" '
+        'iyy="0.4" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="arm"><inertial>'
+        f'<origin xyz="{place}"/><mass value="8"/><inertia {moments}/></inertial></link>'
+        '<joint name="j" type="continuous"><parent link="bus"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/></joint></robot>'
+    )
+
+
+def hand_made(inertia: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """H of ``file_with`` at the joint's zero, from its definition: the sum of J^T M J."""
+    result = np.zeros((7, 7))
+    for mass, at, tensor, moves in (
+        (8.0, np.zeros(3), np.diag([0.5, 0.4, 0.2]), 0.0), (8.0, center, inertia, 1.0),
+    ):  # fmt: skip
+        cross = np.cross(np.eye(3), at).T  # w x r = cross w
+        axis = moves * np.array([0.0, 1.0, 0.0])
+        angular = np.column_stack([np.eye(3), np.zeros((3, 3)), axis])
+        linear = np.column_stack([cross, np.eye(3), np.cross(axis, at)])
+        result += mass * linear.T @ linear + angular.T @ tensor @ angular
+    return result
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+@pytest.mark.parametrize("draws", [8, pytest.param(2000, marks=pytest.mark.exhaustive)])
+def test_rounding_in_an_inertia_is_no_fault(draws: int, kind: str, tmp_path: Path) -> None:
+    rng, file, written = np.random.default_rng(20), tmp_path / f"a.{kind}", tmp_path / "b.urdf"
+    for draw in range(draws):
+        center = rng.uniform(-1.0, 1.0, 3)
+        inertia, _ = drawn_inertia(rng, 0.0)
+        file.write_text(file_with(inertia, numbers(center), kind))
+        write_urdf(read_urdf(file), tmp_path, file_name=written.name, packages={})
+        plant = MultibodyPlant(time_step=0.0)
+        parser = Parser(plant)
+        parser.SetStrictParsing()
+        parser.AddModels(str(written))
+        plant.Finalize()
+        expected = hand_made(inertia, center)
+        np.testing.assert_allclose(
+            plant.CalcMassMatrix(plant.CreateDefaultContext()), expected, rtol=0.0,
+            atol=5e-12 * np.abs(expected).max(), err_msg=f"{draw}: {inertia.tolist()}",
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+@pytest.mark.parametrize("draws", [8, pytest.param(2000, marks=pytest.mark.exhaustive)])
+def test_inertia_of_no_body_is_refused(draws: int, kind: str, tmp_path: Path) -> None:
+    rng, file = np.random.default_rng(21), tmp_path / f"a.{kind}"
+    for _ in range(draws):
+        inertia, _ = drawn_inertia(rng, 10.0 ** rng.uniform(-8.5, 0.0))
+        file.write_text(file_with(inertia, "0 0 0.4", kind))
+        with pytest.raises(ModelError, match="link 'arm': no body") as error:
+            read_urdf(file)
+        assert "\n" not in str(error.value)

@@ -9,8 +9,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ffsm_drake.spacecraft.checked_urdf import number, read_limits, require
+from ffsm_drake.spacecraft.inertia import ROUNDING, SIX, without_rounding
 
 WORLD = "world"
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _MOVING = ("revolute", "continuous", "prismatic")
 _TURN, _STROKE = 2.2, 0.5  # rad, m, from the resting position at most; m: without limits
 
@@ -152,6 +154,17 @@ def read_inertia(link: Element) -> np.ndarray:
     return np.array([[number(inertia, key, place, "0") for key in row] for row in rows])
 
 
+def mended_moments(inertia: Element, place: str) -> dict[str, str]:
+    """Moments of an <inertia> that change when their rounding is removed (``without_rounding``)."""
+    given, matrix = [number(inertia, key, place, "0") for key in MOMENTS], np.zeros((3, 3))
+    matrix[SIX] = matrix.T[SIX] = given
+    if not np.isfinite(matrix).all():
+        return {}
+    mended = without_rounding(matrix)[SIX].tolist()
+    moments = zip(MOMENTS, given, mended, strict=True)
+    return {key: repr(value) for key, old, value in moments if value != old}
+
+
 def read_mass(link: Element) -> float:
     """Mass of a link, kg; zero without <inertial>. Raises ModelError for a non-physical inertia."""
     place = f"link '{name_of(link)}'"
@@ -164,9 +177,8 @@ def read_mass(link: Element) -> float:
         f"{place}: has inertia but no mass; give it both, or remove its <inertial>",
     )
     principal = np.linalg.eigvalsh(matrix)
-    slack = 1e-9 * max(abs(principal).max(), 1e-12)
     require(
-        principal[0] >= -slack and principal[0] + principal[1] >= principal[2] - slack,
+        principal[0] + principal[1] >= principal[2] * (1.0 - ROUNDING),
         f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg "
         "m^2; they must be positive, and the largest at most the sum of the others: correct its "
         "<inertia>",

@@ -21,7 +21,7 @@ from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.formats.building import add_link, add_visual, text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.checked_urdf import Faults, require
-from ffsm_drake.spacecraft.inertia import SIX
+from ffsm_drake.spacecraft.inertia import SIX, without_rounding
 
 GRASP, SECOND = "grasp", "grasp_2"
 _DENSITY, _MOST_DENSE = 100.0, 1000.0  # kg/m^3, of a cube whose side is not given
@@ -154,7 +154,7 @@ def _gathered(root: Element, body: str) -> tuple[np.ndarray, np.ndarray]:
         tensor += inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     scale = max(float(np.abs(tensor).max()), 1e-300)
     # no products of 1e-16 in place of zeros
-    tensor = scale * np.round(tensor / scale, 12) + 0.0
+    tensor = without_rounding(scale * np.round(tensor / scale, 12) + 0.0)
     if len(parts) > 1:
         held = next(link for link in root.findall("link") if name_of(link) == body)
         for inertial in held.findall("inertial"):

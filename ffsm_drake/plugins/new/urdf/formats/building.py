@@ -32,8 +32,7 @@ def add_link(root: Element, name: str, mass: float, center: object, inertia: np.
         inertial = SubElement(link, "inertial")
         SubElement(inertial, "origin", xyz=text(center), rpy="0 0 0")
         SubElement(inertial, "mass", value=text(mass))
-        scale = np.abs(inertia).max()
-        tensor = np.where(np.abs(inertia) < max(_ZERO * scale, 1e-15), 0.0, inertia)
+        tensor = np.where(np.abs(inertia) < _ZERO * np.abs(inertia).max(), 0.0, inertia)
         moments = {
             f"i{'xyz'[i]}{'xyz'[j]}": text(tensor[i, j]) for i in range(3) for j in range(i, 3)
         }

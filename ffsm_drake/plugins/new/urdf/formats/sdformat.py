@@ -17,7 +17,14 @@ from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from ffsm_drake.common.errors import one_line
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.plugins.new.urdf.elements import WORLD, listed
+from ffsm_drake.plugins.new.urdf.elements import (
+    MOMENTS,
+    WORLD,
+    listed,
+    mended_moments,
+    name_of,
+    read_mass,
+)
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
     add_link,
@@ -64,7 +71,9 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
         for joint in tree.iter("joint"):  # one name in several models: the largest
             friction = _value(joint.find("axis/dynamics/friction"), "friction")
             frictions[name_of(joint)] = max(friction, frictions.get(name_of(joint), 0.0))
-        _complete(tree, file.resolve().parent)
+        faults = Faults()
+        _complete(tree, file.resolve().parent, faults)
+        faults.raise_all()
         keep_lines(tree, lines)
         return tree, lines
 
@@ -174,14 +183,27 @@ def _value(element: Element | None, what: str) -> float:
     return number(Element("axis", {what: given}), what, "a joint")
 
 
-def _complete(tree: Element, folder: Path) -> None:
+def _complete(tree: Element, folder: Path, faults: Faults) -> None:
     """Give relative meshes their folder, and Drake's elements the prefix that its parser looks
-    for; remove effort limits of 0, which say nothing.
+    for; remove rounding from inertias, and effort limits of 0, which say nothing.
     """
+    for link in tree.iter("link"):
+        for inertia in link.findall("inertial/inertia"):
+            given = dict.fromkeys(MOMENTS[:3], "1")
+            given |= {part.tag: (part.text or "").strip() for part in inertia}
+            same = Element("link", name=name_of(link))
+            inertial = SubElement(same, "inertial")
+            SubElement(inertial, "mass", value="1")
+            SubElement(inertial, "inertia", given)
+            with faults:
+                read_mass(same)
+            for key, value in mended_moments(inertial[1], f"link '{name_of(link)}'").items():
+                part = inertia.find(key)
+                (SubElement(inertia, key) if part is None else part).text = value
     for mesh in tree.iter("mesh"):
         for uri in mesh.findall("uri"):
-            if "://" not in (given := uri.text or ""):
-                uri.text = str(folder / given.strip())
+            if "://" not in (address := uri.text or ""):
+                uri.text = str(folder / address.strip())
     for limit in tree.iter("limit"):
         for effort in limit.findall("effort"):
             if _value(effort, "effort") == 0.0:
@@ -238,8 +260,10 @@ class _Told(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         text = " ".join(record.getMessage().split())
-        if not text.endswith(("element in collision: density", "element in geometry: cone")):
-            self.texts.append(text)  # the others have given a link its inertia
+        # The first two have given a link its inertia. The third is of a rod; Drake checks all.
+        used = ("element in collision: density", "element in geometry: cone", "invalid inertia.")
+        if not text.endswith(used):
+            self.texts.append(text)
 
 
 def _add_body(root: Element, name: str, body: Any) -> None:
