@@ -1,9 +1,11 @@
 """Masses, inertias and limits of model files: drawn files, compared with Drake and MuJoCo."""
 
+import itertools
 import logging
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from pydrake.multibody.parsing import Parser
@@ -176,3 +178,106 @@ def test_inertia_of_no_body_is_refused(draws: int, kind: str, tmp_path: Path) ->
         with pytest.raises(ModelError, match="link 'arm': no body") as error:
             read_urdf(file)
         assert "\n" not in str(error.value)
+
+
+# efforts of MuJoCo's actuators
+
+JOINTS = ("one", "two", "three")
+FAR = 1e6  # control, position and rate where a force without a limit shows
+
+
+def drawn_actuators(rng: np.random.Generator) -> str:
+    """An MJCF with actuators of many kinds on its joints. Its armature keeps it where it is."""
+
+    def draw(*values: float) -> float:
+        return float(rng.choice(values)) * float(rng.uniform(0.5, 1.5))
+
+    def range_of(name: str, share: float) -> str:
+        if rng.random() > share:
+            return ""
+        low, high = -draw(1.0, 5.0), draw(1.0, 5.0)
+        high = -low if rng.random() < 0.5 else high
+        return f'{name}="{low} {high}" '
+
+    pull = range_of("actuatorfrcrange", 0.5)  # corners of control are its extremes without more
+
+    def actuator() -> str:
+        tendon = rng.random() < 0.2
+        forces = 0.0 if tendon and pull else 0.4
+        where = 'tendon="t"' if tendon else f'joint="{rng.choice(JOINTS)}"'
+        if not tendon and rng.random() < 0.1:
+            where = where.replace("joint", "jointinparent")
+        gear = 3.0 if tendon else draw(1.0, 10.0, -10.0)
+        kind = rng.choice([
+            "motor", f'position kp="{draw(10.0)}"', f'velocity kv="{draw(10.0)}"',
+            f'general gainprm="{draw(2.0, -3.0)}"',
+            f'general gainprm="{draw(2.0)}" biastype="affine" biasprm="{draw(0.1, -0.1)}"',
+            f'general gaintype="affine" gainprm="{draw(2.0)}" dyntype="filter" dynprm="0.01"',
+            f'general dyntype="filterexact" dynprm="0.01" {range_of("actrange", 0.7)}',
+            f'general dyntype="integrator" {range_of("actrange", 1.0)}',
+            f'general gaintype="affine" gainprm="1 0 {draw(2.0)}"',
+        ])  # fmt: skip
+        return (
+            f'<{kind} {where} gear="{gear}" group="{rng.integers(0, 4)}" '
+            f"{range_of('ctrlrange', 0.7)}{range_of('forcerange', forces)}/>"
+        )
+
+    inertial = '<inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>'
+    tree = ""
+    for name in reversed(JOINTS):
+        hinge = rng.choice(["hinge", "slide"])
+        tree = (
+            f'<body pos="0 0 0.2">{inertial}<joint name="{name}" type="{hinge}" axis="0 1 0" '
+            f'armature="1e12" {range_of("actuatorfrcrange", 0.3)}/>{tree}</body>'
+        )
+    option = '<option actuatorgroupdisable="3"/>' * bool(rng.random() < 0.3)
+    levers = f'<joint joint="one" coef="{draw(1.0)}"/><joint joint="three" coef="{draw(-2.0)}"/>'
+    return (
+        f'<mujoco>{option}<worldbody><body name="bus"><freejoint/>{inertial}{tree}</body>'
+        f'</worldbody><tendon><fixed name="t" {pull}>{levers}</fixed>'
+        f"</tendon><actuator>{''.join(actuator() for _ in range(rng.integers(1, 5)))}</actuator>"
+        "</mujoco>"
+    )
+
+
+def efforts_of(text: str) -> np.ndarray:
+    """Least and greatest force (joint, 2) of the actuators, over corners of control and motion."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, found = mujoco.MjData(model), []
+    model.opt.timestep = 0.005
+    for corner in itertools.product((-FAR, FAR), repeat=model.nu):
+        mujoco.mj_resetData(model, data)
+        data.ctrl = corner
+        for _ in range(80 if model.na else 0):  # forty time constants
+            mujoco.mj_step(model, data)
+        for speed in (-FAR, 0.0, FAR):
+            data.qpos[7:] = data.qvel[6:] = speed
+            mujoco.mj_forward(model, data)
+            found.append(data.qfrc_actuator[6:].copy())
+    result = np.column_stack([np.min(found, axis=0), np.max(found, axis=0)])
+    bare = ~result.any(axis=1) & (model.jnt_actfrclimited[1:] > 0)  # the actuator may come later
+    return np.where(bare[:, None], model.jnt_actfrcrange[1:], result)
+
+
+@pytest.mark.parametrize("draws", [10, pytest.param(1000, marks=pytest.mark.exhaustive)])
+def test_efforts_are_mujocos(draws: int, tmp_path: Path) -> None:
+    rng, file = np.random.default_rng(14), tmp_path / "craft.xml"
+    for draw in range(draws):
+        text = drawn_actuators(rng)
+        file.write_text(text)
+        expected = efforts_of(text)
+        expected[np.abs(expected) > 1e3] *= np.inf
+        driven = expected.any(axis=1)
+        one_way = driven & ((expected[:, 0] >= 0.0) | (expected[:, 1] <= 0.0))
+        if one_way.any():
+            with pytest.raises(ModelError, match="push one way only"):
+                read_urdf(file)
+            continue
+        servicer = read_urdf(file)
+        smaller = np.where(driven, np.abs(expected).min(axis=1), np.inf)
+        found = [joint.effort for joint in servicer.joints]
+        np.testing.assert_allclose(found, smaller, rtol=1e-9, err_msg=f"{draw}: {text}")
+        uneven = expected[:, 0] < -expected[:, 1] * (1.0 + 1e-9)
+        uneven |= expected[:, 1] > -expected[:, 0] * (1.0 + 1e-9)
+        told = " ".join(each for each in servicer.remarks if "in both directions" in each)
+        assert [name in told for name in JOINTS] == uneven.tolist(), f"{draw}: {text}"

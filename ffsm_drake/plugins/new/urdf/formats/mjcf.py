@@ -39,6 +39,7 @@ _COUNTED = {  # element -> attributes whose product is a number of parts, and th
 }
 _MOST_NUMBERS = 10_000_000  # of other sizes
 _MISSING = "ffsm_missing_"  # names of what stands for a mesh without its file begin so
+_UNLIMITED = np.array([-np.inf, np.inf])
 _DRAWN_GROUPS = 3  # MuJoCo shows the geoms of groups 0 to 2
 _PASSED_OVER = {  # number in the compiled model -> what it counts
     "nu": "actuator", "ntendon": "tendon", "ncam": "camera", "nlight": "light",
@@ -75,6 +76,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
         *([f"missing files ({listed(missing)})"] if missing else []),
     ]
     remarks = [f"passed over, of no effect in free flight: {', '.join(passed)}"] if passed else []
+    remarks += reader.one_sided()
     if lone:
         remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
     return root, remarks
@@ -246,6 +248,27 @@ class _Reader:
         for name, extra in self.rotors.items():
             if extra is None:
                 yield f"joint '{name}': its actuators' armature couples it with others"
+        for joint in filter(self._is_single, range(m.njnt)):
+            least, most = self._efforts(joint).tolist()
+            if least != most and not least < 0.0 < most:
+                yield (
+                    f"the actuators of joint '{self._name('joint', joint)}' push one way only "
+                    f"({least:.4g} to {most:.4g}); add one that pushes back"
+                )
+
+    def one_sided(self) -> Iterator[str]:
+        """A remark on joints with different limits of force in the two directions."""
+        told = list[str]()
+        for joint in filter(self._is_single, range(self.m.njnt)):
+            least, most = self._efforts(joint).tolist()
+            if -least != most:
+                unit = "N m" if self._is_hinge(joint) else "N"
+                told.append(
+                    f"{self._name('joint', joint)} {min(-least, most):.4g} {unit} "
+                    f"(of {least:.4g} to {most:.4g})"
+                )
+        if told:
+            yield f"effort limits hold in both directions, so the smaller counts: {listed(told)}"
 
     def _rotors(self) -> dict[str, float | None]:
         """The inertia that drives add to each joint: the mass matrix with and without armature.
@@ -281,6 +304,9 @@ class _Reader:
     def _is_single(self, joint: int) -> bool:
         kinds = self.mujoco.mjtJoint
         return int(self.m.jnt_type[joint]) in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE))
+
+    def _is_hinge(self, joint: int) -> bool:
+        return int(self.m.jnt_type[joint]) == int(self.mujoco.mjtJoint.mjJNT_HINGE)
 
     def _follower(self, k: int) -> tuple[int, int, float, float] | None:
         """Follower and leader of an equality of two joints, multiplier and offset; None for other
@@ -362,9 +388,9 @@ class _Reader:
         self, root: Element, joint: int, ends: tuple[str, str], pose: RigidTransform
     ) -> None:
         m, name = self.m, self._name("joint", joint)
-        hinge = m.jnt_type[joint] == int(self.mujoco.mjtJoint.mjJNT_HINGE)
+        hinge = self._is_hinge(joint)
         start, dof = float(m.qpos0[m.jnt_qposadr[joint]]), int(m.jnt_dofadr[joint])
-        limits = {"effort": self._effort(joint)}
+        limits = {"effort": float(np.abs(self._efforts(joint)).min())}
         if m.jnt_limited[joint]:
             limits["lower"], limits["upper"] = (m.jnt_range[joint] - start).tolist()
         kind = ("revolute" if "lower" in limits else "continuous") if hinge else "prismatic"
@@ -383,21 +409,88 @@ class _Reader:
                     multiplier=text(multiplier), offset=text(offset),
                 )  # fmt: skip
 
-    def _effort(self, joint: int) -> float:
-        """The largest force of a joint's actuators, N m or N; infinite: not limited."""
-        m, efforts = self.m, list[float]()
-        if m.jnt_actfrclimited[joint]:
-            efforts.append(float(np.abs(m.jnt_actfrcrange[joint]).max()))
+    def _efforts(self, joint: int) -> np.ndarray:
+        """The least and the greatest force (2) of a joint's actuators, N m or N: the sum of all,
+        within the joint's own range. Infinite: not limited, or no actuator.
+        """
+        m, total, is_driven = self.m, np.zeros(2), False
+        tendons = dict[int, list[tuple[float, np.ndarray]]]()
         for k in range(len(m.actuator_trntype)):
-            is_own = m.actuator_trntype[k] == int(self.mujoco.mjtTrn.mjTRN_JOINT)
-            if is_own and m.actuator_trnid[k][0] == joint:
-                gear = abs(float(np.ravel(m.actuator_gear[k])[0]))
-                if m.actuator_forcelimited[k]:
-                    efforts.append(gear * float(np.abs(m.actuator_forcerange[k]).max()))
-                elif m.actuator_biastype[k] == 0 and np.any(m.actuator_ctrllimited[k]):
-                    most = float(np.abs(m.actuator_ctrlrange[k]).max())
-                    efforts.append(gear * most * abs(float(m.actuator_gainprm[k][0])))
-        return min((each for each in efforts if each > 0.0), default=np.inf)
+            if arm := self._arm(k, joint):
+                is_driven, force = True, self._force(k) if np.isfinite(arm) else _UNLIMITED
+                if m.actuator_trntype[k] == int(self.mujoco.mjtTrn.mjTRN_TENDON):
+                    tendons.setdefault(int(m.actuator_trnid[k][0]), []).append((arm, force))
+                else:
+                    total = total + np.sort(arm * force)
+        for tendon, acting in tendons.items():
+            pull = np.sum([np.sort(arm * force) for arm, force in acting], axis=0)
+            if m.tendon_actfrclimited[tendon]:  # which limits the sum before the joint's lever
+                most = max((arm for arm, _ in acting), key=abs) * m.tendon_actfrcrange[tendon]
+                pull = np.clip(pull, *np.sort(most))
+            total = total + pull
+        if not is_driven:
+            total = _UNLIMITED
+        return np.clip(total, *m.jnt_actfrcrange[joint]) if m.jnt_actfrclimited[joint] else total
+
+    def _arm(self, actuator: int, joint: int) -> float:
+        """A joint's force by the force of an actuator, 0: it does not move that; nan: it varies."""
+        m, kinds = self.m, self.mujoco.mjtTrn
+        kind, (first, second) = int(m.actuator_trntype[actuator]), m.actuator_trnid[actuator][:2]
+        gear = float(np.ravel(m.actuator_gear[actuator])[0])
+        if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+            return gear if first == joint else 0.0
+        sites = [int(site) for site in (first, second) if site >= 0]
+        if kind == int(kinds.mjTRN_TENDON):
+            wraps = range(m.tendon_adr[first], m.tendon_adr[first] + m.tendon_num[first])
+            of = [(int(m.wrap_type[w]), int(m.wrap_objid[w]), float(m.wrap_prm[w])) for w in wraps]
+            if any(each == int(self.mujoco.mjtWrap.mjWRAP_JOINT) for each, *_ in of):
+                return gear * sum(lever for _, moved, lever in of if moved == joint)
+            sites = [at for each, at, _ in of if each == int(self.mujoco.mjtWrap.mjWRAP_SITE)]
+        elif kind not in (int(kinds.mjTRN_SITE), int(kinds.mjTRN_SLIDERCRANK)):
+            return 0.0
+        moved = [self._carries(joint, int(m.site_bodyid[site])) for site in sites]
+        return np.nan if any(moved) and (len(moved) == 1 or not all(moved)) else 0.0
+
+    def _carries(self, joint: int, body: int) -> bool:
+        """Whether a joint moves a body."""
+        while body and body != self.m.jnt_bodyid[joint]:
+            body = int(self.m.body_parentid[body])
+        return bool(body)
+
+    def _force(self, actuator: int) -> np.ndarray:
+        """The least and greatest force (2) of an actuator; infinite where it depends on motion."""
+        m, mj, k = self.m, self.mujoco, actuator
+        off = int(mj.mjtDisableBit.mjDSBL_ACTUATION)
+        if (
+            m.opt.disableflags & off
+            or m.opt.disableactuator >> max(int(m.actuator_group[k]), 0) & 1
+        ):
+            return np.zeros(2)
+        at = int(m.actuator_ctrladr[k]) if hasattr(m, "actuator_ctrladr") else k
+        gain, bias, dynamics = m.actuator_gainprm[k], m.actuator_biasprm[k], m.actuator_dyntype[k]
+        fixed, plain = int(mj.mjtGain.mjGAIN_FIXED), int(mj.mjtBias.mjBIAS_NONE)
+        lags = (mj.mjtDyn.mjDYN_FILTER, mj.mjtDyn.mjDYN_FILTEREXACT)
+        integrates = dynamics == int(mj.mjtDyn.mjDYN_INTEGRATOR)
+        is_constant = (
+            (m.actuator_gaintype[k] == fixed or _is_affine(m.actuator_gaintype[k], gain))
+            and (m.actuator_biastype[k] == plain or _is_affine(m.actuator_biastype[k], bias))
+            and (dynamics == 0 or integrates or dynamics in map(int, lags))
+        )
+        force = _UNLIMITED
+        if is_constant:
+            control = _UNLIMITED
+            clamps = not m.opt.disableflags & int(mj.mjtDisableBit.mjDSBL_CLAMPCTRL)
+            if m.actuator_ctrllimited[at] and clamps and not integrates:
+                control = m.actuator_ctrlrange[at]
+            if dynamics and m.actuator_actlimited[k]:
+                control = np.clip(control, *m.actuator_actrange[k])
+            force = np.sort(gain[0] * control) if gain[0] else np.zeros(2)
+            if m.actuator_biastype[k] != plain:
+                force = force + bias[0]
+        at = int(m.actuator_outadr[k]) if hasattr(m, "actuator_outadr") else k
+        if m.actuator_forcelimited[at]:
+            force = np.clip(force, *m.actuator_forcerange[at])
+        return force
 
     def _add_shape(self, link: Element, shape: int) -> None:
         m, kinds = self.m, self.mujoco.mjtGeom
@@ -440,6 +533,11 @@ class _Reader:
             name = f"{name}_{mesh}"
         add_visual(link, "mesh", pose, color, filename=f"{name}.obj")
         link[-1].find("geometry/mesh").text = "\n".join(lines)  # type: ignore[union-attr]
+
+
+def _is_affine(kind: int, parameters: np.ndarray) -> bool:
+    """Whether a gain or bias (1: affine) depends neither on length nor on velocity."""
+    return kind == 1 and not parameters[1:3].any()
 
 
 def _pose(position: object, quaternion: object) -> RigidTransform:
