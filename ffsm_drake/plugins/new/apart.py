@@ -128,9 +128,13 @@ def _tasks() -> dict[str, Any]:
 
 
 def _try(file: str, packages: Mapping[str, str]) -> None:
-    """Parse a file by Drake; its errors are left to those who parse it again."""
+    """Parse a file by Drake; its errors are left to those who parse it again. Raises ModelError
+    for a file of which Drake drops a part that changes the motion.
+    """
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
+
+    from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
 
     plant = MultibodyPlant(time_step=0.0)
     parser = Parser(plant)  # does not keep the plant
@@ -139,12 +143,14 @@ def _try(file: str, packages: Mapping[str, str]) -> None:
             parser.package_map().Add(name, folder)
     with contextlib.suppress(RuntimeError, ValueError, SystemExit):
         parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+        check_direct(file, packages)
 
 
 def check_by_trial(
     address: str, place: str, files: tuple[Path, ...], packages: Mapping[str, str]
 ) -> None:
-    """Raise ModelError for a model on which Drake's parser hangs or crashes.
+    """Raise ModelError for a model on which Drake's parser hangs or crashes, or that it reads with
+    another motion than the file means.
 
     Args:
       address: as Drake gets it.

@@ -15,7 +15,10 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
 from ffsm_drake.plugins.new.urdf.elements import MOMENTS
+from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
+from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.inertia import SIX
+from ffsm_drake.spacecraft.plant import make_plant
 
 DRAWS = [6, pytest.param(500, marks=pytest.mark.exhaustive)]
 INERTIAL = (
@@ -281,3 +284,126 @@ def test_efforts_are_mujocos(draws: int, tmp_path: Path) -> None:
         uneven |= expected[:, 1] > -expected[:, 0] * (1.0 + 1e-9)
         told = " ".join(each for each in servicer.remarks if "in both directions" in each)
         assert [name in told for name in JOINTS] == uneven.tolist(), f"{draw}: {text}"
+
+
+# MJCF and SDFormat that enter through model directives
+
+
+def drawn_mjcf(rng: np.random.Generator) -> str:
+    """An arm in MJCF; each property of a list is there or not."""
+
+    def some(text: str, share: float = 0.15) -> str:
+        return text * bool(rng.random() < share)
+
+    tree = ""
+    for name in reversed(JOINTS):
+        kind = rng.choice(["hinge", "slide"])
+        joint = (
+            f'<joint name="{name}" type="{kind}" axis="{numbers(rng.normal(size=3))}" '
+            + some('armature="0.7" ') + some('damping="0.3" ') + some('range="-1 2" ')
+            + some('class="heavy" ') + some('pos="0 0.1 0.1" ') + some('ref="0.2" ', 0.05)
+            + some('stiffness="3" ', 0.05) + some('frictionloss="2" ', 0.05) + "/>"
+        )  # fmt: skip
+        shape = '<geom type="box" size="0.1 0.2 0.3" ' + some('mass="2" ', 0.3) + "/>"
+        inertial = (
+            f'<inertial pos="{numbers(rng.normal(size=3))}" mass="3" '
+            f'euler="{numbers(rng.normal(size=3))}" diaginertia="0.3 0.2 0.25"/>'
+        )
+        more = some('<replicate count="2" offset="1 0 0"><geom size="0.1"/></replicate>', 0.1)
+        tree = (
+            f'<body name="link_{name}" pos="0 0 0.4" euler="{numbers(rng.normal(size=3))}">'
+            f"{shape if rng.random() < 0.4 else inertial}{more}{joint}{tree}</body>"
+        )
+    compiler = '<compiler angle="radian" ' + some('eulerseq="ZYX" ')
+    compiler += some('inertiafromgeom="true" ', 0.1) + some('autolimits="false" ', 0.05) + "/>"
+    default = '<default><default class="heavy"><joint armature="0.4"/></default>'
+    default += some('<geom density="300"/>') + some('<joint armature="0.2"/>', 0.1) + "</default>"
+    drive = some('<actuator><motor joint="one" gear="5" ctrlrange="-1 1"/></actuator>')
+    drive += some('<actuator><motor joint="two"/></actuator>')
+    tie = some('<equality><joint joint1="one" joint2="two"/></equality>', 0.05)
+    return (
+        f'<mujoco model="craft">{compiler}{default}<worldbody><body name="bus"><freejoint/>'
+        '<inertial pos="0 0 0.1" mass="20" diaginertia="3 2 4"/><geom size="0.3"/>'
+        f"{tree}</body></worldbody>{drive}{tie}</mujoco>"
+    )
+
+
+def readings(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """H and the joints' ranges, in rows of one array, by MuJoCo and by Drake alone."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, plant = mujoco.MjData(model), MultibodyPlant(time_step=0.0)
+    angles = np.array([0.3, -0.2, 0.5])
+    data.qpos[:7], data.qpos[7:] = [0, 0, 0, 1, 0, 0, 0], angles + model.qpos0[7:]
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    for unit, column in zip(np.eye(model.nv), mass, strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    ranges = np.where(
+        model.jnt_limited[1:, None] > 0, model.jnt_range[1:] - model.qpos0[7:, None], [-9.0, 9.0]
+    )
+    order = [3, 4, 5, 0, 1, 2, 6, 7, 8]
+    logging.getLogger("drake").disabled = True
+    Parser(plant).AddModelsFromString(text, "xml")
+    logging.getLogger("drake").disabled = False
+    plant.Finalize()
+    context, joints = plant.CreateDefaultContext(), [plant.GetJointByName(each) for each in JOINTS]
+    for joint, angle in zip(joints, angles, strict=True):
+        positions = plant.GetPositions(context)
+        positions[joint.position_start()] = angle
+        plant.SetPositions(context, positions)
+    rows = [*range(6), *(joint.velocity_start() for joint in joints)]
+    read = [[j.position_lower_limits()[0], j.position_upper_limits()[0]] for j in joints]
+    return (
+        np.vstack([mass[np.ix_(order, order)], np.pad(ranges.T, ((0, 0), (0, 6)))]),
+        np.vstack([
+            plant.CalcMassMatrix(context)[np.ix_(rows, rows)],
+            np.pad(np.clip(read, -9.0, 9.0).T, ((0, 0), (0, 6))),
+        ]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("draws", [12, pytest.param(1000, marks=pytest.mark.exhaustive)])
+def test_what_drake_would_drop_is_refused(draws: int, tmp_path: Path) -> None:
+    """Refused is what Drake reads otherwise than MuJoCo, and nothing else."""
+    rng, file, passed = np.random.default_rng(13), tmp_path / "craft.xml", 0
+    for draw in range(draws):
+        text = drawn_mjcf(rng)
+        file.write_text(text)
+        dropped = ("stiffness=", "frictionloss=", "<equality>", "autolimits=", "<motor")
+        told = ""
+        try:
+            check_direct(str(file), {})
+            passed += 1
+        except ModelError as error:
+            told = str(error)
+            assert "\n" not in told
+            assert told.startswith("craft.xml: ")
+        if any(each in text for each in dropped):
+            # without an effect of its own: a motor without gear, limits and armature
+            assert told or ("<motor" in text and "gear" not in text), text
+            continue
+        wanted, read = readings(text)
+        differs = not np.allclose(wanted, read, rtol=0.0, atol=1e-8 * np.abs(wanted).max())
+        assert bool(told) == differs, f"{draw}: {told} {text}"
+    assert passed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["directives", "servicer"])
+def test_armature_is_not_lost_by_any_way_in(way: str, tmp_path: Path) -> None:
+    text = '<mujoco model="servicer"><worldbody><body name="bus"><freejoint/>{}</body></worldbody>'
+    arm = '<body name="arm"><joint name="j" armature="1"/><geom size="0.2"/></body>'
+    (tmp_path / "craft.xml").write_text(text.format(f'<geom size="1"/>{arm}') + "</mujoco>")
+    directives = tmp_path / "craft.dmd.yaml"
+    directives.write_text(
+        "directives:\n- add_model: {name: servicer, file: package://here/craft.xml}\n"
+    )
+    given = {"directives": str(directives)} if way == "directives" else {
+        "directives": None, "servicer": str(tmp_path / "craft.xml"),
+        "debris": "package://ffsm_drake/urdf/debris.urdf", "grasp": "debris::grasp",
+    }  # fmt: skip
+    model = Model(packages={"here": str(tmp_path)}, end_effector="servicer::arm", **given)
+    with pytest.raises(ModelError) as error:
+        make_plant(model)
+    for part in (f"model.{way}", "craft.xml", "joint 'j' without 1 kg m^2", "ffsm new NAME --mod"):
+        assert part in str(error.value)
