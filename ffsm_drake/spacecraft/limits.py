@@ -103,6 +103,15 @@ def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
     coordinates = coordinates_of(plant)
     lower, upper, velocity, effort = np.full((4, len(coordinates.names)), np.inf)
     lower *= -1.0
+    for i, name in enumerate(coordinates.joints, NUM_BASE_VELOCITIES):  # of other formats
+        joint = plant.GetJointByName(name)
+        lower[i], upper[i] = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
+        velocity[i] = joint.velocity_upper_limits()[0] or np.inf
+        effort[i] = min(
+            drive.effort_limit()
+            for drive in map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+            if drive.joint().index() == joint.index()
+        )
     for path in urdfs_of(model):
         try:
             elements = list(ElementTree.parse(path).getroot().iter("joint"))

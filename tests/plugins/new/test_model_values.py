@@ -18,6 +18,7 @@ from ffsm_drake.plugins.new.urdf.elements import MOMENTS
 from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.inertia import SIX
+from ffsm_drake.spacecraft.limits import urdf_limits
 from ffsm_drake.spacecraft.plant import make_plant
 
 DRAWS = [6, pytest.param(500, marks=pytest.mark.exhaustive)]
@@ -407,3 +408,17 @@ def test_armature_is_not_lost_by_any_way_in(way: str, tmp_path: Path) -> None:
         make_plant(model)
     for part in (f"model.{way}", "craft.xml", "joint 'j' without 1 kg m^2", "ffsm new NAME --mod"):
         assert part in str(error.value)
+
+
+@pytest.mark.slow
+def test_limits_of_a_file_in_directives_hold(tmp_path: Path) -> None:
+    """The plant gives those of other formats than URDF."""
+    joint = '<joint name="j" range="-1 2"/><geom size="0.2"/>'
+    (tmp_path / "craft.xml").write_text(
+        '<mujoco model="craft"><compiler angle="radian"/><worldbody><body name="bus"><freejoint/>'
+        f'<geom size="1"/><body name="arm">{joint}</body></body></worldbody><actuator><motor '
+        'joint="j" ctrlrange="-4 4"/></actuator></mujoco>'
+    )
+    model = Model(directives=str(tmp_path / "craft.xml"), end_effector="craft::arm")
+    position, _, force = urdf_limits(model, make_plant(model))
+    assert [each[-1] for each in (*position.joints, *force.joints)] == [-1.0, 2.0, -4.0, 4.0]
