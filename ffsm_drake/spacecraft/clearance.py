@@ -4,11 +4,12 @@ The shapes are collision geometry, or visual geometry of a body without collisio
 is represented by its convex hull. Invented shapes, which stand for a base without a picture, do not
 count. Shapes that cannot be measured are named. Excluded are pairs of parts fixed to each other
 (target and gripper), connected by a joint, or with few joints between them and always near each
-other, such as the links of a wrist. A held body, from another model than the base's, is always checked against the
-base, and against every part with a deep overlap at every joint angle. Before a grasp the target is
-a separate body; over the last decimetre and 20 degrees it may touch the gripper and the parts
-excluded after the grasp. A flexible panel is represented by its plates, with their deflections, but
-not checked against its own body; its visual geometry on that body is checked in the rest position.
+other, such as the links of a wrist. A held body, from another model than the base's, is always
+checked against the base, and against every part with a deep overlap at every joint angle. Before a
+grasp the target is a separate body; over the last decimetre and 20 degrees it may touch the gripper
+and the parts excluded after the grasp. A flexible panel is represented by its plates, with their
+deflections, but not checked against its own body; its visual geometry on that body is checked in
+the rest position.
 """
 
 import dataclasses
