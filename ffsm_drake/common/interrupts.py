@@ -156,7 +156,7 @@ class Interrupts:
                 _say(f"ending: what is under way has {GRACE:.0f} s; a second signal ends it now")
             elif not repeated:
                 said = repeated = True
-                end = now + _AT_ONCE
+                end = time.monotonic() + _AT_ONCE
                 os.kill(self._pid, number)
             else:
                 break

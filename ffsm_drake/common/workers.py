@@ -60,6 +60,7 @@ _MAX_ADDRESS = 100_000  # bytes of the file that holds a scheduler's
 _SILENCE = 5.0  # s of waiting, after which it is said
 _POLL = 0.5  # s between checks for a request to stop
 _LINGER = 4.0  # s for the tasks under way after that
+_DROPPED = 0.2  # s for an executor to drop cancelled tasks
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -427,7 +428,7 @@ class _Runner(Generic[Task, Result]):
                 if self.stop:
                     self.end = self.end or time.monotonic() + _LINGER
                     if time.monotonic() > self.end:
-                        self.workers.kill()
+                        self._abandon()
                         return
                     # tasks not started yet
                     for future in [future for future in self.flying if future.cancel()]:
@@ -446,6 +447,12 @@ class _Runner(Generic[Task, Result]):
                 self.executor.shutdown(wait=self.workers.renewable or not self.stop)
             else:
                 self.workers.close(self.executor)
+
+    def _abandon(self) -> None:
+        """Kill the workers, once the executor has dropped its cancelled tasks."""
+        if self.workers.renewable:
+            threading.Timer(_DROPPED, self.workers.kill).start()
+            self.executor.shutdown(wait=True, cancel_futures=True)
 
     def _fill(self) -> None:
         """Submit as many tasks as may be in flight; a suspect runs alone."""

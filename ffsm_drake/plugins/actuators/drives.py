@@ -277,16 +277,16 @@ class JointDrives(Part):
             return
         whole = np.arange(model.plant.num_velocities())
         joints = model.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
-        short = dict[str, tuple[float, str]]()  # posture -> time constant, joint
+        least, short = np.inf, dict[str, list[str]]()  # joint and time constant -> postures
         for name, posture in scenario.postures.items():
             q = model.split.whole_positions(configuration(model.plant, posture, key=name))
             mobility = np.linalg.inv(model.calc_mass_matrix(q))[np.ix_(joints, joints)]
             constant, joint = drives.time_constant(mobility)
             if config.max_step_size > constant:
-                short[name] = constant, joint
+                least = min(least, constant)
+                short.setdefault(f"{joint} {constant:.2g} s", []).append(name)
         if short:
-            least = min(constant for constant, _ in short.values())
-            found = (f"{key}: {joint} {each:.2g} s" for key, (each, joint) in short.items())
+            found = (f"{each} in {' and '.join(names)}" for each, names in short.items())
             raise ScenarioError(
                 "simulator_config.max_step_size",
                 f"{config.max_step_size:g} s exceeds the time constants of friction near rest "

@@ -20,6 +20,7 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, FfsmError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.numbers import number
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
@@ -95,8 +96,8 @@ class Judged:
         if largest[k] <= bound[k]:
             return f"within the tolerance, but moving faster than {settled.rest} rad/s or m/s"
         return (
-            f"{tracked.names[k]}: up to {largest[k]:.3g} {tracked.units[k]} in the last "
-            f"{settled.hold:g} s, tolerance {bound[k]:g}"
+            f"{tracked.names[k]}: up to {number(largest[k], 3)} {tracked.units[k]} in the last "
+            f"{settled.hold:g} s, tolerance {number(bound[k], 3)}"
         )
 
     @functools.cached_property

@@ -18,11 +18,14 @@ from click.testing import CliRunner
 from scipy import stats
 from steps_seen import steps_seen
 
+from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.plugins.campaign import prediction
 from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.plugins.campaign.page import write_report
+from ffsm_drake.plugins.campaign.plan import plan_text, status_text
 from ffsm_drake.plugins.campaign.prediction import predict_map
+from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.statistics import (
     Runs,
     Table,
@@ -226,6 +229,76 @@ def test_the_map_is_kept_with_the_results(database, monkeypatch):
         monkeypatch.setattr(prediction, "POINTS", 2)
         store.keep(key, "{}")
         assert find(store).map.radius.keys() == first.radius.keys()
+
+
+LABELLED = {
+    "cases": 2,
+    "overrides": {"duration": 0.1},
+    "predictions": False,
+    "settled": {"hold": 0.1, "tolerance": {"joints": 1e-9}},
+}
+MINE = """
+import dataclasses, numpy as np
+from ffsm_drake import ControlLaw, gain
+@dataclasses.dataclass(frozen=True)
+class Idle(ControlLaw):
+    k: np.ndarray = gain(1.0)
+    def step(self, s, state):
+        return 0.0 * s.e, state
+@dataclasses.dataclass(frozen=True)
+class Failing(Idle):
+    def step(self, s, state):
+        raise ArithmeticError("no")
+"""
+
+
+@pytest.mark.slow
+def test_labels_name_controllers_everywhere(tmp_path, monkeypatch):
+    """On the page, in its figures and the summary, in LaTeX; and the reason of a run that has not
+    settled is said.
+    """
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "labelled_law.py").write_text(MINE)
+    names, label = ["labelled_law:Idle", "tdc"], "Idle <3>"
+    spec = write_spec(
+        tmp_path / "s.yaml", **LABELLED, controllers=names, labels={names[0]: label}
+    )
+    assert load_spec(spec).label("tdc") == "TDC"
+    path = run_here(spec, tmp_path / "x.db")
+    with open_store(path) as store:
+        rows = [store.result(case, name) for case in range(2) for name in names]
+        assert {row["outcome"] for row in rows} == {"not_settled"}
+        for row in rows:
+            assert re.fullmatch(r"\S+: up to \S+ (rad|m) in the last 0.1 s, tolerance \S+", row["message"])
+        written = write_report(store, tmp_path / "page")
+        assert label in written.summary
+        assert label in status_text(store)
+    assert written.table[0].cells == [label, "TDC"]
+    page = (tmp_path / "page/report.html").read_text()
+    shown, figures = page.split('id="figures">')[0], json.loads(
+        re.search(r'id="figures">(.*?)</script>', page)[1]
+    )
+    assert "labelled_law:Idle" not in re.sub("<code>.*?</code>|<pre.*?</pre>", "", shown, flags=re.S)
+    assert "Idle &lt;3&gt;" in shown
+    assert "labelled_law" not in json.dumps(figures)
+    assert not re.search(r"<td>[^<]*\de[-+]\d", page)  # numbers of one form
+    with pytest.raises(CampaignError, match="labels: must give controllers of this campaign"):
+        load_spec(write_spec(tmp_path / "s.yaml", **LABELLED, labels={"other": "x"}))
+    with pytest.raises(CampaignError, match="labels: controllers share a name in tables"):
+        load_spec(write_spec(tmp_path / "s.yaml", **LABELLED, labels={"tdc": "ASMC"}))
+
+
+@pytest.mark.slow
+def test_a_plan_is_timed_by_runs_that_reach_their_end(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "planned_law.py").write_text(MINE)
+    names = ["planned_law:Failing", "tdc"]
+    spec = load_spec(write_spec(tmp_path / "s.yaml", **LABELLED, controllers=names))
+    lines = plan_text(spec, workers=1).splitlines()
+    assert lines[-2].startswith("case 1 with planned_law:Failing: error: ")
+    assert lines[-1] == (
+        "planned_law:Failing: none of 2 cases reached its end, so a run that does takes longer"
+    )
 
 
 @pytest.mark.slow
