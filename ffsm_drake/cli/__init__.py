@@ -31,6 +31,9 @@ def main() -> None:
     Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted, 143 ended by SIGTERM,
     129 by SIGHUP.
     """
+    if not (epoch := os.environ.get("SOURCE_DATE_EPOCH", "0")).isdecimal():  # NumPy reads it
+        problem = f"must be whole seconds since 1970, not {epoch!r:.40}; unset it"
+        raise click.UsageError(f"SOURCE_DATE_EPOCH: {problem}")
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads
     # figures go to files, so no window system is needed

@@ -64,7 +64,7 @@ class CommandGroup(click.Group):
             except BrokenPipeError:  # the pipe was closed, as by ``| head``
                 sys.stderr.close()
                 sys.exit(EXIT_GOOD)
-            except (FfsmError, OSError) as error:  # OSError: a full disk, ...
+            except (FfsmError, OSError, MemoryError) as error:  # OSError: a full disk, ...
                 click.echo(f"error: {one_line(error)}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
             except KeyboardInterrupt as interruption:

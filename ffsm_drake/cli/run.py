@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ffsm_drake.cli.common import (
+    EXIT_BAD_INPUT,
     EXIT_GOOD,
     EXIT_UNSTABLE,
     RunProgress,
@@ -88,8 +89,7 @@ def run(
       ffsm run mine.yaml --controller my_module:MyController --out out/mine
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
-    from ffsm_drake.common.files import check_writable
-    from ffsm_drake.runs.record import RunRecord, record_stamp
+    from ffsm_drake.runs.record import RunRecord, check_saving, record_stamp
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
@@ -97,7 +97,7 @@ def run(
     directory = out or Path("out") / (
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
-    check_writable(directory)  # before the slow run
+    check_saving(directory)  # before the slow run
     before = record_stamp(directory)
     if report or meshcat or controls or foxglove:
         check_pictures(scenario.model)
@@ -154,7 +154,7 @@ def compare(
       ffsm compare paper --table out/laws.tex
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.runs.record import record_stamp
+    from ffsm_drake.runs.record import check_saving, record_stamp
     from ffsm_drake.runs.simulate import check_start
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
@@ -169,7 +169,7 @@ def compare(
         raise click.UsageError(f"--controller: {', '.join(repeated)} is given more than once")
     base = load_scenario(scenario, overrides)
     directory = out or Path("out") / f"compare_{scenario_stem()}"
-    check_writable(directory)
+    check_saving(directory)
     if table is not None:
         check_writable(table.parent)
     if report:
@@ -337,61 +337,75 @@ def _finish(
     distances: Sequence[float] | None = None,
     table: Path | None = None,
 ) -> int:
-    """Write the report, print the table, best first, and set the exit code of finished runs."""
+    """Write the report, print the table, best first, and set the exit code of finished runs.
+
+    The records are saved: a step that fails, whatever it raises, is named in the last line.
+    """
+    from ffsm_drake.common.errors import spared
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.table_files import write_table
     from ffsm_drake.show.tables import results_columns, results_data, results_table
 
-    advice_on = optional(SERVICES, "advice") or (lambda record: ())
+    failed = list[str]()
+    trying = partial(spared, failed=failed)
     said: dict[str, list[str]] = {}  # remark -> controllers
     stopped = any(record.outcome.status == "interrupted" for record in records)
-    for record in () if stopped else records:  # an interrupted command has little time
-        for remark in (*run_remarks(record), *advice_on(record)):
-            said.setdefault(remark, []).append(record.scenario.controller)
+    looked_at = () if stopped else records  # an interrupted command has little time
+    for record in looked_at:
+        with trying("remarks"):
+            advice_on = optional(SERVICES, "advice") or (lambda record: ())
+            for remark in (*run_remarks(record), *advice_on(record)):
+                said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
-    remedy_of = optional(SERVICES, "remedy") or (lambda record, directory: None)
-    for record in () if stopped else records:
-        if file := remedy_of(record, directory):
-            click.echo(
-                f"{record.scenario.controller}: what may help, as a scenario: ffsm run {file}",
-                err=True,
-            )
-        for closest in run_clearance(record):
-            click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
-    placed = _places(records)
-    best_first = [records[k] for k in placed]
-    shown = None if distances is None else [distances[k] for k in placed]
-    if not as_json:
-        click.echo(results_table(best_first, shown))
-    if table is not None:
-        write_table(results_columns(best_first, shown), table)
+    for record in looked_at:
+        with trying("remedy"):
+            remedy_of = optional(SERVICES, "remedy") or (lambda record, directory: None)
+            if file := remedy_of(record, directory):
+                click.echo(
+                    f"{record.scenario.controller}: what may help, as a scenario: ffsm run {file}",
+                    err=True,
+                )
+        with trying("closest approach"):
+            for closest in run_clearance(record):
+                click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
+    with trying("table"):
+        placed = _places(records)
+        best_first = [records[k] for k in placed]
+        shown = None if distances is None else [distances[k] for k in placed]
+        if not as_json:
+            click.echo(results_table(best_first, shown))
+        if table is not None:
+            write_table(results_columns(best_first, shown), table)
     written = list[Path]()
-    if report:
-        written = write_outputs(
-            records, directory, figures=False, recording=False, distances=distances
-        )
+    with trying("report"):
+        if report:
+            written = write_outputs(
+                records, directory, figures=False, recording=False, distances=distances
+            )
     if not written:
         (directory / REPORT_FILE).unlink(missing_ok=True)  # report of earlier runs
     if as_json:
-        print_json({"directory": str(directory), "runs": results_data(records, distances)})
+        with trying("figures"):
+            print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:
         files = f"{directory}, {table}" if table else directory
         click.echo(
             f"\nWritten to {files}" + (f"; open {directory / REPORT_FILE}" if written else "")
         )
-    broken = [broken_limits(record.scenario, record.dataset) for record in records]
-    for record, beyond in zip(records, broken, strict=True):
-        name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
-        click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)
+    bad = False
+    for record in records:
+        with trying("conclusion"):
+            beyond = broken_limits(record.scenario, record.dataset)
+            name = f"{record.scenario.controller}: " if len(records) > 1 else ""
+            end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
+            click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)
+            unsettled = bool(beyond) or not record.ending.is_settled
+            bad |= record.ending.is_failure or (require is not None and unsettled)
+    if failed:
+        click.echo(f"error: {'; '.join(failed)}; what was run is kept in {directory}", err=True)
     if stopped:
         return interrupted()
-    failed = any(
-        record.ending.is_failure
-        or (require is not None and bool(beyond or not record.ending.is_settled))
-        for record, beyond in zip(records, broken, strict=True)
-    )
-    return EXIT_UNSTABLE if failed else EXIT_GOOD
+    return EXIT_BAD_INPUT if failed else EXIT_UNSTABLE if bad else EXIT_GOOD

@@ -146,6 +146,20 @@ def did_you_mean(name: object, valid: Iterable[str]) -> str:
 
 
 @contextmanager
+def spared(what: str, failed: list[str] | None = None) -> Iterator[None]:
+    """A step that a record can do without: whatever it raises becomes a warning, or an entry."""
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        kind = "" if isinstance(error, FfsmError) else f"{type(error).__name__}: "
+        line = f"{what} not made: {kind}{one_line(error)}"
+        if failed is None:
+            warnings.warn(line, stacklevel=3)
+        else:
+            failed.append(line)
+
+
+@contextmanager
 def warnings_as_lines() -> Iterator[None]:
     """Print warnings as single lines on standard error, each once, without their place in the
     source.

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import one_line
-from ffsm_drake.common.files import published, stamp
+from ffsm_drake.common.errors import RecordError, one_line, spared
+from ffsm_drake.common.files import check_writable, published, stamp
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.reading import (
@@ -174,7 +174,9 @@ class RunRecord:
             if array.dtype.kind in "UO"
         }
         encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
-        metrics = self.metrics
+        metrics = dict[str, Any]()
+        with spared(METRICS_FILE):
+            metrics = self.metrics
         manifest = {
             "format": FORMAT,
             "outcome": dataclasses.asdict(self.outcome),
@@ -235,6 +237,20 @@ class RunRecord:
         record = cls(**fields)
         object.__setattr__(record, "identifier", identifier)
         return record
+
+
+def check_saving(directory: Path) -> None:
+    """Raise RecordError unless a record could be written into a folder, with what that imports."""
+    check_writable(directory)
+    try:
+        import xarray.backends.netCDF4_  # noqa: F401
+
+        Table().assign({"time": ("time", [0.0])}).to_dataset()
+    except Exception as error:  # of any package, for a setting that it reads
+        while error.__context__ is not None:
+            error = error.__context__
+        problem = f"this environment makes no record ({type(error).__name__}: {one_line(error)})"
+        raise RecordError(f"{directory}: cannot be written: {problem}") from error
 
 
 def record_stamp(directory: Path) -> tuple[int, ...] | None:

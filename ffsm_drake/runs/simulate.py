@@ -9,9 +9,9 @@ from typing import Any
 
 from pydrake.geometry import Meshcat
 
-from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.common.errors import BlockError, FfsmError, spared
 from ffsm_drake.common.files import same_folder
-from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.guard import guarded, is_user_supplied
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.common.steps import step
@@ -148,13 +148,20 @@ def make_record(
     scenario = repeatable_scenario(log.scenario, blocks or {})
     grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
     if grasp is not None and (budget_of := optional(SERVICES, "momentum_budget")) is not None:
-        budget = budget_of(scenario)
-        grasp |= {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
+        with spared("momentum_budget"):
+            budget = budget_of(scenario)
+            grasp |= {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
+    try:
+        dataset, parts = make_table(log), log.part_records
+    except BlockError as error:  # a user's part; the record of the others is made
+        own = {k: v for k, v in log.parts.items() if not is_user_supplied(type(v.part))}
+        error.log = dataclasses.replace(log, parts=own)
+        raise
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,
-        dataset=make_table(log),
-        parts=log.part_records,
+        dataset=dataset,
+        parts=parts,
         dynamics=log.dynamics,
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
@@ -239,9 +246,12 @@ def simulate_many(
                 results[index] = error
         places = list(ready)
         for place, result in run_many(list(ready.values()), batch=batch, dynamics=dynamics):
-            results[places[place]] = (
-                result if isinstance(result, Exception) else make_record(result, start=start)
-            )
+            if not isinstance(result, Exception):
+                try:
+                    result = make_record(result, start=start)
+                except FfsmError as error:
+                    result = error
+            results[places[place]] = result
     for index, result in enumerate(results):
         if isinstance(result, Exception) and not keep_errors:
             result.add_note(f"in run {index} of {len(results)}")

@@ -1,0 +1,80 @@
+"""Whatever fails beside a record leaves the record, and one line says what was not made."""
+
+import errno
+import os
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ffsm_drake import RunRecord
+from ffsm_drake.cli import main
+from ffsm_drake.common import plugins
+
+DRAWS = int(os.environ.get("FFSM_DRAWS", "3"))
+FAILURES = (
+    MemoryError("Unable to allocate 4.58 MiB"), MemoryError(), RecursionError("too deep"),
+    OSError(errno.ENOSPC, "No space left on device"), SystemExit("condition 'n' failed."),
+    ImportError("libjpeg.so: failed to map segment"), KeyError("font"), ValueError("x\ny"),
+    RuntimeError("NetCDF: HDF error"), AssertionError(),
+)  # fmt: skip
+STEPS = {
+    "runs.limits.run_remarks": "remarks",
+    "runs.limits.run_clearance": "closest approach",
+    "runs.limits.broken_limits": "conclusion",
+    "show.tables.results_table": "table",
+    "show.outputs.write_outputs": "report",
+    "show.meshcat.recording_html": "report",
+    "runs.record.compute_metrics": "metrics.json",
+}
+SERVICES = {"advice": "remarks", "remedy": "remedy", "report": "report"}
+
+
+def drawn(seed):
+    """A step that fails, and how."""
+    random = np.random.default_rng(seed)
+    step = random.choice([*STEPS, *SERVICES])
+    return str(step), FAILURES[random.integers(len(FAILURES))]
+
+
+@pytest.mark.parametrize("step", [*STEPS, *SERVICES])
+def test_a_step_that_fails_leaves_the_record(step, tmp_path, monkeypatch):
+    for seed in range(DRAWS):
+        _, failure = drawn(seed + 100 * len(step))
+        check(step, failure, tmp_path / str(seed), monkeypatch)
+
+
+def check(step, failure, folder, monkeypatch):
+    def fail(*_, **__):
+        raise failure
+
+    offered = plugins.optional
+    with monkeypatch.context() as patched:
+        if step in STEPS:
+            patched.setattr(f"ffsm_drake.{step}", fail)
+        else:
+            for module in ("cli.run", "show.outputs"):
+                patched.setattr(
+                    f"ffsm_drake.{module}.optional",
+                    lambda group, name: fail if name == step else offered(group, name),
+                )
+        line = ("run", "--set", "duration=0.05", "--out", str(folder))
+        result = CliRunner().invoke(main, line)
+    assert isinstance(result.exception, SystemExit), result.exception
+    said = [each for each in result.stderr.splitlines() if " not made: " in each]
+    assert len(said) == 1, result.stderr
+    assert {**STEPS, **SERVICES}[step] in said[0]
+    if said[0].startswith("error: "):
+        assert result.exit_code == 2
+        assert str(folder) in said[0]
+    record = RunRecord.load(folder)
+    assert record.dataset.sizes["time"] == 6
+    assert record.metrics["itae"] > 0.0
+
+
+@pytest.mark.parametrize("value", ["x", "-1", "1e9", " ", "1.5"])
+def test_a_setting_that_numpy_cannot_use_is_refused_before_the_run(value, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", value)
+    result = CliRunner().invoke(main, ["run"])
+    assert result.exit_code == 2
+    assert "SOURCE_DATE_EPOCH: must be whole seconds since 1970" in result.stderr
