@@ -1,6 +1,7 @@
 """Commands that simulate: run, compare."""
 
 import itertools
+import json
 import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -118,7 +119,8 @@ def run(
     directory = _saved(record, directory, before)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
     if first is not None:
-        same = first.dataset.identical(record.dataset)
+        named = record.dataset.assign_attrs(controller=first.dataset.attrs["controller"])
+        same = first.dataset.identical(named)  # of a policy, the name holds its place
         remark = "same record, bit for bit" if same else "different record"
         click.echo(f"{remark}: {repeated}", err=as_json)
     sys.exit(code)
@@ -239,26 +241,28 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
     """Warn if a planned run will replace one with other settings."""
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.runs.simulate import check_start, repeatable_scenario
-    from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
+    from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, scenario_from_dict
 
     for folder, scenario in planned:
         if not (folder / MANIFEST_FILE).exists():
             continue
         new = repeatable_scenario(scenario, {})
         try:
-            keys = differing_keys(load_scenario(str(folder)), new)
-        except FfsmError:
-            old = "a run that cannot be read"
+            manifest = json.loads((folder / MANIFEST_FILE).read_text())["scenario"]
+            old = scenario_from_dict(manifest, source=str(folder / MANIFEST_FILE))
+            keys = differing_keys(old, new)
+        except (FfsmError, OSError, ValueError, LookupError, TypeError):
+            what = "a run that cannot be read"
         else:
             if not keys:
                 continue
-            old = (
+            what = (
                 "a run with other settings "
                 f"({', '.join(keys[:3])}{', ...' if len(keys) > 3 else ''})"
             )
         check_start(scenario)
         click.echo(
-            f"warning: {directory}: {old} will be replaced; give another --out to keep it",
+            f"warning: {directory}: {what} will be replaced; give another --out to keep it",
             err=True,
         )
         return

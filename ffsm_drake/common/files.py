@@ -19,6 +19,7 @@ from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.interrupts import undisturbed, unfinished, unused
 
 _SERIAL = itertools.count()
+_OWN_FOLDER = ".inputs"  # end of the name of a folder that is replaced as a whole
 _PATIENCE = 2.0  # s to wait for another program that exchanges a folder's files
 Result = TypeVar("Result")
 
@@ -186,31 +187,38 @@ def _unwritten(place: Path, error: OSError, temporary: Path) -> RecordError:
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
     """Replace a folder's files by those of a new one, each at once; ``outdated`` files go."""
     names = [path.name for path in new.iterdir()]
-    for name in names:
-        if (directory / name).is_dir():
+    there = [name for name in {*names, *outdated} if os.path.lexists(directory / name)]
+    folders = [name for name in there if (directory / name).is_dir()]
+    for name in folders:
+        if not name.endswith(_OWN_FOLDER):
             raise IsADirectoryError(f"{directory / name} is a folder; move it away")
     old = new / "old"
     old.mkdir()
-    there = [name for name in (*names, *outdated) if os.path.lexists(directory / name)]
-    for name in there:
-        try:
-            os.link(directory / name, old / name, follow_symlinks=False)
-        except OSError:  # some file systems have no links
-            shutil.copy2(directory / name, old / name, follow_symlinks=False)
     done: list[str] = []
     try:
+        for name in there:
+            if name in folders:
+                (directory / name).rename(old / name)
+                done.append(name)
+                continue
+            try:
+                os.link(directory / name, old / name, follow_symlinks=False)
+            except OSError:  # some file systems have no links
+                shutil.copy2(directory / name, old / name, follow_symlinks=False)
         for name in names:
             (new / name).replace(directory / name)
             done.append(name)
-        for name in set(there).difference(names):
+        for name in set(there).difference(names, folders):
             (directory / name).unlink()
             done.append(name)
     except BaseException:
-        for name in done:
+        for name in dict.fromkeys(done):
+            if (directory / name).is_dir():
+                (directory / name).rename(new / name)
             if name in there:
                 (old / name).replace(directory / name)
             else:
-                (directory / name).unlink()
+                (directory / name).unlink(missing_ok=True)
         raise
 
 

@@ -15,12 +15,14 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, read_together
 from ffsm_drake.common.numbers import LARGEST, usable
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
+from ffsm_drake.scenario.layers import scenario_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
 REPORT_FILE = "report.html"
+INPUTS = Path("record.inputs")  # folder with copies of what the run was made from
 FORMAT = 4
 # hash of record.nc, in the accompanying files; in reports an attribute of their head
 IDENTIFIER = "record_sha256"
@@ -63,7 +66,7 @@ _VECTOR = tuple[float, float, float]
 
 
 class StaleReportWarning(UserWarning):
-    """A report beside a record shows another run."""
+    """A report or an input beside a record is of another run."""
 
 
 def seal_of(manifest: dict[str, Any]) -> str:
@@ -146,7 +149,10 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
 
 def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
     """The fields of a record in its manifest. Raises the errors of wrong contents."""
-    scenario = scenario_from_dict(manifest["scenario"], source=str(path))
+    scenario = scenario_from_dict(scenario_of(manifest), source=str(path))
+    changed = optional(SERVICES, "changed_inputs") or (lambda directory, inputs: ())
+    for line in changed(path.parent, manifest.get("inputs")):
+        warnings.warn(line, StaleReportWarning, stacklevel=6)
     blocks = _fitting(manifest["blocks"], dict[str, dict[str, str]], "blocks")
     sources = {
         name: {

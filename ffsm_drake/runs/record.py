@@ -15,12 +15,14 @@ import numpy as np
 
 from ffsm_drake.common.errors import RecordError, one_line, spared
 from ffsm_drake.common.files import check_writable, published, stamp
+from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.reading import (
     DATASET_FILE,
     FORMAT,
     IDENTIFIER,
+    INPUTS,
     METRICS_FILE,
     REPORT_FILE,
     SEAL,
@@ -201,7 +203,7 @@ class RunRecord:
             manifest["parts"] = [dataclasses.asdict(part) for part in self.parts]
         with published(
             directory,
-            outdated=OUTPUTS,
+            outdated=(*OUTPUTS, INPUTS.name),
             is_taken=lambda: record_stamp(directory) != replaced,
             elsewhere=elsewhere,
         ) as folder:
@@ -213,6 +215,9 @@ class RunRecord:
                     self.dataset.dump_to_store(store, encoding=encoding)
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
+            if keep := optional(SERVICES, "keep_inputs"):
+                with spared(INPUTS.name):
+                    manifest |= {"inputs": kept} if (kept := keep(self.scenario, folder)) else {}
             identifier = digest_of(folder / DATASET_FILE)
             manifest[IDENTIFIER] = identifier
             manifest[SEAL] = seal_of(json.loads(to_json(manifest)))

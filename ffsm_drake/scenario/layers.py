@@ -163,7 +163,7 @@ def parsed(text: str, source: str) -> Any:
     except StrictYamlError as error:
         raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
     if isinstance(data, dict) and Path(source).name == MANIFEST_FILE:
-        data = data.get("scenario", {})
+        data = scenario_of(data)
     if isinstance(data, dict):  # top-level names with an underscore hold targets of aliases
         data = {
             key: value
@@ -171,6 +171,17 @@ def parsed(text: str, source: str) -> Any:
             if not (isinstance(key, str) and key.startswith("_"))
         }
     return {} if data is None else data
+
+
+def scenario_of(manifest: Mapping[str, Any]) -> Any:
+    """The scenario of a run's manifest, with the paths of the files kept beside it."""
+    data, kept = manifest.get("scenario", {}), manifest.get("inputs")
+    changed = kept.get("scenario") if isinstance(kept, dict) else None
+    if isinstance(data, dict) and isinstance(changed, dict):
+        for key, value in changed.items():
+            both = isinstance(value, dict) and isinstance(data.get(key), dict)
+            data = data | {key: data[key] | value if both else value}
+    return data
 
 
 def find_scenario(name: str, folder: Path = Path()) -> Path:

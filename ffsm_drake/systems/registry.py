@@ -292,6 +292,7 @@ def _load(address: str, place: str, python_path: Sequence[str]) -> Any:
         folders
         and folder is not None
         and str(folder.resolve()) not in [str(Path(item).resolve()) for item in folders]
+        and not _has_copy(folders[0], folder, address)
     ):
         raise BlockError(
             f"{place}: a module '{top}' from {folder} is loaded already; rename one of them"
@@ -302,6 +303,15 @@ def _load(address: str, place: str, python_path: Sequence[str]) -> Any:
             raise BlockError(f"{place}: {name} has no '{attribute}'{did_you_mean(part, near)}")
         found = getattr(found, part)
     return found
+
+
+def _has_copy(place: str, folder: Path, address: str) -> bool:
+    """Whether a folder holds a copy of a module's file from another folder."""
+    file = module_file(address) or folder
+    try:
+        return Path(place, file.relative_to(folder)).read_bytes() == file.read_bytes()
+    except OSError:
+        return False
 
 
 @contextmanager
