@@ -131,7 +131,8 @@ def _validated(
         loop = check_start(scenario)
         if (mission := optional(SERVICES, "mission")) is not None:
             found, lines = mission(loop.scenario, rehearsal=rehearsal)
-    told = [*(str(item.message) for item in caught), *found["warnings"]]
+    layered = optional(SERVICES, "layer_remarks") or (lambda name, overrides: ())
+    told = [*(str(item.message) for item in caught), *found["warnings"], *layered(name, overrides)]
     return {
         "valid": True,
         "controller": loop.scenario.controller,

@@ -144,6 +144,10 @@ class Scenario:
     holds: bool = True
     closed: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.sample_time > 0.0:
+            self.sensing = self.sensing.at(self.sample_time)
+
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """Check for at least one sample, and not too many samples and steps."""
         samples, config = self.duration / self.sample_time, self.simulator_config

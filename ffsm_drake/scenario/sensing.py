@@ -2,12 +2,16 @@
 filters of its output.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-from ffsm_drake.common.settings import setting
+from ffsm_drake.common.settings import Problems, join, setting
 from ffsm_drake.scenario.fields import ZERO, PerCoordinate, choice_of, in_samples, unitless
 
+# Keys of ``Sensing`` that also have ``<key>_density``, and those that have ``<key>_time``.
+DENSITIES = ("velocity_noise", "position_noise")
+TIMES = ("delay", "velocity_delay", "position_delay", "velocity_period", "position_period")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 
@@ -76,6 +80,21 @@ class CommandFilter:
     notch_width: PerCoordinate = unitless(
         {"all": 0.5}, "the notch's width at half power, as a share of its frequency", above=0
     )
+
+
+def _density(of: str, unit: str) -> Any:
+    return setting(
+        None,
+        f"{unit} per sqrt(Hz)",
+        f"density of the white noise, in place of ``{of}_noise`` for its coordinates: the standard "
+        "deviation of a sample is the density / sqrt(sample_time); null: none",
+        least=0,
+    )
+
+
+def _time(of: str) -> Any:
+    meaning = f"in place of ``{of}``, a whole number of control samples; null: none"
+    return setting(None, "s", meaning, least=0)
 
 
 @dataclass
@@ -159,3 +178,41 @@ class Sensing:
     position_delay: dict[str, int] = in_samples(
         {"all": 0}, "additional age of the positions, beyond delay"
     )
+    velocity_noise_density: PerCoordinate | None = _density("velocity", "rad/s or m/s")
+    position_noise_density: PerCoordinate | None = _density("position", "rad or m")
+    delay_time: float | None = _time("delay")
+    velocity_delay_time: PerCoordinate | None = _time("velocity_delay")
+    position_delay_time: PerCoordinate | None = _time("position_delay")
+    velocity_period_time: PerCoordinate | None = _time("velocity_period")
+    position_period_time: PerCoordinate | None = _time("position_period")
+
+    def at(self, sample_time: float) -> "Sensing":
+        """The sensors with their densities and times as values of control samples."""
+        found: dict[str, Any] = {}
+        for name in (*DENSITIES, *TIMES):
+            # a wrong one is refused by its own key
+            of_sample = (
+                (lambda density: max(density, 0.0) / math.sqrt(sample_time))
+                if name in DENSITIES
+                else (lambda time: math.ceil(max(time, 0.0) / sample_time - 1e-6))
+            )
+            given = getattr(self, f"{name}_{'density' if name in DENSITIES else 'time'}")
+            if isinstance(given, dict):
+                own = {key: of_sample(each) for key, each in given.items()}
+                found[name] = getattr(self, name) | own
+            elif given is not None:
+                found[name] = of_sample(given)
+        return replace(self, **found) if found else self
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Check that times are whole numbers of control samples."""
+        step = scenario.sample_time
+        for place in (join(key, f"{name}_time") for name in TIMES):
+            given = getattr(self, place.rpartition(".")[2])
+            each = given if isinstance(given, dict) else {"": given or 0.0}
+            for inner, time in each.items():
+                below = math.floor(time / step + 1e-6)
+                if abs(time / step - below) > 1e-6:
+                    near = f"the nearest are {below * step:.6g} and {(below + 1) * step:.6g} s"
+                    problem = f"{time:g} s are no whole number of samples of {step:g} s; {near}"
+                    yield f"{place}.{inner}".rstrip("."), problem

@@ -217,7 +217,8 @@ def _less_delay(scenario: Scenario) -> Iterator[Changes]:
         yield {"estimator.delay": None}
     for less in range(1, max(sensing, actuation) + 1):
         delays = {"sensing.delay": sensing, "actuation.delay": actuation}
-        yield {key: max(delay - less, 0) for key, delay in delays.items() if delay}
+        timed = {} if scenario.sensing.delay_time is None else {"sensing.delay_time": None}
+        yield timed | {key: max(delay - less, 0) for key, delay in delays.items() if delay}
 
 
 def _larger_limits(scenario: Scenario) -> Iterator[Changes]:

@@ -205,7 +205,7 @@ def with_delay(scenario: Scenario, delay: int) -> Scenario:
     known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
     return dataclasses.replace(
         scenario,
-        sensing=dataclasses.replace(scenario.sensing, delay=delay),
+        sensing=dataclasses.replace(scenario.sensing, delay=delay, delay_time=None),
         estimator=dataclasses.replace(scenario.estimator, delay=known),
     )
 
