@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.common import plugins
 
-DRAWS = int(os.environ.get("FFSM_DRAWS", "3"))
+DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 FAILURES = (
     MemoryError("Unable to allocate 4.58 MiB"), MemoryError(), RecursionError("too deep"),
     OSError(errno.ENOSPC, "No space left on device"), SystemExit("condition 'n' failed."),
@@ -30,17 +31,12 @@ STEPS = {
 SERVICES = {"advice": "remarks", "remedy": "remedy", "report": "report"}
 
 
-def drawn(seed):
-    """A step that fails, and how."""
-    random = np.random.default_rng(seed)
-    step = random.choice([*STEPS, *SERVICES])
-    return str(step), FAILURES[random.integers(len(FAILURES))]
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [*STEPS, *SERVICES])
 def test_a_step_that_fails_leaves_the_record(step, tmp_path, monkeypatch):
     for seed in range(DRAWS):
-        _, failure = drawn(seed + 100 * len(step))
+        random = np.random.default_rng([seed, len(step)])
+        failure = FAILURES[random.integers(len(FAILURES))]
         check(step, failure, tmp_path / str(seed), monkeypatch)
 
 
@@ -55,18 +51,20 @@ def check(step, failure, folder, monkeypatch):
         else:
             for module in ("cli.run", "show.outputs"):
                 patched.setattr(
-                    f"ffsm_drake.{module}.optional",
+                    sys.modules[f"ffsm_drake.{module}"],
+                    "optional",
                     lambda group, name: fail if name == step else offered(group, name),
                 )
-        line = ("run", "--set", "duration=0.05", "--out", str(folder))
+        pictures = [] if (STEPS | SERVICES)[step] == "report" else ["--no-report"]
+        line = ["run", "--set", "duration=0.05", "--out", str(folder), *pictures]
         result = CliRunner().invoke(main, line)
     assert isinstance(result.exception, SystemExit), result.exception
     said = [each for each in result.stderr.splitlines() if " not made: " in each]
-    assert len(said) == 1, result.stderr
-    assert {**STEPS, **SERVICES}[step] in said[0]
-    if said[0].startswith("error: "):
-        assert result.exit_code == 2
-        assert str(folder) in said[0]
+    assert any(f"{(STEPS | SERVICES)[step]} not made: " in each for each in said), result.stderr
+    errors = [each for each in said if each.startswith("error: ")]
+    assert result.exit_code == (2 if errors else 0)
+    assert len(errors) < 2
+    assert all(str(folder) in each for each in errors)
     record = RunRecord.load(folder)
     assert record.dataset.sizes["time"] == 6
     assert record.metrics["itae"] > 0.0

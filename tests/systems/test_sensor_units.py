@@ -41,7 +41,10 @@ def test_a_time_stays_or_is_refused_with_the_nearest(seed):
     step, samples = random.choice(STEPS), int(random.integers(1, 9))
     time = samples * step if random.random() < 0.6 else random.uniform(0.2, 8.0) * step
     key = random.choice(["delay_time", "velocity_delay_time.joints", "position_period_time.joints"])
-    given = [f"sample_time={step}", f"sensing.{key}={time!r}".replace("np.float64(", "").rstrip(")")]
+    given = [
+        f"sample_time={step}",
+        f"sensing.{key}={time!r}".replace("np.float64(", "").rstrip(")"),
+    ]
     whole = abs(time / step - round(time / step)) < 1e-6
     try:
         scenario = load_scenario("postcapture", [*given, "duration=0.1"])

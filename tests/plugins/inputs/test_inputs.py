@@ -15,7 +15,7 @@ from ffsm_drake.cli import main
 from ffsm_drake.spacecraft.plant import models_dir
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "3"))
-LAW = '''import dataclasses
+LAW = """import dataclasses
 import numpy as np
 from {helper} import GAIN
 from ffsm_drake import ControlLaw, PlantModel, gain
@@ -30,7 +30,7 @@ class Mine(ControlLaw):
         wanted = sample.a_d + GAIN * sample.e_dot + self.k_p * sample.e
         q, v = sample.q, sample.v
         return self.model.calc_mass_matrix(q) @ wanted + self.model.calc_bias(q, v), state
-'''
+"""
 CUBE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 MESH = '<visual><geometry><mesh filename="{}"/></geometry></visual></link>'
 
@@ -41,7 +41,11 @@ def draw(seed, folder):
     pick = random.choice
     files, data = {}, {"duration": 0.03}
     mesh = pick(["none", "relative", "package"])
-    name = {"none": "", "relative": "../shapes/cube.obj", "package": "package://lab/shapes/cube.obj"}
+    name = {
+        "none": "",
+        "relative": "../shapes/cube.obj",
+        "package": "package://lab/shapes/cube.obj",
+    }
     urdfs = {}
     for each in ("servicer", "debris"):
         text = (models_dir() / f"urdf/{each}.urdf").read_text()
