@@ -84,6 +84,13 @@ def test_automatic_inertia_is_drakes(draws: int, tmp_path: Path) -> None:
             "</joint></model></sdf>"
         )
         file.write_text(text)
+        if rng.random() < 0.3:  # the same from an included file
+            file.with_name("part.sdf").write_text(text)
+            merge = 'merge="true"' * int(rng.integers(2))
+            file.write_text(
+                f'<sdf version="1.11"><model name="craft"><include {merge}><uri>part.sdf</uri>'
+                "</include></model></sdf>"
+            )
         alone = tmp_path / "alone.sdf"  # Drake does not find a relative mesh
         alone.write_text(text.replace(f"<uri>{mesh.name}", f"<uri>{mesh}"))
         log.disabled = True  # it warns of what libsdformat has used
