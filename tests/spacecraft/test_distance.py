@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from ffsm_drake.spacecraft.distance import Solids
 
-DRAWS = int(os.environ.get("FFSM_DRAWS", "40"))
+DRAWS = int(os.environ.get("FFSM_DRAWS", "30"))
 SINGLE = 2e-6  # precision of meshes
 STILL = np.array([np.eye(3, 4)] * 2)  # poses of two bodies
 

@@ -3,6 +3,7 @@
 FFSM_DRAWS sets the number of drawn files.
 """
 
+import dataclasses
 import itertools
 import os
 from collections.abc import Callable, Mapping
@@ -11,16 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 import ffsm_drake.plugins.new.urdf.formats as formats
+from ffsm_drake.cli import main
 from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
 from ffsm_drake.plugins.new.urdf.formats.converting import convert
-from ffsm_drake.scenario import Model
+from ffsm_drake.runs.limits import not_measured
+from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.clearance import Clearance
 
-DRAWS = int(os.environ.get("FFSM_DRAWS", "24"))
+DRAWS = int(os.environ.get("FFSM_DRAWS", "9"))
 FAR = "0 0 400"  # of the pictures of the links between mast and probe
 FACES = "0 1 3 0 3 2 4 6 7 4 7 5 0 4 5 0 5 1 2 3 7 2 7 6 0 2 6 0 6 4 1 5 7 1 7 3"
 BARE = (
@@ -360,3 +364,46 @@ def test_a_mast_is_where_it_is_written(
         if clearance.unmeasured or abs(found - right) > 1e-5:
             wrong.append((k, found, right, clearance.unmeasured))
     assert not wrong
+
+
+VISUAL = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+
+
+def with_unread(folder: Path, name: str, text: str | None, shape: str) -> Path:
+    """A craft with a shape that cannot be measured."""
+    if text is not None:
+        (folder / name).write_text(text)
+    rng = np.random.default_rng(2)
+    mast = Rotation.identity(), np.zeros(3)
+    (folder / "craft.urdf").write_text(urdf(rng, folder, 0.1 * np.ones(3), mast, shape))
+    return folder / "craft.urdf"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("gone.stl", None),
+        ("plan.step", "ISO-10303-21;"),
+        ("up.dae", "<COLLADA><asset><up_axis>Y_UP</up_axis></asset></COLLADA>"),
+        ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"),
+        ("plane", None),
+    ],
+)
+def test_what_cannot_be_measured_is_named(name: str, text: str | None, tmp_path: Path) -> None:
+    plane = "<visual><geometry><plane/></geometry></visual>"
+    file = with_unread(tmp_path, name, text, plane if name == "plane" else VISUAL.format(name))
+    write_urdf(read_urdf(file, tip="l4"), tmp_path / "out", file_name="c.urdf", packages={})
+    model = Model(
+        directives=None, servicer=str(tmp_path / "out/c.urdf"), end_effector="servicer::l4"
+    )
+    (line,) = not_measured(dataclasses.replace(Scenario(), model=model))
+    assert line.startswith(f"clearance is not known: no shape of l4 ({name}) to measure")
+
+
+@pytest.mark.slow
+def test_a_mission_with_an_unmeasured_shape_is_not_as_planned(tmp_path: Path) -> None:
+    file = with_unread(tmp_path, "gone.stl", None, VISUAL.format("gone.stl"))
+    found = CliRunner().invoke(main, ["new", str(tmp_path / "mine"), "--model", str(file)])
+    assert found.exit_code == 0, found.output
+    assert "not expected to go as planned" in found.output
+    assert "no shape of l4 (gone.stl) to measure" in found.output
