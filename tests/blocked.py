@@ -6,6 +6,7 @@ The variable BLOCKED names the kind; the call is told on standard error before i
 import asyncio
 import atexit
 import collections
+import contextlib
 import ctypes
 import dataclasses
 import itertools
@@ -88,10 +89,8 @@ def fork():
 
 def swallow():
     while True:
-        try:
+        with contextlib.suppress(BaseException):
             time.sleep(0.01)
-        except BaseException:
-            pass
 
 
 def swallow_masked():

@@ -82,6 +82,7 @@ class Interrupts:
         import shlex
         import sys
 
+        self.tell(b".", "")  # it shall be the last
         how, words = ("go on", self.words) if self.words else ("again", sys.argv[1:])
         return f"interrupted; {how}: {shlex.join(['ffsm', *words])}"
 
@@ -173,7 +174,9 @@ class Interrupts:
                 if not found:
                     break
                 kind, text, rest = message[:1], os.fsdecode(message[1:]), later
-                if kind == b"!":
+                if kind == b".":
+                    said = True
+                elif kind == b"!":
                     self.words = text.split("\n")
                 elif kind == b"=":
                     self.spared.add(int(text))

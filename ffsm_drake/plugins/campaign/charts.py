@@ -252,8 +252,8 @@ def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Panel:
             "marker": {"color": color, "symbol": symbol, "size": 7 if x.size < 1000 else 4},
         })  # fmt: skip
     chart = Chart(
-        title=findings.spec.label(runs.controller), kind="map", curves=[], legend=True, x=grid.x_name,
-        y=grid.y_name, log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
+        title=findings.spec.label(runs.controller), kind="map", curves=[], legend=True,
+        x=grid.x_name, y=grid.y_name, log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
     )  # fmt: skip
     plain = {"zeroline": False}
     return panel(chart, _THIN, before=traces, xaxis=plain, yaxis=plain)

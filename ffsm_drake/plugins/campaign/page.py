@@ -125,7 +125,9 @@ def summary_text(findings: Findings) -> str:
     for item in findings.agreement:
         rate = findings.success[item.controller]
         predicted = f"{percent(item.share)} of {item.total}"
-        rates.append([findings.spec.label(item.controller), percent(rate.value), _between(rate), predicted])
+        rates.append(
+            [findings.spec.label(item.controller), percent(rate.value), _between(rate), predicted]
+        )
 
     totals = [str(sum(getattr(item, name) for item in findings.agreement)) for name in _PREDICTED]
     outcomes = [["", "settled", "not settled"]]
@@ -223,7 +225,12 @@ def _grid_table(findings: Findings) -> dict[str, Any]:
     for point in findings.grid:
         outcomes = (f"{count} {kind.replace('_', ' ')}" for kind, count in point.outcomes.items())
         means = (number(point.means[name], 3) for name in GRID_METRICS)
-        row = [*point.levels.values(), findings.spec.label(point.controller), ", ".join(outcomes), *means]
+        row = [
+            *point.levels.values(),
+            findings.spec.label(point.controller),
+            ", ".join(outcomes),
+            *means,
+        ]
         rows.append(row)
     return {"grid_header": header, "grid_rows": rows}
 
@@ -255,7 +262,11 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
         if s.name == name
     ]
     agreement = [
-        [findings.spec.label(one.controller), *(getattr(one, kind) for kind in _PREDICTED), percent(one.share)]
+        [
+            findings.spec.label(one.controller),
+            *(getattr(one, kind) for kind in _PREDICTED),
+            percent(one.share),
+        ]
         for one in findings.agreement
     ]
     return {"differences": differences, "sensitivities": sensitivities, "agreement": agreement}
@@ -268,12 +279,20 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
         for place in worst_runs(runs):
             case = int(runs.case[place])
             row = store.result(case, name)
-            message = row["message"] or f"final joint error {number(row['final_error_joints'], 3)} rad"
+            message = (
+                row["message"] or f"final joint error {number(row['final_error_joints'], 3)} rad"
+            )
             values = ", ".join(f"{key} {_plain(row[key])}" for key in findings.influential)
             command = f"ffsm campaign rerun {store.path} --case {case} --controller {name}"
             rows.append(
                 (
-                    [findings.spec.label(name), case, runs.outcome[place].replace("_", " "), message, values],
+                    [
+                        findings.spec.label(name),
+                        case,
+                        runs.outcome[place].replace("_", " "),
+                        message,
+                        values,
+                    ],
                     command,
                 )
             )

@@ -68,7 +68,8 @@ def plan_text(spec: Spec, *, workers: int) -> str:
         )
     total = statistics.fmean(seconds) * spec.runs / workers
     per_run = ", ".join(
-        f"{spec.label(name)} {value:.2f} s" for name, value in zip(spec.controllers, seconds, strict=True)
+        f"{spec.label(name)} {value:.2f} s"
+        for name, value in zip(spec.controllers, seconds, strict=True)
     )
     lines += [
         "",

@@ -190,7 +190,6 @@ def _refine(
     """Fill in every ``finer``-th point of a grid (size, size), from far apart to near, and all
     points of the cells that the boundary crosses. Returns False if the time does not suffice.
     """
-    size = len(grid)
 
     def fill(i: int, j: int) -> None:
         if grid[i, j] == _UNKNOWN:

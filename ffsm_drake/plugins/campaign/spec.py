@@ -189,7 +189,9 @@ class Spec:
     @property
     def fingerprint(self) -> str:
         """SHA-256 of all that shapes a result."""
-        shaping = {key: value for key, value in self.data.items() if key not in ("description", "labels")}
+        shaping = {
+            key: value for key, value in self.data.items() if key not in ("description", "labels")
+        }
         return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()
 
 

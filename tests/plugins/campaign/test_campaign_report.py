@@ -260,25 +260,28 @@ def test_labels_name_controllers_everywhere(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "labelled_law.py").write_text(MINE)
     names, label = ["labelled_law:Idle", "tdc"], "Idle <3>"
-    spec = write_spec(
-        tmp_path / "s.yaml", **LABELLED, controllers=names, labels={names[0]: label}
-    )
+    spec = write_spec(tmp_path / "s.yaml", **LABELLED, controllers=names, labels={names[0]: label})
     assert load_spec(spec).label("tdc") == "TDC"
     path = run_here(spec, tmp_path / "x.db")
     with open_store(path) as store:
         rows = [store.result(case, name) for case in range(2) for name in names]
         assert {row["outcome"] for row in rows} == {"not_settled"}
         for row in rows:
-            assert re.fullmatch(r"\S+: up to \S+ (rad|m) in the last 0.1 s, tolerance \S+", row["message"])
+            assert re.fullmatch(
+                r"\S+: up to \S+ (rad|m) in the last 0.1 s, tolerance \S+", row["message"]
+            )
         written = write_report(store, tmp_path / "page")
         assert label in written.summary
         assert label in status_text(store)
     assert written.table[0].cells == [label, "TDC"]
     page = (tmp_path / "page/report.html").read_text()
-    shown, figures = page.split('id="figures">')[0], json.loads(
-        re.search(r'id="figures">(.*?)</script>', page)[1]
+    shown, figures = (
+        page.split('id="figures">')[0],
+        json.loads(re.search(r'id="figures">(.*?)</script>', page)[1]),
     )
-    assert "labelled_law:Idle" not in re.sub("<code>.*?</code>|<pre.*?</pre>", "", shown, flags=re.S)
+    assert "labelled_law:Idle" not in re.sub(
+        "<code>.*?</code>|<pre.*?</pre>", "", shown, flags=re.S
+    )
     assert "Idle &lt;3&gt;" in shown
     assert "labelled_law" not in json.dumps(figures)
     assert not re.search(r"<td>[^<]*\de[-+]\d", page)  # numbers of one form
