@@ -252,9 +252,10 @@ def check_saving(directory: Path) -> None:
 
         Table().assign({"time": ("time", [0.0])}).to_dataset()
     except Exception as error:  # of any package, for a setting that it reads
-        while error.__context__ is not None:
-            error = error.__context__
-        problem = f"this environment makes no record ({type(error).__name__}: {one_line(error)})"
+        first: BaseException = error
+        while first.__context__ is not None:
+            first = first.__context__
+        problem = f"this environment makes no record ({type(first).__name__}: {one_line(first)})"
         raise RecordError(f"{directory}: cannot be written: {problem}") from error
 
 

@@ -246,12 +246,12 @@ def simulate_many(
                 results[index] = error
         places = list(ready)
         for place, result in run_many(list(ready.values()), batch=batch, dynamics=dynamics):
+            results[places[place]] = result
             if not isinstance(result, Exception):
                 try:
-                    result = make_record(result, start=start)
+                    results[places[place]] = make_record(result, start=start)
                 except FfsmError as error:
-                    result = error
-            results[places[place]] = result
+                    results[places[place]] = error
     for index, result in enumerate(results):
         if isinstance(result, Exception) and not keep_errors:
             result.add_note(f"in run {index} of {len(results)}")

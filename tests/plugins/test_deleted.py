@@ -43,6 +43,7 @@ NEEDED = {
     "generated": [],
     "gymnasium": [],
     "impacts": [],
+    "inputs": [],
     "interactive": [
         [*SHORT, "--meshcat"],
         [*SHORT, "--controls"],

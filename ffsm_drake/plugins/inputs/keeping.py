@@ -51,7 +51,7 @@ def keep_inputs(scenario: Scenario, folder: Path) -> dict[str, Any]:
         for name, place in _packages_of(scenario).items()
         if any(file.is_relative_to(place) for file in models)
     }
-    folders = [Path(place) for place in (*packages.values(), *modules)]
+    folders = [*map(Path, packages.values()), *modules]
     root = Path(os.path.commonpath([*folders, *(file.parent for file in files)]))
     sizes = {file: file.stat().st_size for file in files}
     if sum(size for size in sizes.values() if size < _LINKED) > _LARGEST:
@@ -184,7 +184,7 @@ def _imported(name: str, path: Sequence[str]) -> Iterator[Path]:
         loaded = sys.modules.items()
         files = [m.__file__ for key, m in loaded if key.partition(".")[0] == name.partition(".")[0]]
     else:
-        files = [module.__file__ for module in finder.modules.values()]
+        files = [getattr(module, "__file__", None) for module in finder.modules.values()]
     for file in files:
         if file is not None and file.endswith(".py") and not is_installed(os.path.abspath(file)):
             yield _absolute(file)

@@ -14,7 +14,7 @@ from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.spacecraft.plant import models_dir
 
-DRAWS = int(os.environ.get("FFSM_DRAWS", "3"))
+DRAWS = int(os.environ.get("FFSM_DRAWS", "2"))
 LAW = """import dataclasses
 import numpy as np
 from {helper} import GAIN
@@ -106,6 +106,7 @@ def forget(unique):
         del sys.modules[name]
 
 
+@pytest.mark.slow
 def test_a_folder_repeats_its_run_without_the_originals(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))
     kept = 0
@@ -153,6 +154,7 @@ def project_with_a_law(tmp_path, monkeypatch):
     return project, file, f"_{seed}"
 
 
+@pytest.mark.slow
 def test_a_changed_or_missing_file_is_named(tmp_path, monkeypatch):
     project, file, unique = project_with_a_law(tmp_path, monkeypatch)
     ffsm("run", file, "--no-report", "--out", "out")
