@@ -190,13 +190,14 @@ class Sensing:
         """The sensors with their densities and times as values of control samples."""
         found: dict[str, Any] = {}
         for name in (*DENSITIES, *TIMES):
-            # a wrong one is refused by its own key
-            of_sample = (
-                (lambda density: max(density, 0.0) / math.sqrt(sample_time))
-                if name in DENSITIES
-                else (lambda time: math.ceil(max(time, 0.0) / sample_time - 1e-6))
-            )
-            given = getattr(self, f"{name}_{'density' if name in DENSITIES else 'time'}")
+            dense = name in DENSITIES
+
+            def of_sample(value: float, dense: bool = dense) -> float:
+                value = max(value, 0.0)  # a wrong one is refused by its own key
+                root = math.sqrt(sample_time)
+                return value / root if dense else math.ceil(value / sample_time - 1e-6)
+
+            given = getattr(self, f"{name}_{'density' if dense else 'time'}")
             if isinstance(given, dict):
                 own = {key: of_sample(each) for key, each in given.items()}
                 found[name] = getattr(self, name) | own
