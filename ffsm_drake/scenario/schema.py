@@ -160,7 +160,7 @@ class Scenario:
             )
         elif self.num_control_periods < 1:
             yield "sample_time", f"must be at most duration ({self.duration} s)"
-        if self.reference.duration > (most := 100 * MAX_SAMPLES * self.sample_time):
+        if (self.reference.duration or 0.0) > (most := 100 * MAX_SAMPLES * self.sample_time):
             yield "reference.duration", f"must be at most {most:g} s"
         if config.use_error_control and config.integration_scheme in FIXED_STEP_SCHEMES:
             yield (
