@@ -28,6 +28,7 @@ _COMPUTED: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Mod: operator.mod,
     ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Pow: operator.pow,
 }  # fmt: skip
+_MAKING = (ast.List, ast.Tuple, ast.Set, ast.Dict, ast.BinOp, ast.Call)  # may grow
 _SIGNED: dict[type, Callable[[Any], Any]] = {
     ast.UAdd: operator.pos, ast.USub: operator.neg, ast.Not: operator.not_,
 }  # fmt: skip
@@ -43,9 +44,16 @@ def _require(condition: object, problem: str) -> None:
 
 
 def _bounded(value: Any) -> Any:
-    """The value, if it is not too large."""
-    size = len(value) if isinstance(value, (str, list, tuple)) else 0
-    _require(size <= _MOST, f"a text or list would have more than {_MOST} items")
+    """The value, if it is not too large with all that it holds, each time that it holds it."""
+    pending, size = [value], 0
+    while pending:
+        each = pending.pop()
+        size += len(each) if isinstance(each, str) else 1
+        _require(size <= _MOST, f"a text or list would have more than {_MOST} items")
+        if isinstance(each, dict):
+            pending += [*each, *each.values()]
+        elif isinstance(each, (list, tuple, set, frozenset)):
+            pending += each
     return value
 
 
@@ -149,7 +157,7 @@ class _Walk:
         method = getattr(self, f"of_{type(node).__name__.lower()}", None)
         if method is None:
             raise ModelError(f"a {type(node).__name__} is not allowed in an expression")
-        return _bounded(method(node))
+        return _bounded(method(node)) if isinstance(node, _MAKING) else method(node)
 
     def of_constant(self, node: ast.Constant) -> Any:
         kinds = (int, float, str, type(None))
