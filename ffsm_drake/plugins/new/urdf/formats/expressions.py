@@ -15,7 +15,7 @@ from ffsm_drake.common.errors import ModelError
 
 Names = Callable[[str], Any]  # the value of a name; raises KeyError
 _LONGEST = 10_000  # characters of an expression
-_MOST = 1_000_000  # items of a sequence, characters of a text
+_MOST = 300_000  # items of a sequence, characters of a text
 _BITS = 100_000  # of a whole number
 _WIDTH = 1000  # of a formatted number; arguments of factorials
 
