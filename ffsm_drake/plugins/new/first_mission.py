@@ -132,9 +132,9 @@ class Draft:
         if self.asked.has_approach:
             self._approach(_SHORTER[:1])
 
-    @step("gains, wheels and durations")
-    def fill(self) -> None:
-        """Disturbance, durations, wheels, then gains, once all is placed."""
+    @step("wheels and durations")
+    def pace(self) -> None:
+        """Disturbance, durations and wheels, once all is placed."""
         self._disturb()
         moves = bool(self._starts) and self.asked.capture is not None
         for _ in range(_ROUNDS):
@@ -143,10 +143,19 @@ class Draft:
             self._approach(_SHORTER)
         else:
             self._pace()
+        used, told = self._used()
+        self._outside = told if used > 1.0 else ""
+
+    @property
+    def faults(self) -> list[str]:
+        """Faults of the plan that other postures may not have."""
+        return [*filter(None, (self.touching, self._outside))]
+
+    @step("gains")
+    def fill(self) -> None:
+        """Steps for friction, then gains, once durations are known."""
         self._resolve_friction()
-        used, self._outside = self._used()
-        found = self.touching, self._outside if used > 1.0 else "", self.weak
-        self.remarks += filter(None, found)
+        self.remarks += [*self.faults, *filter(None, (self.weak,))]
         self._tune()
 
     def _postures(self) -> list[np.ndarray]:

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import tempfile
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ from ffsm_drake.spacecraft.plant import check_pictures
 _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # share of the base's mass
-_TRIES, _LIGHTER = 3, 0.4  # missions with other postures; share of a target's mass
+_TRIES, _LIGHTER = 3, 0.4  # draws of postures; share of a target's mass
 _HALVED = 3  # times that the side of a target may be, until it touches nothing
 _NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
@@ -62,7 +62,9 @@ class NewScenario:
     side: float | None  # m, of a target that is a cube
     remarks: tuple[str, ...]
     mission: Verdict | None = None  # with ``rehearse``
-    remedy: str = ""  # of a mission not expected to go as planned: the change of options that helps
+    # Of a mission not expected to go as planned: the change of options that helps, or all tried.
+    remedy: str = ""
+    tried: tuple[str, ...] = ()
 
     def judged(self) -> "NewScenario":
         """The same with a verdict on the mission in its file."""
@@ -74,11 +76,6 @@ class NewScenario:
     def is_as_planned(self) -> bool:
         """Whether nothing is known that speaks against the mission as planned."""
         return self.mission is None or self.mission.is_as_planned
-
-    @property
-    def has_alarm(self) -> bool:
-        """Whether its verdict is an alarm."""
-        return self.mission is not None and self.mission.is_alarm
 
     @property
     def payload_mass(self) -> float:
@@ -188,8 +185,8 @@ def new_scenario(
       xacro_args: values of the arguments of a xacro file.
       trust: allow xacro files ``load_yaml``, environment variables, and files outside the folder of
         the model and of packages.
-      rehearse: run the mission; if its verdict is not good, try other postures, and then other
-        options for a remedy, which takes up to ten times as long.
+      rehearse: run the mission; if its verdict is not good, try other options for a remedy, which
+        takes some times as long.
 
     Raises:
       ModelError: the URDF is not that of a free base with an arm; the message says what to change.
@@ -221,15 +218,17 @@ def new_scenario(
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
 
-            def make(asked: Asked, mass: float | None = payload_mass, seed: int = 0) -> NewScenario:
+            def make(
+                asked: Asked, mass: float | None = payload_mass, *, strict: bool = True
+            ) -> NewScenario:
                 folder = Path(tempfile.mkdtemp(dir=temporary)) / directory.name
                 folder.mkdir()
                 return _make(
                     servicer, folder, asked, held, packages=folders, mass=mass, side=payload_size,
-                    seed=seed,
+                    strict=strict,
                 )  # fmt: skip
 
-            made = make(asked)
+            made = make(asked, strict=False)
             if rehearse:
                 others: dict[str, Callable[[], NewScenario]] = {
                     words: functools.partial(make, other) for words, other in asked.milder()
@@ -238,8 +237,7 @@ def new_scenario(
                     mass = rounded(_LIGHTER * made.payload_mass)
                     size = "" if payload_size is None else f",{payload_size:g}m"
                     others[f"give --target {mass:g}kg{size}"] = lambda: make(asked, mass)
-                again = (functools.partial(make, asked, seed=k) for k in range(1, _TRIES))
-                made = _rehearsed(made, [*again], others)
+                made = _rehearsed(made, others)
             with published(directory) as new:
                 shutil.copytree(made.scenario_file.parent, new, dirs_exist_ok=True)
     except OSError as error:
@@ -247,26 +245,18 @@ def new_scenario(
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
 
 
-def _rehearsed(
-    first: NewScenario,
-    again: Sequence[Callable[[], NewScenario]],
-    others: Mapping[str, Callable[[], NewScenario]],
-) -> NewScenario:
-    """The first mission that is expected to go as planned, of one and further ones with the same
-    options; else the best of them, with what helps of other options, by the words for it.
+def _rehearsed(made: NewScenario, others: Mapping[str, Callable[[], NewScenario]]) -> NewScenario:
+    """A mission with its verdict; if it is not expected to go as planned, with what helps of other
+    options, by the words for it.
     """
-    found = [first.judged()]
-    for k, make in enumerate(again):
-        if found[-1].is_as_planned:
-            return found[-1]
-        with step(f"other postures, {k + 1} of {len(again)}"), suppress(FfsmError):
-            found.append(make().judged())
-    best = min(found, key=lambda each: (not each.is_as_planned, each.has_alarm))
-    for k, (words, make) in enumerate(others.items() if not best.is_as_planned else ()):
+    made = made.judged()
+    if made.is_as_planned:
+        return made
+    for k, (words, make) in enumerate(others.items()):
         with step(f"a remedy, {k + 1} of {len(others)}: {words}"), suppress(FfsmError):
             if make().judged().is_as_planned:
-                return dataclasses.replace(best, remedy=words)
-    return best
+                return dataclasses.replace(made, remedy=words)
+    return dataclasses.replace(made, tried=tuple(others))
 
 
 def _check_arguments(directory: Path, packages: Mapping[str, Path]) -> None:
@@ -293,10 +283,12 @@ def _make(
     packages: Mapping[str, Path],
     mass: float | None,
     side: float | None,
-    seed: int,
+    strict: bool,
 ) -> NewScenario:
     """Make everything in a folder that is still temporary, with a target, or a cube of a mass (kg)
-    and side (m); another seed draws other postures.
+    and side (m).
+
+    Raises ScenarioError, if strict, where no posture drawn has a plan without faults.
     """
     file, text = folder / f"{folder.name}.yaml", _TEMPLATE.read_text(encoding="utf-8")
     data = yaml.safe_load(text)
@@ -311,7 +303,7 @@ def _make(
     asked.fill(data)
     given = target or cube(mass, side, servicer, share=_PAYLOAD_SHARE)
 
-    def placed(target: Target, place: Path) -> tuple[list[str], Draft]:
+    def placed(target: Target, place: Path, seed: int = 0) -> tuple[list[str], Draft]:
         own = copy.deepcopy(data)
         left_out = _write_models(own, servicer, place, target, packages=packages)
         draft = Draft(own, asked, servicer, source=str(place / file.name), seed=seed)
@@ -350,6 +342,17 @@ def _make(
                 "help: wider limits of the joints, longer arms, other hands, or "
                 + ("another --target KG,M" if given.side else f"another place of '{SECOND}'"),
             )
+        draft.pace()
+        again = range(1, _TRIES if asked.capture is not None and asked.tips is None else 1)
+        for seed in again if draft.faults else ():
+            with step(f"other postures, {seed} of {len(again)}"):
+                _, drawn = placed(given, folder, seed)
+                drawn.pace()
+            if not drawn.faults:
+                drawn.remarks, draft = draft.remarks, drawn
+                break
+        if strict and draft.faults:
+            raise ScenarioError("mission", draft.faults[0])
         draft.fill()
         scenario, forces = draft.scenario, draft.motion_forces()
     except FfsmError as error:

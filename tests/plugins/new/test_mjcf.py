@@ -8,7 +8,7 @@ import pytest
 from pydrake.geometry import Mesh
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf import read_target, read_urdf, write_urdf
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, joints_of
 from ffsm_drake.spacecraft.plant import make_plant
@@ -283,3 +283,34 @@ def test_missing_pictures_are_left_out(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
     with pytest.raises(ModelError, match=r"MuJoCo cannot compile it: .*a\.stl"):
         made(arm(outside=outside, link=shapes), tmp_path)
+
+
+def test_every_named_site_can_be_the_tip(tmp_path: Path) -> None:
+    sites = '<site name="tool" pos="0 0 0.6"/><site name="camera" pos="0.1 0 0.2"/><site/>'
+    text = arm().replace('<joint name="elbow"', f'{sites}<joint name="elbow"')
+    made(text, tmp_path)
+    for name in ("tool", "camera"):
+        assert read_urdf(tmp_path / "model.xml", tip=name).tip.frame == name
+    assert read_urdf(tmp_path / "model.xml").tip.frame == "tool"
+    with pytest.raises(ModelError, match="choose one of upper, fore, tool, camera"):
+        read_urdf(tmp_path / "model.xml", tip="site_2")
+
+
+def test_advice_on_a_target_is_that_of_its_format(tmp_path: Path) -> None:
+    ports = '<site name="a" pos="0 0 -0.5"/><site name="b" pos="0 0 0.5"/>'
+    text = (
+        '<mujoco><worldbody><body name="stage"><freejoint/><geom type="box" size="1 1 1" '
+        f'mass="30"/>{ports}</body></worldbody></mujoco>'
+    )
+    file = tmp_path / "target.xml"
+    file.write_text(text)
+    with pytest.raises(ModelError) as error:
+        read_target(file)
+    assert '2 frames (a, b) where it could be held; name one <site name="grasp"' in str(error.value)
+    file.write_text(text.replace('name="a"', 'name="grasp"'))
+    assert read_target(file).grasp == "grasp"
+
+
+def test_an_armature_that_is_no_number_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="an armature is no finite number; give one of 0 or more"):
+        made(arm(joint='armature="nan"'), tmp_path)

@@ -12,6 +12,7 @@ from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.urdf.elements import (
     end_of,
+    listed,
     name_of,
     read_inertia,
     read_mass,
@@ -24,6 +25,12 @@ from ffsm_drake.spacecraft.checked_urdf import Faults, require
 from ffsm_drake.spacecraft.inertia import SIX, without_rounding
 
 GRASP, SECOND = "grasp", "grasp_2"
+# A frame where a target is held, by the suffix of its file: a URDF's, and others.
+_FRAME = '<frame name="{name}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>'
+_ADDED = {
+    ".xml": '<site name="{name}" pos="0 0 -0.5"/>',
+    ".sdf": '<frame name="{name}" attached_to="{body}"><pose>0 0 -0.5 0 0 0</pose></frame>',
+}
 _DENSITY, _MOST_DENSE = 100.0, 1000.0  # kg/m^3, of a cube whose side is not given
 
 
@@ -106,10 +113,11 @@ def read_target(
         frames = [name_of(frame) for frame in root.findall("frame")]
         body = max(masses, key=lambda name: masses[name], default="")
         if GRASP not in frames and len(frames) != 1 + (SECOND in frames):
+            added = _ADDED.get(path.suffix, _FRAME).format(name=GRASP, body=body)
+            found = f"{len(frames)} frames ({listed(frames)})" if frames else "no frame"
             faults.append(
-                f"{'more than one frame' if frames else 'no frame'} where it could be held; add "
-                f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, on its '
-                "surface, with z into the target"
+                f"{found} where it could be held; {'name one' if frames else 'add'} {added}, on "
+                "its surface, with z into the target"
             )
         faults.raise_all()
         center, tensor = _gathered(root, body)

@@ -245,6 +245,10 @@ class _Reader:
             yield "flexible bodies (<flex>)"
         if (m.body_plugin >= 0).any():
             yield "plugins of bodies"
+        rotors = [m.dof_armature, getattr(m, "actuator_armature", np.zeros(0))]
+        if not np.isfinite(np.concatenate(rotors)).all():
+            yield "an armature is no finite number; give one of 0 or more, or leave it out"
+            return
         for name, extra in self.rotors.items():
             if extra is None:
                 yield f"joint '{name}': its actuators' armature couples it with others"
@@ -345,9 +349,9 @@ class _Reader:
         for site in range(self.m.nsite):
             body = int(self.m.site_bodyid[site])
             name = self._name("site", site)
-            alone = np.count_nonzero(self.m.site_bodyid == body) == 1 or name == "grasp"
+            alone = np.count_nonzero(self.m.site_bodyid == body) == 1
             taken = {each.get("name") for each in root}
-            if body in self.kept and alone and name not in taken:
+            if body in self.kept and (alone or name != f"site_{site}") and name not in taken:
                 pose = _pose(self.m.site_pos[site], self.m.site_quat[site])
                 rpy = pose.rotation().ToRollPitchYaw().vector()
                 SubElement(

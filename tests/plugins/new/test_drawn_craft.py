@@ -1,0 +1,125 @@
+"""Captures with drawn spacecraft: the plan keeps the joints' limits, and a failing mission has a
+remedy that works. ``FFSM_DRAWS=40 pytest -m exhaustive`` on this file tries as many.
+"""
+
+import os
+import shlex
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from drawn_craft import drawn_craft
+from outside_urdfs import simple_arm
+
+from ffsm_drake.cli import main
+from ffsm_drake.common.numbers import rounded_up
+from ffsm_drake.plugins.design.verdict import Verdict
+from ffsm_drake.plugins.new import first_scenario
+from ffsm_drake.plugins.new.asked import Asked
+from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.scenario import load_scenario
+from ffsm_drake.spacecraft.limits import urdf_limits
+from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.systems.reference import make_motion
+
+DRAWS = int(os.environ.get("FFSM_DRAWS", "20"))
+
+
+def typed(*words):
+    """The exit code and the lines of ``ffsm new``."""
+    result = CliRunner().invoke(main, ["new", *map(str, words)])
+    return result.exit_code, result.output.splitlines()
+
+
+def remedied(words, line):
+    """Options with the change that a last line names."""
+    told = line.removeprefix("what helps: ").partition(": with it")[0]
+    if told.startswith("leave out"):
+        at = words.index(told.split()[-1])
+        return [*words[:at], *words[at + 2 :]]
+    option, value = shlex.split(told.removeprefix("give "))
+    at = words.index(option) if option in words else len(words)
+    return [*words[:at], option, value, *words[at + 2 :]]
+
+
+def used(scenario):
+    """The largest shares of the limits of position and rate along the planned motion."""
+    model = make_true_plant(scenario)
+    rows = make_motion(scenario, model.coordinates).rows(np.linspace(0.0, scenario.duration, 801))
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    q, v, _ = np.split(rows, [nq, nq + nv], axis=1)
+    position, rate, _ = urdf_limits(scenario.model, model.plant)
+    return position.used(q[:, 1:]).max(), rate.used(v).max()
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", range(DRAWS))
+def test_a_drawn_mission_goes_as_planned_or_has_a_remedy(tmp_path, seed):
+    urdf, options = drawn_craft(seed)
+    (tmp_path / "craft.urdf").write_text(urdf)
+    words = [part for key, word in options.items() for part in (f"--{key}", word)]
+    code, lines = typed(tmp_path / "new", "--urdf", tmp_path / "craft.urdf", *words)
+    if code == 0:
+        assert max(used(load_scenario(tmp_path / "new" / "new.yaml"))) <= 1.0
+        return
+    assert code == 3, lines[-1]
+    again = remedied(words, lines[-1])
+    code, lines = typed(tmp_path / "again", "--urdf", tmp_path / "craft.urdf", *again)
+    assert code == 0, lines[-1]
+
+
+@pytest.mark.slow
+def test_a_joint_that_turns_back_at_the_grasp_stays_within_its_limits(tmp_path):
+    urdf, options = drawn_craft(SEED)
+    (tmp_path / "craft.urdf").write_text(urdf)
+    mass = float(options.pop("target"))
+    new = new_scenario(
+        tmp_path / "craft.urdf", tmp_path / "new", payload_mass=mass, asked=Asked.parsed(**options)
+    )
+    assert max(used(new.scenario)) <= 1.0
+
+
+def test_a_failing_mission_names_what_helps_and_typing_it_does(tmp_path, monkeypatch):
+    def verdict(scenario, **_):
+        planned = ("too heavy",) if scenario.payload.truth.mass > 20.0 else ()
+        return Verdict(
+            linear=None, not_linear="", load=None, noises=None, run=None, planned=planned
+        )
+
+    monkeypatch.setattr(first_scenario, "verdict", verdict)
+    (tmp_path / "arm.urdf").write_text(simple_arm())
+    words = ["--urdf", tmp_path / "arm.urdf", "--target", "40"]
+    code, lines = typed(tmp_path / "heavy", *words)
+    assert code == 3
+    assert lines[-1] == (
+        "what helps: give --target 16kg: with it, the mission is expected to go as planned"
+    )
+    code, lines = typed(tmp_path / "light", *remedied(words, lines[-1]))
+    assert code == 0
+    assert not lines[-1].startswith("what helps")
+
+
+def test_less_is_asked_by_one_option_at_a_time():
+    words = {"thrusters": "16x2N", "wheels": "4x0.5Nm", "panels": "2x3kg", "capture": "4deg/s"}
+    found = dict(Asked.parsed(**words).milder())
+    assert list(found) == [
+        "give --thrusters 16",
+        "give --wheels 4",
+        "give --capture 2deg/s",
+        "give --capture 0.8deg/s",
+        "leave out --panels",
+    ]
+    for told, asked in found.items():
+        change = [part for key, word in words.items() for part in (f"--{key}", word)]
+        again = remedied(change, f"what helps: {told}: with it")
+        pairs = zip(again[::2], again[1::2], strict=True)
+        assert asked == Asked.parsed(**{key[2:]: word for key, word in pairs})
+
+
+def test_bounds_are_rounded_up():
+    random = np.random.default_rng(0)
+    for value in [0.0204, 1.0, 100.0, 0.0, *10.0 ** random.uniform(-12.0, 12.0, 500)]:
+        for digits in (2, 3):
+            found = rounded_up(value, digits)
+            assert value * (1.0 - 1e-8) <= found <= value * (1.0 + 10.0 ** (1 - digits))
+            assert float(f"{found:.{digits - 1}e}") == pytest.approx(found, rel=1e-9)
