@@ -79,6 +79,7 @@ def test_a_joint_that_turns_back_at_the_grasp_stays_within_its_limits(tmp_path):
     assert max(used(new.scenario)) <= 1.0
 
 
+@pytest.mark.slow
 def test_a_failing_mission_names_what_helps_and_typing_it_does(tmp_path, monkeypatch):
     def verdict(scenario, **_):
         planned = ("too heavy",) if scenario.payload.truth.mass > 20.0 else ()

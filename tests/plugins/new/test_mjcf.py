@@ -292,7 +292,7 @@ def test_every_named_site_can_be_the_tip(tmp_path: Path) -> None:
     for name in ("tool", "camera"):
         assert read_urdf(tmp_path / "model.xml", tip=name).tip.frame == name
     assert read_urdf(tmp_path / "model.xml").tip.frame == "tool"
-    with pytest.raises(ModelError, match="choose one of upper, fore, tool, camera"):
+    with pytest.raises(ModelError, match="one of upper, shoulder_axis, fore, tool, camera"):
         read_urdf(tmp_path / "model.xml", tip="site_2")
 
 
