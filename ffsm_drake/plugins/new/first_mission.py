@@ -221,12 +221,16 @@ class Draft:
         for shares in durations:
             if best >= (-1.0, enough):
                 break
+            self.data |= copy.deepcopy(before)
+            self._begin(*ways[0], shares)
+            if min(shares) < 1.0 and self._overloads():  # with any start, by and large
+                continue
             for k, (start, length) in enumerate(ways):
                 self.data |= copy.deepcopy(before)
                 self._begin(start, length, shares)
                 with step(f"approach {k + 1} of {len(ways)}"):
                     used = max(self._used()[0], 1.0)
-                    if -used < best[0] or (min(shares) < 1.0 and self._overloads()):
+                    if -used < best[0]:
                         continue
                     near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
                 if (-used, near.distance) > best:

@@ -16,7 +16,6 @@ from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.design.verdict import Verdict
 from ffsm_drake.plugins.new import first_scenario
 from ffsm_drake.plugins.new.asked import Asked
-from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.limits import urdf_limits
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -66,17 +65,6 @@ def test_a_drawn_mission_goes_as_planned_or_has_a_remedy(tmp_path, seed):
     again = remedied(words, lines[-1])
     code, lines = typed(tmp_path / "again", "--urdf", tmp_path / "craft.urdf", *again)
     assert code == 0, lines[-1]
-
-
-@pytest.mark.slow
-def test_a_joint_that_turns_back_at_the_grasp_stays_within_its_limits(tmp_path):
-    urdf, options = drawn_craft(SEED)
-    (tmp_path / "craft.urdf").write_text(urdf)
-    mass = float(options.pop("target"))
-    new = new_scenario(
-        tmp_path / "craft.urdf", tmp_path / "new", payload_mass=mass, asked=Asked.parsed(**options)
-    )
-    assert max(used(new.scenario)) <= 1.0
 
 
 @pytest.mark.slow
