@@ -228,9 +228,10 @@ def drawn_actuators(rng: np.random.Generator) -> str:
             f'general dyntype="integrator" {range_of("actrange", 1.0)}',
             f'general gaintype="affine" gainprm="1 0 {draw(2.0)}"',
         ])  # fmt: skip
+        controls = 0.0 if "integrator" in kind else 0.7  # it reaches its range in one step
         return (
             f'<{kind} {where} gear="{gear}" group="{rng.integers(0, 4)}" '
-            f"{range_of('ctrlrange', 0.7)}{range_of('forcerange', forces)}/>"
+            f"{range_of('ctrlrange', controls)}{range_of('forcerange', forces)}/>"
         )
 
     inertial = '<inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>'

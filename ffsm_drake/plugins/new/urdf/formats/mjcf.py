@@ -415,13 +415,13 @@ class _Reader:
 
     def _efforts(self, joint: int) -> np.ndarray:
         """The least and the greatest force (2) of a joint's actuators, N m or N: the sum of all,
-        within the joint's own range. Infinite: not limited, or no actuator.
+        within the joint's own range. Infinite: not limited, or no actuator that acts.
         """
-        m, total, is_driven = self.m, np.zeros(2), False
+        m, total = self.m, np.zeros(2)
         tendons = dict[int, list[tuple[float, np.ndarray]]]()
         for k in range(len(m.actuator_trntype)):
             if arm := self._arm(k, joint):
-                is_driven, force = True, self._force(k) if np.isfinite(arm) else _UNLIMITED
+                force = self._force(k) if np.isfinite(arm) else _UNLIMITED
                 if m.actuator_trntype[k] == int(self.mujoco.mjtTrn.mjTRN_TENDON):
                     tendons.setdefault(int(m.actuator_trnid[k][0]), []).append((arm, force))
                 else:
@@ -432,7 +432,7 @@ class _Reader:
                 most = max((arm for arm, _ in acting), key=abs) * m.tendon_actfrcrange[tendon]
                 pull = np.clip(pull, *np.sort(most))
             total = total + pull
-        if not is_driven:
+        if not total.any():
             total = _UNLIMITED
         return np.clip(total, *m.jnt_actfrcrange[joint]) if m.jnt_actfrclimited[joint] else total
 
