@@ -207,11 +207,11 @@ class Clearance:
 
     def _solids_of(self, first: RigidBody, second: RigidBody) -> list[tuple[int, int]]:
         """The pairs of shapes of two bodies."""
-        numbers = (
+        one, other = (
             [k for k, each in enumerate(self._shapes) if each.body is body]
             for body in (first, second)
         )
-        return list(itertools.product(*numbers))
+        return [*itertools.product(one, other)]
 
     def along(self, positions: np.ndarray, *, enough: float = -np.inf) -> Approach:
         """The closest approach along configurations (n, nq); those not ``usable`` are skipped, and
