@@ -79,7 +79,7 @@ def test_no_direction_separates_better(tmp_path: Path) -> None:
 
         distance, points = measured(*((s, X) for (s, _), X in zip(shapes, poses, strict=True)))
         away = (points[1] - points[0]) / distance
-        assert gap(away[None])[0] == pytest.approx(distance, abs=1e-5)
+        assert gap(away[None])[0] == pytest.approx(distance, abs=1e-4)
         n = np.vstack([away, away + 0.01 * rng.normal(size=(200, 3)), rng.normal(size=(800, 3))])
         best = gap(n / np.linalg.norm(n, axis=1)[:, None]).max()
         assert best <= distance + SINGLE, (shapes, distance, best)
