@@ -294,8 +294,10 @@ def _least(missed: Callable[[float], Array], *, turns: bool) -> float:
 
     grid = np.linspace(-most, most, _GRID)
     near, step = grid[np.argmin(left(grid))], grid[1] - grid[0]
-    bounds = near - step, near + step
-    fit = minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    fit = minimize_scalar(
+        lambda offset: float(left(np.asarray(offset))), method="bounded",
+        bounds=(float(near - step), float(near + step)), options={"xatol": 1e-9},
+    )  # fmt: skip
     return float(fit.x)
 
 
