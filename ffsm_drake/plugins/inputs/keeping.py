@@ -180,7 +180,7 @@ def _imported(name: str, path: Sequence[str]) -> Iterator[Path]:
     finder = ModuleFinder(list(path), excludes=["ffsm_drake", "pydrake"])
     try:
         finder.import_hook(name)
-    except (ImportError, SyntaxError):  # a package without __init__.py
+    except (ImportError, SyntaxError, AttributeError):  # a package without __init__.py
         loaded = sys.modules.items()
         files = [m.__file__ for key, m in loaded if key.partition(".")[0] == name.partition(".")[0]]
     else:
