@@ -134,10 +134,10 @@ def _differences(root: Element, ours: MultibodyPlant, theirs: MultibodyPlant) ->
     for _ in range(3):
         pose = RigidTransform(RollPitchYaw(rng.uniform(-1.0, 1.0, 3)), rng.normal(size=3))
         angles = dict(zip(own, rng.uniform(-1.0, 1.0, len(own)).tolist(), strict=True))
-        wanted, read = (_mass_matrix(plant, pose, angles) for plant in (ours, theirs))
-        excess = wanted - read
-        small = np.abs(excess) <= _TOLERANCE * max(np.abs(wanted).max(initial=0.0), 1e-12)
-        rotors = np.diag(np.where(small, 0.0, excess))[wanted.shape[0] - len(own) :]
+        mass, found = (_mass_matrix(plant, pose, angles) for plant in (ours, theirs))
+        excess = mass - found
+        small = np.abs(excess) <= _TOLERANCE * max(np.abs(mass).max(initial=0.0), 1e-12)
+        rotors = np.diag(np.where(small, 0.0, excess))[mass.shape[0] - len(own) :]
         if (small | np.eye(len(small), dtype=bool)).all() and rotors.any():
             name = list(own)[int(np.flatnonzero(rotors)[0])]
             unit = "kg" if own[name].type_name() == "prismatic" else "kg m^2"
