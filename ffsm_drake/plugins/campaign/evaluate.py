@@ -415,10 +415,13 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     if texts_of(spec):
         text[FIRST_LIMIT] = run.first
         if outcome == "settled" and CLEARANCE in run.left:
-            told = next(not_measured(log.scenario), "") or (
-                f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and "
-                f"{'overlap by' if run.closest < 0.0 else 'as near as'} {abs(run.closest):.3g} m"
-            )
+            told, closest = next(not_measured(log.scenario), ""), run.closest
+            if not told and closest is not None:
+                how = "overlap by" if closest < 0.0 else "as near as"
+                told = (
+                    f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and {how} "
+                    f"{abs(closest):.3g} m"
+                )
             text |= {"outcome": "not_settled", "message": told}
     values |= {each.column_name: each.value for each in log.figures if each.column_name}
     # The database knows no NaN.

@@ -222,7 +222,8 @@ class Draft:
             if best >= (-1.0, enough):
                 break
             self.data |= copy.deepcopy(before)
-            self._begin(*ways[0], shares)
+            start, length = ways[0]
+            self._begin(start, length, shares)
             if min(shares) < 1.0 and self._overloads():  # with any start, by and large
                 continue
             for k, (start, length) in enumerate(ways):
@@ -462,7 +463,9 @@ class Draft:
                 free.append(np.linalg.inv(model.calc_mass_matrix(q))[joints, joints])
         for step_size, rate in itertools.product(_STEP_SIZES, _SMOOTHED):
             config["max_step_size"], drives["smoothing_rate"] = step_size, rate
-            made = DriveSet(self.scenario.drives, self.scenario.actuation.limit, self.coordinates)
+            settings = self.scenario.drives
+            assert settings is not None
+            made = DriveSet(settings, self.scenario.actuation.limit, self.coordinates)
             if min(made.time_constant(each)[0] for each in free) > _RESOLVED * step_size:
                 return
         self.remarks.append(
