@@ -1,10 +1,15 @@
-"""The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py``
-rewrites it, ``--moves`` prints how far it has moved here. The plug-in of baselines is left out.
+"""The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py
+[NAME...]`` rewrites it. The plug-in of baselines is left out.
 
 ``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with
 every law), the record's variables at every 20th sample, its metrics, names, dimensions and units,
 the panels of its report and the rows of its table. ``interface.json`` holds the columns of
 campaigns, ``schema.json`` what ``ffsm schema`` prints.
+
+``sensitivity/NAME.json`` holds how far rounding moves each of these numbers, by
+``python tests/golden/sensitivity.py [NAME...]``. A number may move a hundred times as far. What
+may then move by more than a ten-thousandth of its variable is not compared: long and diverging
+runs are compared by their early samples and by those of their metrics that rounding leaves alone.
 """
 
 import importlib
@@ -15,10 +20,11 @@ import warnings
 from collections.abc import Iterator, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from click.testing import CliRunner
+from last_bits import with_other_last_bits
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main as ffsm
@@ -52,36 +58,10 @@ _SMALLEST_CAMPAIGN = {
 }
 # Differences of what should be equal, N s and N m s: their scale is that of what is compared.
 BALANCES = ("momentum_residual", "grasp")
-
-
-class Moves(NamedTuple):
-    """How far another processor's rounding may move the figures of a record, and what makes it so
-    much. At least three times what was seen on five (``test_rounding_moves_nothing_further``).
-    """
-
-    relative: float = 1e-10  # of the largest number of a variable, or of a single figure
-    scale: float = 1e-5  # the least that counts as this largest
-    why: str = "errors of 1e-9 are differences of numbers of order one"
-
-
-_INTEGRATED = Moves(1e-7, 1e-4, "SciPy's steps along the planned motion of an undriven base")
-_TWO_HANDS = Moves(1e-8, why="the hands' force has no inertia that would smooth it")
-_MOVES = {
-    "ets_vii": _INTEGRATED,
-    "free_floating": _INTEGRATED,
-    "reaction_null": _INTEGRATED,
-    "paper": Moves(1e-9, why="gains so high that the loop diverges"),
-    "thrusters_only": Moves(1e-9, why="the errors at the end are what many pulses leave"),
-    "tumbling_capture": Moves(1e-8, why="TVLQR's finite differences, whose step is 1e-6"),
-    "two_arms_capture": _TWO_HANDS,
-    "tohoku_arms": _TWO_HANDS,
-    "planar_detumble": Moves(1e-9, why="the planned motion is where an optimizer stopped"),
-}
-
-
-def moves(name: str) -> Moves:
-    """Of a part of the golden record, by name."""
-    return _MOVES.get(name, Moves())
+FACTOR = 100.0  # of what rounding was seen to move
+DIGITS = 1e-12  # relative; to so many are numbers kept
+COARSE = 1e-4  # of a variable's largest: a number that may move so far is not compared
+ANY = "any"  # in place of a move: no bound was seen
 
 
 def names() -> list[str]:
@@ -147,14 +127,17 @@ def schema() -> Any:
     return found
 
 
-def run(scenario: str, controller: str | None = None) -> RunRecord:
-    """A run of the golden record."""
+def run(scenario: str, controller: str | None = None, *, seed: int | None = None) -> RunRecord:
+    """A run of the golden record; with a seed, one whose last bits are changed."""
     overrides = [*_SHORTENED.get(scenario, ()), DURATION]
     if controller is not None:
         overrides.append(f"controller={controller}")
+    given = load_scenario(scenario, overrides)
+    if seed is not None:
+        given = with_other_last_bits(given, seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of unstable laws, which are part of it
-        return simulate(load_scenario(scenario, overrides), check_stability=False)
+        return simulate(given, check_stability=False)
 
 
 def results(record: RunRecord) -> dict[str, Any]:
@@ -185,22 +168,27 @@ def runs(scenario: str) -> dict[str, Any]:
     with its own.
     """
     own = run(scenario)
-    found = {own.scenario.controller: results(own)}
+    found = all_results(scenario, own)
     reference = found[own.scenario.controller]["samples"]
-    for controller in shipped_names("controller") if scenario in WITH_EVERY_LAW else ():
-        if controller in found or controller in BASELINES:
-            continue
-        try:
-            of_law = results(run(scenario, controller))
-        except FfsmError as error:
-            found[controller] = {"refused": str(error)}
-            continue
-        of_law["samples"] = {
-            name: "as above" if values == reference.get(name) else values
-            for name, values in of_law["samples"].items()
-        }
-        found[controller] = of_law
+    for controller, of_law in found.items():
+        if controller != own.scenario.controller and "samples" in of_law:
+            of_law["samples"] = {
+                name: "as above" if values == reference.get(name) else values
+                for name, values in of_law["samples"].items()
+            }
     return {"outline": outline(own), "runs": found}
+
+
+def all_results(scenario: str, own: RunRecord, *, seed: int | None = None) -> dict[str, Any]:
+    """The numbers of a scenario's runs, by controller; ``own`` is the run of its own."""
+    found = {own.scenario.controller: results(own)}
+    for controller in shipped_names("controller") if scenario in WITH_EVERY_LAW else ():
+        if controller not in found and controller not in BASELINES:
+            try:
+                found[controller] = results(run(scenario, controller, seed=seed))
+            except FfsmError as error:
+                found[controller] = {"refused": str(error)}
+    return found
 
 
 def interface() -> dict[str, Any]:
@@ -216,49 +204,93 @@ def interface() -> dict[str, Any]:
 
 
 def differences(
-    found: Any,
-    expected: Any,
-    place: str = "",
-    *,
-    relative: float,
-    scale: float,
+    found: Any, expected: Any, moved: Any, place: str = "", *, scale: float = 0.0
 ) -> Iterator[str]:
-    """Where two trees differ, one line each.
+    """Where two trees differ by more than rounding explains, one line each.
 
     Args:
       found, expected: what JSON can hold.
+      moved: how far rounding moves their numbers: a tree as ``moves_between`` makes it.
       place: where in the tree they stand.
-      relative: how much numbers may differ, of the largest in the outermost list that holds them.
-      scale: the least that counts as this largest.
+      scale: the largest number of the outermost list that holds them.
     """
-    further = {"relative": relative, "scale": scale}
+    if moved == ANY:
+        return
     if isinstance(found, dict) and isinstance(expected, dict):
         for key in [*expected, *(key for key in found if key not in expected)]:
             if key not in found or key not in expected:
                 yield f"{place}.{key}: {'is new' if key in found else 'is gone'}"
             else:
-                if key in BALANCES:
-                    further["scale"] = max(scale, 1.0)
-                yield from differences(found[key], expected[key], f"{place}.{key}", **further)
+                of_key = moved.get(key) if isinstance(moved, dict) else None
+                least = max(scale, 1.0) if key in BALANCES else scale
+                yield from differences(
+                    found[key], expected[key], of_key, f"{place}.{key}", scale=least
+                )
     elif _is_number(found) and _is_number(expected):
-        if not abs(found - expected) <= relative * max(scale, abs(expected)):  # NaN too
-            yield f"{place}: {found!r}, not {expected!r}"
+        allowed, scale = allowance(expected, moved, scale)
+        if allowed <= COARSE * scale and not abs(found - expected) <= allowed:  # NaN too
+            yield f"{place}: {found!r}, not {expected!r} within {allowed:.2g}"
     elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
-        further["scale"] = max([scale, *map(abs, _numbers(expected))])
+        scale = max([scale, *map(abs, numbers(expected))])
         for index, (one, other) in enumerate(zip(found, expected, strict=True)):
-            yield from differences(one, other, f"{place}[{index}]", **further)
+            of_one = moved[index] if isinstance(moved, list) else moved
+            yield from differences(one, other, of_one, f"{place}[{index}]", scale=scale)
     elif found != expected:
         yield f"{place}: {found!r:.200}, not {expected!r:.200}"
+
+
+def allowance(expected: float, moved: float | None, scale: float) -> tuple[float, float]:
+    """How far a number may be from what is expected, and the scale that it belongs to."""
+    scale = max(scale, abs(expected))
+    return FACTOR * (moved or 0.0) + DIGITS * scale, scale
+
+
+def moves_between(one: Any, other: Any) -> Any:
+    """How far apart two trees are: numbers for numbers, and for a list of lists one number each.
+
+    None: equal; ANY: they cannot be compared, such as lists of two lengths.
+    """
+    if one == other:
+        return None
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = [*one, *(key for key in other if key not in one)]
+        found = {key: moves_between(one.get(key), other.get(key)) for key in keys}
+        return {key: move for key, move in found.items() if move is not None}
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        return [_largest(moves_between(*rows)) for rows in zip(one, other, strict=True)]
+    if _is_number(one) and _is_number(other) and math.isfinite(one - other):
+        return abs(one - other)
+    return ANY
+
+
+def further_moves(one: Any, other: Any) -> Any:
+    """The larger of two moves of the same tree."""
+    if one is None or other is None:
+        return other if one is None else one
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = [*one, *(key for key in other if key not in one)]
+        return {key: further_moves(one.get(key), other.get(key)) for key in keys}
+    if isinstance(one, list) and isinstance(other, list):
+        return [further_moves(*pair) for pair in zip(one, other, strict=True)]
+    return ANY if ANY in (one, other) else max(one, other)
+
+
+def _largest(move: Any) -> float | str | None:
+    if isinstance(move, list):
+        known = [each for each in map(_largest, move) if each is not None]
+        return ANY if ANY in known else max(known, default=None)
+    return move
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _numbers(tree: Any) -> Iterator[float]:
+def numbers(tree: Any) -> Iterator[float]:
+    """All numbers of nested lists."""
     if isinstance(tree, list):
         for item in tree:
-            yield from _numbers(item)
+            yield from numbers(item)
     elif _is_number(tree):
         yield tree
 
@@ -299,36 +331,32 @@ def files() -> dict[Path, Any]:
     return parts | {FOLDER / "interface.json": interface, FOLDER / "schema.json": schema}
 
 
-def changes(path: Path, found: Any, *, share: float = 1.0) -> list[str]:
-    """Where a part of the golden record differs by more than a share of what it may.
+def sensitivity_of(name: str) -> Path:
+    """The file of how far rounding moves a part of the golden record."""
+    return FOLDER / "sensitivity" / f"{name}.json"
 
-    Args: its file; what was computed, as JSON gives it back; the share.
+
+def changes(path: Path, found: Any) -> list[str]:
+    """Where a part of the golden record differs by more than rounding explains.
+
+    Args: its file; what was computed, as JSON gives it back.
     """
-    allowed = moves(path.stem)
-    return list(
-        differences(found, read(path), relative=share * allowed.relative, scale=allowed.scale)
-    )
+    moved = sensitivity_of(path.stem)
+    return list(differences(found, read(path), read(moved) if moved.is_file() else None))
 
 
-def print_moves() -> None:
-    """Within which of some shares of what it may each part of the golden record has moved here."""
-    for path, compute in files().items():
-        found, share = plain(compute()), 1e-6
-        while share < 1e3 and changes(path, found, share=share):
-            share *= 10.0**0.5
-        print(f"{path.stem} {share:.1e}", flush=True)
-
-
-def main(arguments: Sequence[str] = ()) -> None:
-    if "--moves" in arguments:
-        print_moves()
-        return
-    if arguments:
-        sys.exit(f"unknown: {' '.join(arguments)}; without arguments the record is rewritten")
+def main(names_given: Sequence[str] = ()) -> None:
+    wanted = {
+        path: compute
+        for path, compute in files().items()
+        if not names_given or path.stem in names_given
+    }
+    if unknown := set(names_given) - {path.stem for path in wanted}:
+        sys.exit(f"unknown: {', '.join(sorted(unknown))}; one of {', '.join(names())}")
     RUNS.mkdir(exist_ok=True)
-    wanted = files()
-    for path in {*RUNS.glob("*.json")} - set(wanted):
-        path.unlink()
+    if not names_given:
+        for path in {*RUNS.glob("*.json")} - set(wanted):
+            path.unlink()
     for path, compute in wanted.items():
         path.write_text(text(plain(compute())) + "\n", encoding="utf-8")
         print(f"{path.relative_to(FOLDER)}: {path.stat().st_size / 1000:.0f} kB", file=sys.stderr)
