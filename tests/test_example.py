@@ -94,6 +94,7 @@ def main(monkeypatch, tmp_path):
     return runpy.run_path(str(EXAMPLES / "postcapture.py"))["main"]
 
 
+@pytest.mark.long
 @needs("report")
 @uses("verdict")
 @pytest.mark.filterwarnings("default")

@@ -672,9 +672,8 @@ def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> 
     return finished([*command, *argv], cwd=cwd, **OWN_PROCESS | settings)
 
 
-@pytest.mark.parametrize(
-    "id", [pytest.param("no-super-init", marks=pytest.mark.slow), "nan-configuration"]
-)  # before Drake runs, and in mid-run
+@pytest.mark.slow
+@pytest.mark.parametrize("id", ["no-super-init", "nan-configuration"])  # before and in the run
 def test_one_line_from_a_process_of_its_own(id, tmp_path):
     (row,) = (row for row in TABLE if row.id == id)
     for name, content in row.files.items():
@@ -1006,6 +1005,7 @@ def warned(stderr: str) -> list[str]:
     return [line for line in stderr.splitlines() if line.startswith("warning: ")]
 
 
+@pytest.mark.slow
 @uses("plan_remarks")
 def test_limits_that_are_left(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -1052,6 +1052,7 @@ def test_a_duration_between_samples_is_told():
 # What surrounds a run.
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 def test_a_run_with_other_settings_is_not_replaced_in_silence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -98,6 +98,7 @@ def test_run_goes_to_a_folder_of_the_scenarios_name(tmp_path, monkeypatch):
     assert RunRecord.load("out/paper").outcome.completed
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_remedies")
 def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
     unstable = [
@@ -184,6 +185,7 @@ def test_plot_overlays_runs(run, tmp_path):
     assert drawn == {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["postcapture", "seven_joint", "two_arms"])
 def test_figures_fit_a_page(scenario, run, tmp_path):
     """The given width, larger than no label, and no heading, which the caption of a page has."""

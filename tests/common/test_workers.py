@@ -105,12 +105,14 @@ def die_once(mark):
     return mark.name
 
 
+@pytest.mark.slow
 def test_processes_serve_one_list_of_tasks_after_the_other():
     with local_workers(1) as workers:
         first, second = (run(process_of, range(1), workers) for _ in range(2))
     assert first == second
 
 
+@pytest.mark.slow
 def test_a_killed_worker_is_replaced_and_its_task_repeated(tmp_path):
     marks = [tmp_path / str(k) for k in range(4)]
     for mark in marks[2:]:
@@ -118,6 +120,7 @@ def test_a_killed_worker_is_replaced_and_its_task_repeated(tmp_path):
     assert map_tasks(die_once, marks, workers=2) == ["0", "1", "2", "3"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_come_in_the_order_of_the_tasks(workers):
     told = []

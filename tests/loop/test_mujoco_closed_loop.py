@@ -323,6 +323,7 @@ def both(request: pytest.FixtureRequest) -> tuple[RunRecord, Series]:
     return run(request.param)
 
 
+@pytest.mark.slow
 def test_errors_agree_at_every_sample(both: tuple[RunRecord, Series]) -> None:
     """To 1e-8, and to 1e-3 of what the coordinate ever reaches: many errors are no more than 1e-8
     themselves, and one per cent in a mass would hide in the former.

@@ -182,6 +182,7 @@ errors = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(each=st.lists(errors, min_size=2, max_size=4), delay=st.integers(0, 3))
 def test_sensors_of_all_copies_have_their_bits(each, delay):
@@ -287,6 +288,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(
     kinds=st.lists(
@@ -678,6 +680,7 @@ def base_of(kind):
     return load_scenario(name, ["duration=0.06", *overrides])
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(kind=st.sampled_from(sorted(BASES)), data=st.data())
 def test_runs_that_differ_in_any_value_go_side_by_side_or_apart(kind, data):

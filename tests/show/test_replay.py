@@ -146,6 +146,7 @@ def test_frames_show_the_instants_that_are_due(record, monkeypatch):
     assert run_times[-1] == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_the_page_holds_what_was_asked_for(record):
     full = recording_html(record, speed=4.0)
     assert len(recording_html(record, speed=4.0, ghost=False)) < len(full)

@@ -58,6 +58,7 @@ def ffsm(command, code=0):
     return result.output
 
 
+@pytest.mark.slow
 @needs("report")
 @pytest.mark.usefixtures("rough_pictures")
 def test_a_run_holds_its_signals_and_figures(folder):
@@ -88,6 +89,7 @@ def test_its_torque_is_across_the_field_and_within_its_limit(folder):
     assert again.figures == record.figures
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder", "rough_pictures")
 def test_it_goes_through_compare_stability_and_validate():
     common = f"flight_sensors --set duration=0.3 --set '{BLOCK}'"
@@ -100,6 +102,7 @@ def test_it_goes_through_compare_stability_and_validate():
     assert linear.spectral_radius == pytest.approx(without.spectral_radius, abs=1e-6)
 
 
+@pytest.mark.slow
 @needs("campaign")
 def test_a_campaign_has_its_columns(folder):
     (folder / "spec.yaml").write_text(
@@ -114,6 +117,7 @@ def test_a_campaign_has_its_columns(folder):
     assert rows[0][0] > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder", "rough_pictures")
 def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     """Named alone, it is checked, linearised and warned of as the package's own."""
@@ -507,6 +511,7 @@ def test_a_run_knows_when_it_exceeds_the_limit_of_a_part():
     assert left == {"ramp of ramp": pytest.approx(0.1 + scenario.sample_time)}
 
 
+@pytest.mark.long
 def test_coils_beside_wheels_take_momentum_out(monkeypatch):
     """One file: no other one knows of them. The balance of momentum counts their impulse."""
     monkeypatch.syspath_prepend(EXAMPLES)

@@ -127,6 +127,7 @@ def test_a_body_that_is_not_there_yet_gets_nothing():
     assert alone < 0.5 * np.linalg.norm(field_of(scenario)[0].calc(q, thrust)[1])
 
 
+@pytest.mark.slow
 def test_plumes_push_and_momentum_balances_and_a_ban_keeps_a_thruster_shut():
     given = [LAYOUT, PLUME, "duration=1.5"]
     pushed = simulate(load_scenario("thrusters_only", given), check_stability=False)

@@ -106,6 +106,7 @@ def test_rounding_does_not_choose_among_equally_cheap_thrusters(layout):
         assert again == pytest.approx(once, abs=1e-6 * largest[0]), wrench
 
 
+@pytest.mark.slow
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
 @given(st.tuples(*[st.floats(-4.0, 0.0)] * 3), st.integers(0, 2**32 - 1))
 def test_the_largest_wrench_is_found_however_short_the_arms(powers, number):

@@ -207,6 +207,7 @@ def test_unloading_has_hysteresis():
     assert wheel_set.unloading_torque(np.array([9.0])) == pytest.approx([0, 0, -0.1])
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(st.integers(4, 7), st.integers(0, 2**31), st.booleans())
 def test_motors_take_out_what_wheels_hold_against_each_other(count, seed, speeding):
@@ -280,6 +281,7 @@ def test_wheels_stay_within_their_limits():
     assert less.on_base == pytest.approx([0, 0, 1])
 
 
+@pytest.mark.slow
 @given(
     torque=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=3, max_size=3),
     size=st.sampled_from([1e-9, 1.0, 1e-150, 1.0 / 3e7]),

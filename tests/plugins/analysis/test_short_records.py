@@ -57,6 +57,7 @@ def test_a_record_of_few_rows_has_all_its_figures(name, rows, data):
     assert all("nan" not in found.statement for found in analyze(record).findings)
 
 
+@pytest.mark.slow
 @given(st.sampled_from(("postcapture", "thrusters_and_wheels")), st.integers(1, 3))
 @settings(deadline=None, max_examples=4)
 def test_what_is_foretold_of_few_periods_is_finite(name, periods):

@@ -239,6 +239,7 @@ def test_a_mistake_with_basilisk_is_named(mistake, basilisk_log, tmp_path):
     assert words in str(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", ["base's", "spacecraft's"])
 def test_another_point_of_the_spacecraft_is_named(point, basilisk_log, tmp_path):
     """Basilisk's point B is the base's origin; Bc and C are centres of mass."""
@@ -376,6 +377,7 @@ BROKEN = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", BROKEN)
 def test_a_mistake_is_named(mistake, true_log, tmp_path):
     make, cause, words = BROKEN[mistake]
@@ -424,6 +426,7 @@ def test_csv_is_read_as_people_have_it(true_log, tmp_path):
     assert audit(path, URDF).verdict == "yes"
 
 
+@pytest.mark.slow
 def test_beside_the_drift_of_a_coarse_integrator_nothing_is_said(tmp_path):
     """MuJoCo's default steps lose momentum; a shorter step loses less."""
     euler = mujoco.mjtIntegrator.mjINT_EULER
@@ -581,6 +584,7 @@ CHAINS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CHAINS)
 def test_a_record_of_a_closed_chain_is_accounted_for(case, tmp_path):
     """The force of its loops jumps with the efforts, or is smooth; no wrong effort passes."""

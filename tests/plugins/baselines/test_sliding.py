@@ -112,6 +112,7 @@ def test_the_terminal_laws_gain_adapts_to_an_unknown_disturbance():
     assert last() < 0.4 * last(alpha=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0.1, 10.0, 1e4, 1e8])
 def test_the_fixed_time_law_settles_within_its_bound_from_anywhere(start):
     law = dynamics("fixed_time")

@@ -80,6 +80,7 @@ def repaired():
     return (*LINKS[:4], (mass, (*inertia[:4], LINK_5_XZ, 0.0), *others), LINKS[5])
 
 
+@pytest.mark.slow
 def test_the_base_of_ets_vii_turns_as_its_momentum_asks():
     """The stated figure, the run, and momentum integrated here agree."""
     mission = load_mission("ets_vii")

@@ -59,6 +59,7 @@ def rows(spec, tmp_path_factory):
     return table(run_here(spec, tmp_path_factory.mktemp("database") / "one.db"))
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(
     first=st.integers(1, 9),

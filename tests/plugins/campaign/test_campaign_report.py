@@ -197,6 +197,7 @@ def test_the_predicted_boundary_agrees_with_the_outcomes(database):
     assert (radius[:, findings.map.x > 0.2] > 1.0).all()
 
 
+@pytest.mark.slow
 def test_the_map_wants_two_sampled_numbers(database):
     from ffsm_drake.common.errors import CampaignError
 
@@ -435,6 +436,7 @@ def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, m
     assert {name for name in findings.influential if f">{name}</td>" in section} == matter
 
 
+@pytest.mark.slow
 def test_every_step_that_takes_time_has_a_name(tmp_path):
     """Also which case, run or point of how many."""
     with steps_seen() as seen:

@@ -100,6 +100,7 @@ def test_runs_that_diverge_while_the_gripper_closes_keep_their_logs():
     assert logs[1].grasp.legs[-1][0] == "closing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "slotine_li"])
 def test_a_law_restarts_in_its_own_copy_only(controller):
     base = load_scenario("tumbling_capture", [*BEYOND, f"controller={controller}"])

@@ -1,6 +1,7 @@
 """The report's section of a grasp."""
 
 import numpy as np
+import pytest
 
 from ffsm_drake import FfsmError
 from ffsm_drake.plugins.report.page import render_report
@@ -10,6 +11,7 @@ def left_out(_):
     raise FfsmError("left out")
 
 
+@pytest.mark.slow
 def test_the_report_tells_of_the_grasp(run, monkeypatch):
     near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
     posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"

@@ -41,6 +41,7 @@ def counts(record):
     return {name: part.sizes["time"] for name, part in phases_of(record.dataset).items()}
 
 
+@pytest.mark.slow
 def test_a_wait_before_the_approach(tmp_path):
     scenario = phases("wait=own_phases:wait")
     record = run(scenario)
@@ -92,6 +93,7 @@ def test_a_law_of_its_own():
     assert step[99] < 3.0 * max(step[98], step[100])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["wait", "other_law"])
 def test_side_by_side_with_the_same_bits(name):
     given = [phases(f"{name}=own_phases:{name}").replace(random_seed=seed) for seed in (1, 2)]

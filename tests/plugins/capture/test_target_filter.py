@@ -226,6 +226,7 @@ def off(found, expected):
     return max(np.abs(sign * found[:4] - expected[:4]).max(), np.abs(found - expected)[4:].max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_approach_filter_and_gripper_move_it_alike(seed):
     """A drawn tumble far from the origin of a fast orbit, or in none."""

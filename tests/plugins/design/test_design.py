@@ -119,6 +119,7 @@ def test_a_mission_that_will_not_go_as_planned_ranks_last(coordinates):
     assert requirement.rank(alarmed) > requirement.rank(point_of(coordinates, errors=9.0))
 
 
+@pytest.mark.slow
 def test_what_is_predicted_of_the_given_gains_frees_the_choice():
     """Whatever goes as planned is better than what does not; nothing else is chosen."""
     free = ("controller=pd_plus", "actuation.limit={joints: 500}")
@@ -143,7 +144,11 @@ def test_what_is_predicted_of_the_given_gains_frees_the_choice():
 
 
 @pytest.mark.parametrize(
-    "after", [4, *(pytest.param(count, marks=pytest.mark.long) for count in (1, 12))]
+    "after",
+    [
+        pytest.param(4, marks=pytest.mark.slow),
+        *(pytest.param(count, marks=pytest.mark.long) for count in (1, 12)),
+    ],
 )
 def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
     scenario = load_scenario("flight_sensors", ["controller=computed_torque", *SHORT])

@@ -98,6 +98,7 @@ def test_eta_is_that_of_the_driven_coordinates():
     assert margins.is_stable
 
 
+@pytest.mark.slow
 def test_noise_and_drift_are_predicted():
     scenario = free("tdc", "duration=8", "sensing.velocity_noise=1e-5")
     predicted = predict(scenario, settled_after=4.0)

@@ -69,6 +69,7 @@ def test_some(name, law):
     check(name, law, 0.3)
 
 
+@pytest.mark.slow
 def test_a_frame_at_the_estimated_state():
     check("seven_joint", "task_time_delay", 0.1, "estimator.kind=coupled")
 

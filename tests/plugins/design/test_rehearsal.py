@@ -64,6 +64,7 @@ def with_wheels():
     return make
 
 
+@pytest.mark.slow
 def test_wheels_that_give_too_little_are_told(with_wheels):
     """Predicted; that it is so: below."""
     (told,) = verdict(with_wheels(1.0), rehearsal=False).warnings
@@ -205,6 +206,7 @@ def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
     assert np.abs(error).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_cases_side_by_side_have_the_results_that_they_have_alone():
     base = load_scenario(
         "thrusters_and_wheels", ["duration=1", "actuation.delay=1", "controller=tde_aismc"]

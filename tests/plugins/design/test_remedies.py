@@ -34,7 +34,7 @@ UNSTABLE = {
         "controllers.tde_aismc.k_s_max",
     ),
 }
-SLOW, LONG = {"gains", "period"}, {"approach", "delay"}
+SLOW, LONG = {"K_s", "gains", "payload", "period"}, {"approach", "delay"}
 
 
 @pytest.mark.parametrize(

@@ -308,6 +308,7 @@ def test_expected_adaptation_against_simulation(run):
     assert first == pytest.approx(run("postcapture", *PUBLISHED_UNBOUNDED).outcome.time, abs=2.0)
 
 
+@pytest.mark.slow
 def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     with pytest.warns(
         StabilityWarning,

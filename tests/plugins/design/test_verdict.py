@@ -87,6 +87,7 @@ def test_without_a_run_no_command_speaks_of_success(name, law):
         assert "not rehearsed" in result.output or "not expected to go as planned" in result.output
 
 
+@pytest.mark.slow
 def test_a_disagreement_is_the_finding():
     found = verdict(load_scenario("postcapture", UNSTABLE_AT_START))
     assert found.is_linearly_unstable
@@ -128,6 +129,7 @@ def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
     assert not found.is_alarm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "controller"), [("Rare", "tdc"), ("Irregular", "tdc"), ("Irregular", "pd_plus")]
 )

@@ -44,6 +44,7 @@ def test_every_loop_is_linearised_once(cost, name, maps, of_margins):
     assert with_margins.built == 1
 
 
+@pytest.mark.slow
 def test_a_capture_is_linearised_once_for_each_leg(cost):
     with cost.Counted() as counted:
         verdict(load_scenario("tumbling_capture"), rehearsal=False, margins=True)
@@ -60,6 +61,7 @@ def test_the_same_instant_and_gains_are_the_same_loop():
         assert linearizer.at(1.01) is not linearizer.at(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_margins", [False, True])
 @pytest.mark.parametrize(("name", "noises"), [("postcapture", 0), ("thrusters_only", 1)])
 def test_one_run_and_the_noises_are_rehearsed(name, noises, with_margins, monkeypatch):
@@ -82,6 +84,7 @@ def test_one_run_and_the_noises_are_rehearsed(name, noises, with_margins, monkey
     assert made.count("rehearse") == noises
 
 
+@pytest.mark.slow
 def test_the_ratios_are_printed(cost, capsys):
     cost.main(["planar_detumble", "--repeats", "1"])
     printed = capsys.readouterr().out

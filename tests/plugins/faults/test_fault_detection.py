@@ -132,6 +132,7 @@ def test_no_joint_that_works_is_jammed(more, seed):
     assert noticed(log) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_no_thruster_that_works_is_weak(seed):
     forces = drawn_forces(np.random.default_rng(seed))
@@ -148,6 +149,7 @@ def test_a_jam_of_a_joint_that_moves(seed):
     assert noticed(log) == {unit: "jammed"}
 
 
+@pytest.mark.slow
 def test_a_joint_that_nothing_moves_is_not_jammed_but_known_once_the_bound_is_smaller():
     """What disturbances may do follows from the bound, given or the scenario's own."""
     still = ("controller=tdc", *AT_REST, "disturbance.harmonics.joint_1={bias: 2.0}")

@@ -176,6 +176,7 @@ def test_a_changed_or_missing_file_is_named(tmp_path, monkeypatch):
     assert not (project / "out/record.inputs").exists()
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("name", ["../../secret", "/etc/passwd", "record.inputs/../../x"])
 def test_names_that_lead_out_of_the_folder_are_not_read(name, tmp_path):
     from ffsm_drake.plugins.inputs.keeping import changed_inputs

@@ -249,8 +249,8 @@ COUNTS = pytest.mark.parametrize("count", [20, pytest.param(1670, marks=pytest.m
 @pytest.mark.parametrize(
     ("live", "count"),
     [
-        (run_watched, 20),
-        pytest.param(run_with_controls, 20, marks=pytest.mark.slow),
+        pytest.param(run_watched, 20, marks=pytest.mark.slow),
+        pytest.param(run_with_controls, 20, marks=pytest.mark.long),
         *(
             pytest.param(live, 1670, marks=pytest.mark.exhaustive)
             for live in (run_watched, run_with_controls)
@@ -263,6 +263,7 @@ def test_no_frame_costs_a_record(live, count, tmp_path):
     assert record.dataset.sizes["time"] > 1
 
 
+@pytest.mark.slow
 @COUNTS
 def test_no_frame_ends_a_replay(count, tmp_path, run):
     run("postcapture", "duration=1").save(tmp_path)
@@ -297,6 +298,7 @@ start_meshcat()
 """
 
 
+@pytest.mark.slow
 def test_only_its_own_thread_frees_a_server():
     """Else Drake would end the process."""
     done = finished([sys.executable, "-c", ABANDONED])

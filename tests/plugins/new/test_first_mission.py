@@ -70,6 +70,7 @@ def assert_settles(new):
     assert ending.is_settled, ending.sentence
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mass", [40.0, 400.0])
 def test_peak_forces_are_those_of_the_motion_that_was_written(tmp_path, mass):
     """A heavy target needs a longer motion than the one that was first planned."""
@@ -143,6 +144,7 @@ def test_many_subsets_settle_or_say_why_not(tmp_path, name):
     settle(tmp_path, name, 20)
 
 
+@pytest.mark.long
 def test_flags_are_the_scenarios_settings(tmp_path):
     """Without a run: what is asked for stands in the file, with the shipped scenario's sensors."""
     new = make(tmp_path, "six_joints", {**ALL, "panels": None, "wheels": "3x4Nm"})
@@ -169,6 +171,7 @@ def test_flags_are_the_scenarios_settings(tmp_path):
         assert max(new.peak_force[name] for name in names) < 0.7 * least
 
 
+@pytest.mark.slow
 def test_undriven_base(tmp_path):
     """Nothing is commanded, and nothing acts, where no actuator moves the base."""
     urdf = tmp_path / "arm.urdf"
@@ -217,6 +220,7 @@ def test_a_bad_value_is_one_line(name):
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @given(st.sampled_from(sorted(WRONG)), st.text(max_size=12))
 @settings(max_examples=100, deadline=None)
 def test_any_text_is_a_value_or_one_line(name, word):

@@ -36,6 +36,7 @@ def shipped():
     return load_plan(scenario.reference.plan, make_nominal_plant(scenario).coordinates)
 
 
+@pytest.mark.slow
 def test_least_time_uses_the_limits_and_keeps_them(quick):
     assert all(margin.kept for margin in quick.margins)
     used = {
@@ -170,6 +171,7 @@ def test_controllers_bring_the_published_case_to_rest(controller):
     assert (np.abs(record.dataset.applied_force.values) <= limit).all()
 
 
+@pytest.mark.slow
 def test_the_base_turns_no_further_than_it_may(quick):
     def turn(found):
         return 2.0 * np.arccos(np.clip(np.abs(found.rows[:, 0]), 0.0, 1.0)).max()
@@ -240,6 +242,7 @@ def test_a_search_ends_when_its_time_is_over(segments, seconds):
     assert time.process_time() - begun < seconds + 3.0
 
 
+@pytest.mark.slow
 def test_a_refused_plan_says_what_to_try():
     with pytest.raises(
         PlanningError, match=r"active limit: .* \(reserve included\); try planning.segments 8 or"
@@ -337,7 +340,10 @@ def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
     assert error[3:6].max() < 1e-3
 
 
-@pytest.mark.parametrize("rate", [pytest.param(0.01, marks=pytest.mark.long), 0.035])  # rad/s
+@pytest.mark.parametrize(
+    "rate",  # rad/s
+    [pytest.param(0.01, marks=pytest.mark.long), pytest.param(0.035, marks=pytest.mark.slow)],
+)
 def test_a_slow_tumble_stops_where_it_is(rate):
     """It takes no longer than a control sample per segment, or than the base's torque needs."""
     overrides = ["capture.approach=null", "planning.segments=4", "reference.goal=stop"]

@@ -220,6 +220,7 @@ def test_the_frame_gets_there_with_the_wrong_payload(law, most):
     assert "the frame servicer::end_effector ends" in results_table([record])
 
 
+@pytest.mark.slow
 def test_with_the_true_payload_the_frame_follows_but_for_the_hold():
     """What is left is that the force is held over the period: it halves with it. The frame follows
     the plan.
