@@ -163,7 +163,7 @@ def parsed(text: str, source: str) -> Any:
     except StrictYamlError as error:
         raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
     if isinstance(data, dict) and Path(source).name == MANIFEST_FILE:
-        data = scenario_of(data)
+        data = scenario_of(data) if "scenario" in data else {}
     if isinstance(data, dict):  # top-level names with an underscore hold targets of aliases
         data = {
             key: value
@@ -175,7 +175,7 @@ def parsed(text: str, source: str) -> Any:
 
 def scenario_of(manifest: Mapping[str, Any]) -> Any:
     """The scenario of a run's manifest, with the paths of the files kept beside it."""
-    data, kept = manifest.get("scenario", {}), manifest.get("inputs")
+    data, kept = manifest["scenario"], manifest.get("inputs")
     changed = kept.get("scenario") if isinstance(kept, dict) else None
     if isinstance(data, dict) and isinstance(changed, dict):
         for key, value in changed.items():
