@@ -2,6 +2,7 @@
 
 import math
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -382,7 +383,7 @@ def _drive(
         progress = stack.enter_context(closing(ProgressLine()))
         drive(path, workers=opened, stop=stop, progress=progress)
     _print_status(path)
-    click.echo(f"Next: ffsm campaign report {path}")
+    click.echo(f"Next: ffsm campaign report {shlex.quote(str(path))}")
 
 
 def _print_status(path: Path) -> None:

@@ -5,6 +5,7 @@ import dataclasses
 import datetime
 import importlib.util
 import math
+import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -174,6 +175,9 @@ def _page(store: Store, findings: Findings) -> str:
         "software": [row[0] for row in store.query("SELECT versions FROM software ORDER BY id")],
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "database": store.path.name,
+        "boundary_command": ""
+        if found is None
+        else _command("report", store.path, "--boundary", 300, "--map", found.x_name, found.y_name),
         "fingerprint": spec.fingerprint,
     }
     return render("campaign.html.j2", content, package="ffsm_drake.plugins.campaign")
@@ -272,6 +276,11 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
     return {"differences": differences, "sensitivities": sensitivities, "agreement": agreement}
 
 
+def _command(*words: object) -> str:
+    """A command of campaigns as a shell takes it."""
+    return f"ffsm campaign {shlex.join(map(str, words))}"
+
+
 def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
     """Cells and the command of each controller's worst runs."""
     rows = []
@@ -283,7 +292,7 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
                 row["message"] or f"final joint error {number(row['final_error_joints'], 3)} rad"
             )
             values = ", ".join(f"{key} {_plain(row[key])}" for key in findings.influential)
-            command = f"ffsm campaign rerun {store.path} --case {case} --controller {name}"
+            command = _command("rerun", store.path, "--case", case, "--controller", name)
             rows.append(
                 (
                     [

@@ -49,7 +49,7 @@ def plan_text(spec: Spec, *, workers: int) -> str:
             rows[name] = row = evaluate(case, name)
             if row["outcome"] in COMPLETED:
                 break
-            said = f"case {case.index} with {name}: {row['outcome']}: {row['message']}"
+            said = f"case {case.index} with {spec.label(name)}: {row['outcome']}: {row['message']}"
             problems.setdefault(name, said)
     seconds = [row["wall_time"] for row in rows.values()]
     width = max(map(len, spec.names)) + 2
@@ -57,7 +57,7 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     lines = [
         spec.description or "campaign",
         f"{counted(spec.cases, 'case')} ({spec.sampling}, seed {spec.seed}), each with "
-        f"{', '.join(spec.controllers)}: {counted(spec.runs, 'run')}",
+        f"{', '.join(map(spec.label, spec.controllers))}: {counted(spec.runs, 'run')}",
         f"settled: |e| within {tolerance} (rad, m) throughout the last {spec.settled.hold:g} s",
         "",
         f"{'value':<{width}}" + "".join(f"{f'case {case.index}':>14}" for case in first),

@@ -7,6 +7,7 @@ import html.parser
 import json
 import math
 import re
+import shlex
 import shutil
 import sqlite3
 import time
@@ -408,7 +409,9 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
     assert all(figure["data"] for figure in figures.values())
     assert len(re.findall(r"plotly\.js v\d", page)) == 1
     assert (tmp_path / "runs.csv").read_text().count("\n") == 25
-    assert f"ffsm campaign rerun {database} --case" in page
+    assert f"ffsm campaign rerun {shlex.quote(str(database))} --case" in page
+    report = f"ffsm campaign report {shlex.quote(str(database))} --boundary 300 --map nominal_error"
+    assert f"<code>{report} payload.truth.mass</code> goes on." in page
     assert "Every controller ran the same cases." in page
     assert "rad or m (joints)" in page
 
