@@ -86,10 +86,11 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
         for record in records
     ):
         yield "forces and ISV as commanded; the applied forces differ, see the report"
+    names = [f"{record.scenario.controller}: " if len(records) > 1 else "" for record in records]
     if (grasp_lines := optional(SERVICES, "grasp_lines")) is not None:
-        yield from grasp_lines([record.grasp for record in records if record.grasp is not None])
-    for record in records:
-        name = f"{record.scenario.controller}: " if len(records) > 1 else ""
+        pairs = zip(names, (record.grasp for record in records), strict=True)
+        yield from grasp_lines([pair for pair in pairs if pair[1] is not None])
+    for name, record in zip(names, records, strict=True):
         sentences = (part.sentence for part in record.parts if part.sentence)
         for line in (*frame_lines(record), *drift_lines(record), *sentences):
             yield name + line

@@ -7,12 +7,12 @@ from typing import Any
 from ffsm_drake.plugins.capture.momentum import momentum_lines
 
 
-def grasp_lines(grasps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """A line for each grasp (``RunRecord.grasp``), and lines on the momentum of the plan, common to
-    all.
+def grasp_lines(grasps: Sequence[tuple[str, Mapping[str, Any]]]) -> Iterator[str]:
+    """A line for each grasp (``RunRecord.grasp``), after the words that name its run, and lines on
+    the momentum of the plan, common to all.
     """
-    yield from map(grasp_line, grasps)
-    for grasp in grasps[:1]:
+    yield from (words + grasp_line(grasp) for words, grasp in grasps)
+    for _, grasp in grasps[:1]:
         yield from momentum_lines(grasp.get("momentum_budget"))
 
 

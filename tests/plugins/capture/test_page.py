@@ -5,6 +5,7 @@ import pytest
 
 from ffsm_drake import FfsmError
 from ffsm_drake.plugins.report.page import render_report
+from ffsm_drake.show.tables import results_table
 
 
 def left_out(_):
@@ -24,3 +25,6 @@ def test_the_report_tells_of_the_grasp(run, monkeypatch):
     assert "Angular momentum about the centre of mass [N m s]" in page
     assert f"Grasp at t = 2 s: impulse {np.linalg.norm(captured.grasp['impulse']):.3g} N s" in page
     assert page.count("<td") > 40
+    assert "\ngrasp at t = 2 s" in results_table([captured])
+    both = results_table([captured, captured])
+    assert both.count(f"\n{captured.scenario.controller}: grasp at t = 2 s") == 2
