@@ -46,6 +46,7 @@ _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # share of the base's mass
 _TRIES, _LIGHTER = 3, 0.4  # draws of postures; share of a target's mass
+_OTHER_TIPS = 2  # tried where a mission fails
 _HALVED = 3  # times that the side of a target may be, until it touches nothing
 _NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
@@ -210,22 +211,30 @@ def new_scenario(
     if asked.tips is not None and tip is not None:
         raise ScenarioError("--tip", "is one hand, and --tips are two; leave one of them out")
     first, second = asked.tips or (tip, None)
-    with step("reading the model"):
-        servicer = read_urdf(
-            urdf, tip=first, second=second, bus=bus, packages=folders, arguments=xacro_args,
-            trust=trust,
-        )  # fmt: skip
+
+    def read(tip: str | None) -> Servicer:
+        with step("reading the model"):
+            return read_urdf(
+                urdf, tip=tip, second=second, bus=bus, packages=folders, arguments=xacro_args,
+                trust=trust,
+            )  # fmt: skip
+
+    servicer = read(first)
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
 
             def make(
-                asked: Asked, mass: float | None = payload_mass, *, strict: bool = True
+                asked: Asked,
+                mass: float | None = payload_mass,
+                *,
+                at: str | None = None,
+                strict: bool = True,
             ) -> NewScenario:
                 folder = Path(tempfile.mkdtemp(dir=temporary)) / directory.name
                 folder.mkdir()
                 return _make(
-                    servicer, folder, asked, held, packages=folders, mass=mass, side=payload_size,
-                    strict=strict,
+                    servicer if at is None else read(at), folder, asked, held, packages=folders,
+                    mass=mass, side=payload_size, strict=strict,
                 )  # fmt: skip
 
             made = make(asked, strict=False)
@@ -237,6 +246,9 @@ def new_scenario(
                     mass = rounded(_LIGHTER * made.payload_mass)
                     size = "" if payload_size is None else f",{payload_size:g}m"
                     others[f"give --target {mass:g}kg{size}"] = lambda: make(asked, mass)
+                for frame in () if first else servicer.other_frames[:_OTHER_TIPS]:
+                    words = f"give --tip {shlex.quote(frame)}"
+                    others[words] = functools.partial(make, asked, at=frame)
                 made = _rehearsed(made, others)
             with published(directory) as new:
                 shutil.copytree(made.scenario_file.parent, new, dirs_exist_ok=True)

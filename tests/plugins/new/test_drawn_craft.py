@@ -16,6 +16,7 @@ from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.design.verdict import Verdict
 from ffsm_drake.plugins.new import first_scenario
 from ffsm_drake.plugins.new.asked import Asked
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.limits import urdf_limits
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -86,6 +87,37 @@ def test_a_failing_mission_names_what_helps_and_typing_it_does(tmp_path, monkeyp
     code, lines = typed(tmp_path / "light", *remedied(words, lines[-1]))
     assert code == 0
     assert not lines[-1].startswith("what helps")
+
+
+FORK = """<mujoco><worldbody><body name="bus"><freejoint/>
+<geom type="box" size="0.5 0.4 0.45" mass="120"/>
+<body name="stem" pos="0 0 0.45"><joint name="s1" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.6" size="0.05" mass="5"/>
+<body name="left" pos="0 0 0.6"><joint name="l1" axis="0 1 0" range="10 90"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.03" mass="2"/>
+<site name="tool" pos="0 0 0.35"/></body>
+<body name="right" pos="0 0 0.6"><joint name="r1" axis="0 1 0" range="-90 -10"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.03" mass="2"/></body>
+</body></body></worldbody></mujoco>"""
+
+
+def test_frames_that_could_hold_the_target_in_place_of_the_tip(tmp_path):
+    (tmp_path / "fork.xml").write_text(FORK)
+    servicer = read_urdf(tmp_path / "fork.xml")
+    assert servicer.tip.frame == "stem"
+    assert servicer.other_frames == ["tool", "left", "right"]
+    (tmp_path / "arm.urdf").write_text(simple_arm())
+    assert read_urdf(tmp_path / "arm.urdf").other_frames == []
+
+
+@pytest.mark.slow
+def test_a_fork_whose_mission_fails_is_told_of_a_tip_that_helps(tmp_path):
+    (tmp_path / "fork.xml").write_text(FORK)
+    words = ["--urdf", tmp_path / "fork.xml"]
+    code, lines = typed(tmp_path / "stem", *words)
+    assert code == 3
+    assert lines[-1].startswith("what helps: give --tip tool: with it")
+    assert typed(tmp_path / "tool", *remedied(words, lines[-1]))[0] == 0
 
 
 def test_less_is_asked_by_one_option_at_a_time():

@@ -63,6 +63,21 @@ class Servicer:
         return min(tip.reach for tip in (self.tip, self.second) if tip is not None)
 
     @property
+    def other_frames(self) -> list[str]:
+        """Frames that could hold the target in place of the tip: other tips, named frames, and
+        links that carry none, such as a fork's.
+        """
+        carrying = {parent.get("link") for parent in self.root.iterfind("joint/parent")}
+        frames = [
+            name_of(frame)
+            for frame in self.root.findall("frame")
+            if frame.get("link") not in self.base_links
+        ]
+        ends = [joint.child for joint in self.joints if joint.child not in carrying]
+        found = dict.fromkeys([*(tip.frame for tip in self.other_tips), *frames, *ends])
+        return [name for name in found if name != self.tip.frame]
+
+    @property
     def drives(self) -> dict[str, dict[str, float]]:
         """Drives with the damping and friction of the moving joints, as a scenario has them; empty
         if there are none.
