@@ -30,10 +30,11 @@ ALWAYS_MANY = {
     "plugins/planning/tables.py": {"found.evaluations"},
     "plugins/report/page.py": {"len(results)"},
     "plugins/udp/packets.py": {"packet.values.size"},
-    "runs/reading.py": {"time.size"},
+    "runs/reading.py": {"number", "time.size"},
     "spacecraft/checked_urdf.py": {"links", "shapes", "len(told)"},
     "spacecraft/plant.py": {"joint.num_velocities()"},
     "systems/controllers/checked.py": {"total"},
+    "systems/part.py": {"number"},
 }
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.interrupts import handle_signals, interruptible
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.udp.packets import (
     HOLDS,
     IS_FIRST,
@@ -140,7 +141,7 @@ def fly(pilot: Pilot, own: socket.socket) -> None:
                     own.sendto(reply, sender)
     print(f"answered {pilot.answered} requests, refused {pilot.refused.total()}", flush=True)
     for reason, count in pilot.refused.items():
-        print(f"refused {count} times: {reason}", flush=True)
+        print(f"refused {counted(count, 'time')}: {reason}", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

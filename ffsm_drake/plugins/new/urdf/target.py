@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.urdf.elements import (
     end_of,
@@ -114,7 +115,7 @@ def read_target(
         body = max(masses, key=lambda name: masses[name], default="")
         if GRASP not in frames and len(frames) != 1 + (SECOND in frames):
             added = _ADDED.get(path.suffix, _FRAME).format(name=GRASP, body=body)
-            found = f"{len(frames)} frames ({listed(frames)})" if frames else "no frame"
+            found = f"{counted(len(frames), 'frame')} ({listed(frames)})" if frames else "no frame"
             faults.append(
                 f"{found} where it could be held; {'name one' if frames else 'add'} {added}, on "
                 "its surface, with z into the target"
