@@ -837,6 +837,7 @@ def check_kept(folder: Path, status: str) -> RunRecord:
     return kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -239,6 +239,7 @@ def test_every_shipped_scenario_is_valid():
     assert all(f"{name}: valid; " in done.stdout for name in shipped_scenarios())
 
 
+@pytest.mark.slow
 def test_schema_describes_every_shipped_scenario():
     jsonschema = pytest.importorskip("jsonschema")
     schema = json.loads(ffsm("schema").stdout)

@@ -88,6 +88,7 @@ def test_a_warning_that_repeats_is_said_once(capsys):
     assert capsys.readouterr().err.splitlines() == ["warning: a remark", "warning: another"]
 
 
+@pytest.mark.slow
 def test_compare_says_a_remark_of_several_runs_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = ["--set", "duration=0.05", "--set", "clearance=5", "-c", "tdc", "-c", "pd_plus"]

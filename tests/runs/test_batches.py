@@ -307,6 +307,7 @@ def test_mixed_lists_come_back_in_order_with_their_bits(kinds, batch):
         assert_equal(record, alone(each))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("others", [(), (ORBIT,), DRIFT])
 def test_a_run_that_diverges_leaves_the_others_alone(others):
     wild = ("controllers.tde_aismc.k_s_initial=400", "controllers.tde_aismc.k_s_max=null")

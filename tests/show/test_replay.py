@@ -120,6 +120,7 @@ def test_the_page_shows_time_and_controls(record, tmp_path):
     assert 0.6 < times[3] <= times[4] < 2.0
 
 
+@pytest.mark.slow
 def test_the_page_plays_at_the_asked_speed(record):
     for speed in (1.0, 2.0, 0.25):
         page = recording_html(record, speed=speed)

@@ -335,6 +335,7 @@ def test_from_the_command_line(module):
     assert np.array_equal(record.dataset["sliding_variable"], record.dataset["generalized_force"])
 
 
+@pytest.mark.slow
 def test_compare_takes_any(module):
     result = CliRunner().invoke(
         main,

@@ -74,6 +74,7 @@ def test_an_exported_run_is_physics(name, folder):
     assert "follows the work" in statement(found, "energy")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
 def test_exchanged_joints_are_named(name, record, tmp_path):
     data = record.dataset.copy(deep=True)

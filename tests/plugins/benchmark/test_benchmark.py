@@ -198,6 +198,7 @@ def test_a_law_that_diverges_at_once_does_not_lead(mission, folder, tmp_path, mo
     assert "0 of 3, 3 diverged" in board_text(board)
 
 
+@pytest.mark.slow
 def test_other_scenarios_do_not_mix(mission, folder, tmp_path):
     """Runs of a mission that has changed since are left out."""
     changed = dataclasses.replace(

@@ -79,6 +79,7 @@ def test_a_row_tells_of_the_grasp(rows):
     assert rows[0]["predicted_load"] < 1.0
 
 
+@pytest.mark.slow
 def test_the_first_limit_is_named(rows):
     assert rows[1]["first_limit"].startswith("force on base_rotation_")
     assert 0.0 < rows[1]["first_limit_time"] < 2.0

@@ -51,6 +51,7 @@ def test_rows_are_those_of_drake_but_for_rounding(databases):
     assert outcomes[0] == outcomes[1]
 
 
+@pytest.mark.slow
 @needs_generated
 def test_one_case_in_a_hundred_runs_with_both(databases):
     stored = rows(databases["generated"], "dynamics", "drake_outcome", "drake_difference")

@@ -80,6 +80,7 @@ def test_a_grid_takes_lists_only(tmp_path):
         load_spec(noise(tmp_path / "bad.yaml", parameters=drawn, derive={}))
 
 
+@pytest.mark.slow
 def test_the_plan_shows_the_names_of_values(tmp_path):
     result = CliRunner().invoke(campaign, ["plan", str(short(tmp_path / "noise.yaml"))])
     assert result.exit_code == 0, result.output
@@ -104,6 +105,7 @@ def test_a_point_is_what_simulate_gives(database, points):
     assert (means["itae"], means["isv"]) == (metrics["itae"], metrics["isv"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(points, controller):
     overrides = [f"duration={DURATION}", f"controller={controller}", "sensing.velocity_noise=1e-4"]

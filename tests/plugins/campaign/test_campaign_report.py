@@ -209,6 +209,7 @@ def test_the_map_wants_two_sampled_numbers(database):
         predict_map(store.spec, ("sample_time", "nominal_error"), {"nominal_error": np.arange(3.0)})
 
 
+@pytest.mark.slow
 def test_the_map_is_kept_with_the_results(database, monkeypatch):
     monkeypatch.setattr(prediction, "POINTS", 2)
     with open_store(database) as store:

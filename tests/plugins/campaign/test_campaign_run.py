@@ -298,6 +298,7 @@ def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
     assert record.scenario.random_seed == row["random_seed"]
 
 
+@pytest.mark.slow
 def test_rerun_notices_another_result(database, tmp_path):
     path = tmp_path / "altered.db"
     path.write_bytes(database.read_bytes())

@@ -70,6 +70,7 @@ def test_the_approach_after_it_is_that_without_it():
     assert_allclose(Handover(alone).path, Handover(later).path[100:], rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_phases_go_in_turn_and_begin_where_their_motion_does():
     by = {"system": "own_phases:come", "settings": "{by: [0.02, 0, 0.01], lasts: 1}"}
     come = f"come={{system: {by['system']}, settings: {by['settings']}}}"

@@ -325,6 +325,7 @@ def test_transition_is_the_motion_s_derivative():
     np.testing.assert_allclose(middle.transition(step), np.array(columns).T, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_learns():
     *_, (estimate, truth) = followed(DROPS, 20, 60, 1)
     first = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)).mean(axis=0)

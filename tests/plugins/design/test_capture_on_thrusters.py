@@ -30,6 +30,7 @@ def mission(rate, *overrides):
     )
 
 
+@pytest.mark.slow
 def test_a_fast_stop_is_rehearsed_with_postures_close_enough():
     """Between postures 10 s apart the stable loops of an 8 deg/s stop have an unstable mean."""
     found = rehearse(mission(8.0, "controller=tdc", "duration=26"), seeds=1)
@@ -108,6 +109,7 @@ def followed(scenario, found, *, other_law=False):
     return override_scenario(scenario, [changes])
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(numbers=crafts)
 def test_what_helps_comes_from_the_crafts_own_numbers(numbers):

@@ -340,6 +340,7 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
     assert (tmp_path / "design.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_delays")
 def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     """With one price, the highest: what costs least is what is asked for."""
@@ -388,6 +389,7 @@ def test_design_refuses_a_payload_range_that_is_none(tmp_path, payload_range):
     assert "error: payload range: must be two masses 0 < LOW < HIGH in kg" in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_delays")
 def test_design_is_nowhere_worse_than_the_given_gains():
     """Computed torque once won effort for errors x 1.5 to 2."""

@@ -42,6 +42,7 @@ def integrated(frequency, *, scheme="runge_kutta3", steps=200):
     return (found - exact) / end
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(frequency=st.floats(0.1, 1000.0))
 def test_a_harmonic_that_is_not_integrated_is_named(frequency):
@@ -57,6 +58,7 @@ def test_a_period_of_one_step_is_a_constant_force():
     assert not remarks_on_harmonic(2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [

@@ -124,6 +124,7 @@ def test_a_loop_that_is_unstable_where_it_rests():
     assert not found.rests_stable
 
 
+@pytest.mark.slow
 def test_the_bounds_of_adaptation_count():
     scenario = load_scenario("flight_sensors", [*LATE, EIGHTFOLD])
     with Linearizer(scenario) as linearizer:
@@ -151,6 +152,7 @@ def test_without_bounds_the_forecast_counts():
     assert "set k_s_max" in unknown.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("counting", "held"),
     [
@@ -231,6 +233,7 @@ def test_a_block_that_cannot_be_linearised(monkeypatch):
     assert math.isnan(found.radius)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "leg", "left_out"),
     [

@@ -39,6 +39,7 @@ def test_it_need_not():
         ffsm_drake.simulate(load_scenario("postcapture", SHORT), check_stability=False)
 
 
+@pytest.mark.slow
 def test_a_rollout_loads_nothing_of_the_design():
     run = (
         "from ffsm_drake import Rollout, load_scenario; Rollout(load_scenario('postcapture', "

@@ -55,6 +55,7 @@ def test_each_change_makes_the_loop_stable(kind):
         assert not linear_verdict(override_scenario(scenario, [each.changes])).is_alarm, str(each)
 
 
+@pytest.mark.long
 def test_a_nominal_payload_that_is_too_heavy_is_told_with_its_eta():
     base, overrides, _ = UNSTABLE["payload"]
     first, *_ = remedies(load_scenario(base, overrides), fails=True)

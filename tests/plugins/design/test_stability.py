@@ -331,6 +331,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
         assert bool(told) is bool(words)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

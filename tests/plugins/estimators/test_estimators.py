@@ -611,6 +611,7 @@ def test_a_turning_gyros_bias_is_found_in_its_axes(seed):
     assert np.linalg.norm(off) < 0.02 * np.linalg.norm(bias)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["kalman", "coupled"])
 def test_a_gyros_bias_is_found(run, kind):
     """Without a state of its own it becomes an error of attitude, or position."""
@@ -630,6 +631,7 @@ def test_a_gyros_bias_is_found(run, kind):
         assert after < 0.05 * before, name
 
 
+@pytest.mark.slow
 def test_an_unknown_constant_disturbance_leaves_no_error(run):
     """At rest the force cancels tau_d, and what is left of the error is nothing beside that of the
     law alone.
@@ -699,6 +701,7 @@ def heavier(mass, inertia):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tdc", "tde_aismc"])
 def test_an_over_estimated_payload_is_flown_with_kalman_and_flight_gains(run, controller):
     published = run("postcapture", f"controller={controller}", *heavier(150, 25))

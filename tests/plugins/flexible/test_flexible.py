@@ -270,6 +270,7 @@ def test_the_radius_of_the_wired_loop_knows_the_panels():
             assert (loop.at(0.0).spectral_radius < 1.0) is stable
 
 
+@pytest.mark.slow
 def test_the_kalman_loop_does_not_notice_the_panels(run):
     record = run("flight_sensors", *panels(8.0), "controller=tdc")
     assert record.outcome.completed

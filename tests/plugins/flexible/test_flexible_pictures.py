@@ -56,6 +56,7 @@ def scaled(record, **factors):
     return dataclasses.replace(record, dataset=data)
 
 
+@pytest.mark.slow
 def test_deflections_are_drawn_larger_by_what_the_caption_says(meshcat, record):
     meshcat.Delete()
     record = scaled(record, port=2e-3, starboard_1=1e-3, starboard_2=5e-4, fuel=0.31)

@@ -82,6 +82,7 @@ def test_larger_drawn_trees_agree(joints):
     assert differences(drawn_tree(100 + joints, joints)).largest < DRAWN
 
 
+@pytest.mark.slow
 def test_the_code_of_thirty_joints_is_no_longer_than_it_must():
     # it takes the compiler a time in proportion to its lines; see docs/speed.md
     few, many = (

@@ -62,6 +62,7 @@ def made(tmp_path_factory):
     return make
 
 
+@pytest.mark.slow
 def test_every_step_that_takes_time_has_a_name(tmp_path):
     """Also which try of how many."""
     urdf = tmp_path / "craft.urdf"
@@ -186,6 +187,7 @@ def test_weak_or_slow_joints_get_more_time(made, tmp_path):
     assert 1.875 * change / duration <= 0.2 * 0.1  # the quintic's peak rate
 
 
+@pytest.mark.slow
 def test_efforts_limit_the_actuators(made):
     new = made("two_armed")
     limit = load_scenario(new.scenario_file).actuation.limit

@@ -295,6 +295,7 @@ def test_a_reader_that_hangs_is_ended(tmp_path, monkeypatch, apart_for_good):
         read_urdf(endless(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_model_that_crashes_drake_is_tried_apart(tmp_path):
     file = tmp_path / "a.sdf"
     file.write_text(SDF.replace("</model>", f"<include><uri>file://{file}</uri></include></model>"))

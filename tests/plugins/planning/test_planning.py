@@ -50,6 +50,7 @@ def test_least_time_uses_the_limits_and_keeps_them(quick):
     assert quick.least_by_torque == pytest.approx(3.849 / 2.5, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_reserve_holds_between_knots_too(quick):
     """By Drake's inverse dynamics, at instants that the planner does not use."""
     scenario = load_scenario("planar_detumble", QUICK)

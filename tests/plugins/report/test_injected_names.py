@@ -117,6 +117,7 @@ def short(run):
     return run("postcapture", "duration=0.05")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_analysis")
 @quick
 @given(NAMES)

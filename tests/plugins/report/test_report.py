@@ -161,6 +161,7 @@ def page(text):
     return Page(text)
 
 
+@pytest.mark.slow
 def test_table_holds_the_metrics(short, text):
     rows = table_rows(text)
     metrics = short.metrics

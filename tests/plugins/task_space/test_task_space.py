@@ -192,6 +192,7 @@ def followed(law, *overrides):
     return Rollout(scenario).run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "most"),
     [("resolved_rate", 1e-2), ("task_computed_torque", 2e-3), ("task_time_delay", 1e-5)],
