@@ -9,7 +9,7 @@ import copy
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -448,6 +448,12 @@ class Draft:
         """The largest forces (nv) of perfect tracking of the planned motion, N m or N."""
         return _peaks(self._planned())
 
+    def _at_postures(self, *, holds: bool) -> Iterator[np.ndarray]:
+        """Mass matrices (nv, nv) in the postures, with the target or without."""
+        model = make_true_plant(dataclasses.replace(self.scenario, holds=holds))
+        for key, each in self.scenario.postures.items():
+            yield model.calc_mass_matrix(configuration(model.plant, each, key=key))
+
     def _resolve_friction(self) -> None:
         """Steps of the integrator that resolve friction near rest, with its change of sign within
         the slowest rate that one of few steps resolves.
@@ -457,10 +463,8 @@ class Draft:
             return
         joints, free = slice(NUM_BASE_VELOCITIES, None), list[np.ndarray]()
         for held in {True, self.asked.capture is None}:
-            model = make_true_plant(dataclasses.replace(self.scenario, holds=held))
-            for key, each in self.scenario.postures.items():
-                q = configuration(model.plant, each, key=key)
-                free.append(np.linalg.inv(model.calc_mass_matrix(q))[joints, joints])
+            for matrix in self._at_postures(holds=held):
+                free.append(np.linalg.inv(matrix)[joints, joints])
         for step_size, rate in itertools.product(_STEP_SIZES, _SMOOTHED):
             config["max_step_size"], drives["smoothing_rate"] = step_size, rate
             settings = self.scenario.drives
@@ -524,9 +528,10 @@ class Draft:
             most = np.sqrt(left / _effective_inertia(matrices).max(axis=0) / noise / _NOISES)
         for part in coordinates.groups.values():
             omega[part] = np.minimum(omega[part], most[part].min(initial=np.inf))
+        alone = [] if self.asked.capture is None else list(self._at_postures(holds=False))
         for k in range(_TRIES):
             with step(f"bandwidth {k + 1} of at most {_TRIES}"):
-                self._put_gains(omega, matrices)
+                self._put_gains(omega, np.array([*matrices, *alone]))
                 fast = self._too_fast()
             if not fast:
                 return

@@ -110,7 +110,7 @@ def test_frames_that_could_hold_the_target_in_place_of_the_tip(tmp_path):
     assert read_urdf(tmp_path / "arm.urdf").other_frames == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_fork_whose_mission_fails_is_told_of_a_tip_that_helps(tmp_path):
     (tmp_path / "fork.xml").write_text(FORK)
     words = ["--urdf", tmp_path / "fork.xml"]
