@@ -110,6 +110,11 @@ def test_everything_at_once_settles(tmp_path, name):
     scenario = load_scenario(new.scenario_file)
     assert scenario.capture.approach is not None
     assert len(scenario.model.flexible) == 2
+    # Gains for the target held do not serve each law before the grasp.
+    for law in ("computed_torque", "pd_plus"):
+        short = [f"controller={law}", f"duration={scenario.capture.approach.duration + 1.0}"]
+        log = make_rollout(load_scenario(new.scenario_file, short)).run()
+        assert log.ending.status != "diverged"
     thrusters = scenario.actuation.thrusters
     assert (thrusters.layout == "12x5N") is (name == "servicer")
     assert {each.force for each in thrusters_of(thrusters).values()} == {5.0}
