@@ -9,13 +9,15 @@ import argparse
 import json
 import math
 import os
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import golden
+
+sys.path.append(str(Path(__file__).parents[1]))
+from children import finished  # noqa: E402
 
 # Names of processors to OpenBLAS, whose products round differently, and instructions that NumPy
 # leaves out; empty: what is here.
@@ -68,14 +70,7 @@ def measured(name: str, draws: int) -> Any:
     for number, (processor, environment) in enumerate(PROCESSORS.items()):
         seeds = [-1, *range(number * draws, (number + 1) * draws)]
         command = [sys.executable, __file__, "--seeds", *map(str, seeds), "--", name]
-        done = subprocess.run(
-            command,
-            env={**os.environ, **environment},
-            stdout=subprocess.PIPE,
-            check=True,
-            text=True,
-            timeout=1800,
-        )
+        done = finished(command, env={**os.environ, **environment}, check=True, longest=1800)
         found = golden.further_moves(found, json.loads(done.stdout))
         print(f"{name}: {processor}", file=sys.stderr, flush=True)
     return found

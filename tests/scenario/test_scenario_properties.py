@@ -32,6 +32,7 @@ from ffsm_drake.scenario import (
     thruster_layouts,
 )
 from ffsm_drake.scenario.contacts import CHAIN_LAWS
+from ffsm_drake.scenario.sensing import TIMES
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 SETTINGS = settings(
@@ -82,6 +83,8 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
+    # Their numbers of samples depend on sample_time: tests/systems/test_sensor_units.py.
+    **dict.fromkeys((f"{name}_time" for name in TIMES), st.none()),
     "segments": st.integers(4, 100),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),
