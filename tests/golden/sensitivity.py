@@ -17,7 +17,7 @@ from typing import Any
 import golden
 
 sys.path.append(str(Path(__file__).parents[1]))
-from children import finished  # noqa: E402
+from children import finished
 
 # Names of processors to OpenBLAS, whose products round differently, and instructions that NumPy
 # leaves out; empty: what is here.
