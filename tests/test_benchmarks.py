@@ -61,6 +61,7 @@ def test_time_of_a_run_is_processor_time_within_advance_to(monkeypatch):
     assert Simulator.AdvanceTo is advance
 
 
+@pytest.mark.long
 def test_rollout(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     rollout = importlib.import_module("rollout")
@@ -97,6 +98,7 @@ def test_rollout(monkeypatch, capsys):
         assert 0.0 < max(differences) < 1e-7
 
 
+@pytest.mark.slow
 def test_startup(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     startup = importlib.import_module("startup")
@@ -110,6 +112,7 @@ def test_startup(monkeypatch, capsys):
     assert printed[1].endswith("of what it takes with --against")
 
 
+@pytest.mark.slow
 def test_campaign_cases(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     cases = importlib.import_module("campaign_cases")

@@ -684,6 +684,7 @@ def test_one_line_from_a_process_of_its_own(id, tmp_path):
     assert "Traceback" not in ended.stderr + ended.stdout
 
 
+@pytest.mark.slow
 def test_standard_output_on_a_full_disk(tmp_path):
     with open("/dev/full", "w") as full:
         ended = ffsm("scenarios", cwd=tmp_path, stdout=full)
@@ -702,6 +703,7 @@ def test_unreadable_scenario(tmp_path):
     check_line(result.stderr, ("mine.yaml: cannot be read", "Permission denied"))
 
 
+@pytest.mark.slow
 def test_empty_scenario_is_the_defaults(tmp_path):
     (tmp_path / "mine.yaml").write_text("")
     assert load_scenario(tmp_path / "mine.yaml").duration == 20.0
@@ -1186,6 +1188,7 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     assert result.stdout == f"Written to {names[1]}: 1\n"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 def test_compare_prints_the_best_first(tmp_path):
     words = (

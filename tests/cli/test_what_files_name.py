@@ -59,6 +59,7 @@ def here(tmp_path, monkeypatch):
     sys.modules.pop(NAMED, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "imports"), OF_A_RECORD.items(), ids=str)
 @pytest.mark.usefixtures("rough_pictures")
 def test_a_record_is_a_program_where_it_is_run(command, imports, here, run):

@@ -162,6 +162,7 @@ def check_wide(scenarios):
             np.testing.assert_array_equal(log.series[name], values, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WIDE)
 def test_blocks_of_all_copies_have_their_bits(kind):
     name, *overrides = WIDE[kind]
@@ -334,6 +335,7 @@ def test_a_copy_that_is_too_fast_for_one_step_diverges():
     assert logs[1].outcome == alone(tight).outcome
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(
     kinds=st.lists(st.integers(0, 2), min_size=2, max_size=5),

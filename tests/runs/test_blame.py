@@ -192,6 +192,7 @@ class FailsLater(Tdc):
     counted = np.nan
 
 
+@pytest.mark.slow
 def test_what_resume_returns_is_checked_and_the_approach_kept():
     law = type("Own", (FailsLater,), {"counted": "text"})
     with pytest.raises(BlockError, match="resume returned 'count', an array of <U4; it must be"):
@@ -242,6 +243,7 @@ class Endless(PdPlus):
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_step_that_never_returns(tmp_path):
     (tmp_path / "endless.py").write_text(ENDLESS)
     command = [sys.executable, "-m", "ffsm_drake", "run", "-c", "endless:Endless", "--no-report"]

@@ -88,6 +88,7 @@ def test_metrics_of_a_run(run):
     assert set(metrics["peak_effort"]) == {"base_rotation", "base_position", "joints"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [

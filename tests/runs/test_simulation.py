@@ -141,6 +141,7 @@ def test_motion_follows_from_the_recorded_forces(run):
         assert (v[k + 1] - v[k]) / 0.01 == pytest.approx(acceleration, abs=2e-6), k
 
 
+@pytest.mark.slow
 def test_same_seed_same_bits_other_seed_other_bits(tmp_path):
     scenario = load_scenario("postcapture", ["duration=2"])
     first, second = (simulate(scenario, check_stability=checked) for checked in (True, False))
@@ -168,6 +169,7 @@ def test_without_noise_the_seed_does_not_matter():
     assert np.array_equal(runs[0].dataset["velocity"], runs[0].dataset["measured_velocity"])
 
 
+@pytest.mark.slow
 def test_noise_has_the_given_spread_and_is_white():
     overrides = [
         "duration=20",

@@ -62,6 +62,7 @@ def test_what_comes_while_a_record_is_written_stays(there, files, runs, tmp_path
     assert not list(tmp_path.rglob(".*"))
 
 
+@pytest.mark.slow
 def test_a_run_that_finds_another_says_where_it_is(runs, tmp_path, monkeypatch):
     """The other came while the first was simulated; the third finds two."""
     monkeypatch.chdir(tmp_path)
@@ -89,6 +90,7 @@ def test_a_run_that_finds_another_says_where_it_is(runs, tmp_path, monkeypatch):
     assert seeds_in(tmp_path)[Path("out")] == 1
 
 
+@pytest.mark.slow
 def test_a_reader_beside_a_writer_sees_one_record(runs, tmp_path):
     """Files with and without a lock: a set, and each file, is old or new."""
     good = [run.save(tmp_path / str(run.scenario.random_seed)) for run in runs]

@@ -150,6 +150,7 @@ def as_text(value):
     return yaml.safe_dump(value, default_flow_style=True, width=10**6).removesuffix("...\n").strip()
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(CASES)
 def test_of_a_file(tmp_path, case):
@@ -161,6 +162,7 @@ def test_of_a_file(tmp_path, case):
         check_blamed(place, path, load_scenario, path, ["description=another"])
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(CASES)
 def test_of_an_override(case):

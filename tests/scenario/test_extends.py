@@ -49,6 +49,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("layers")
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(name=st.sampled_from(sorted(shipped_scenarios())), random=st.randoms(use_true_random=False))
 def test_a_scenario_is_the_same_however_it_is_divided(folder, name, random):

@@ -336,6 +336,7 @@ def captured(run):
     )
 
 
+@pytest.mark.slow
 def test_up_to_the_grasp_the_target_is_apart(meshcat, captured):
     shown, data = view(meshcat, captured), captured.dataset
     path = (

@@ -61,6 +61,7 @@ def test_bad_names(load, found, bad):
         load(text)
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(st.text("äöüßéñ", min_size=1, max_size=4), st.sampled_from(["latin-1", "utf-16", "cp1252"]))
 def test_other_encodings(load, word, encoding):
@@ -97,6 +98,7 @@ FRAME = """- add_frame:
 """
 
 
+@pytest.mark.long
 @settings(SETTINGS, max_examples=20)
 @given(st.sampled_from(["1e300", "-1e300", "1e400", "inf", "-inf", "10001"]), st.booleans())
 def test_places_of_directives_and_sdf(tmp_path_factory, number, sdf):

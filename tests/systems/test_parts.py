@@ -229,6 +229,7 @@ def test_a_part_that_contradicts_itself_is_told_so(part, words):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.slow
 def test_signals_that_are_computed_and_figures_that_are_no_numbers(tmp_path):
     part = Faulty(
         said=(signal("twice", of=lambda run: 2.0 * run["here"]), signal("here")),

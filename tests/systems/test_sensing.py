@@ -114,6 +114,7 @@ def test_errors_of_the_bases_sensors_turn_with_it(run, seed):
     assert tilt == pytest.approx(np.tile(1e-3 * drawn["position"][:3], (len(q), 1)), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_spacecraft_goes_where_its_biased_sensors_are_content(run):
     """The true error settles at the bias, which so enters the loop with the right sign."""
     bias = "sensing.position_bias={base_position: 1e-3, base_rotation_x: 2e-3, joint_3: -4e-3}"
@@ -174,6 +175,7 @@ def test_a_turned_spacecraft_measures_the_same_in_its_axes(kind):
         assert measured(Rotation.random(random_state=seed)) == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_quantization(run):
     """Multiples of the step, and what is rounded away is uniform."""
     steps = (

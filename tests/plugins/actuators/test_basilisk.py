@@ -35,6 +35,7 @@ def largest_difference(found, expected, *names):
     return max(np.abs(found[name][::SECOND] - np.array(expected[name])).max() for name in names)
 
 
+@pytest.mark.slow
 def test_wheels_and_torque_mapping(basilisk):
     found, expected = bus.wheels(), basilisk["wheels"]
     assert np.array(expected["motor_torque"]) == pytest.approx(

@@ -549,6 +549,7 @@ def test_errors_are_one_clear_line(overrides, expected):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, database=None, deadline=None, max_examples=15)
 @given(
     st.tuples(*[st.floats(-3.0, 3.0)] * 3),

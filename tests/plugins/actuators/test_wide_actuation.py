@@ -163,6 +163,7 @@ def test_a_parked_copy_begins_again_and_leaves_the_others(name, overrides):
         np.testing.assert_array_equal(found[1], expected[1])
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     size=st.integers(1, 5),

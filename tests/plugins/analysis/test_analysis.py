@@ -130,6 +130,7 @@ def test_tde_error_is_that_of_equations_2_and_5_on_the_true_plant(run, analysis)
         assert tde_error[k] == pytest.approx(n - n_hat, abs=1e-12), k
 
 
+@pytest.mark.slow
 def test_tde_error_of_the_first_sample_has_no_past(run, analysis):
     """tau_0 = Hhat u_0, so Ntilde_0 = a_0 - Hhat^-1 tau_0; it is the bound, and later ones are an
     order below.

@@ -261,6 +261,7 @@ def test_another_point_of_the_spacecraft_is_named(point, basilisk_log, tmp_path)
     assert f"those of the {point} centre of mass" in statement(found, "momentum")
 
 
+@pytest.mark.slow
 def test_a_record_of_this_package_is_physics(tmp_path):
     """Also with forces on its base, held over each period."""
     record = simulate(load_scenario("postcapture", ["duration=1.5", "disturbance.harmonics={}"]))
@@ -492,6 +493,7 @@ def told(case):
     return found, not case.causes or bool(set(case.causes) & set(found.causes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.93, 0.995, 1.005, 1.07])
 def test_a_small_scale_is_a_finding(factor, tmp_path):
     """Of a rate, of the time and of an effort; sixty logs are tried below."""
@@ -566,6 +568,7 @@ def test_a_drawn_mistake_is_named_or_nothing_is(kind, tmp_path):
     assert table["right"] >= 0.7 * draws - 1, table  # small ones are within the tolerance
 
 
+@pytest.mark.slow
 def test_a_disturbance_of_a_record_is_accounted_for(tmp_path):
     """It acts beside the actuators, on base and joints."""
     simulate(load_scenario("postcapture", ["duration=1.5"])).save(tmp_path / "run")

@@ -94,6 +94,7 @@ def test_cells_of_drawn_degenerate_numbers(seed, log, model, tmp_path):
         outcome(tmp_path / "log.mat", model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [1, 2])
 def test_a_netcdf_with_two_time_axes(step, log, model, tmp_path):
     """Of one length or two: what is not along the axis of the time is not that of its samples."""

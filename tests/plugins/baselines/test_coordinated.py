@@ -77,6 +77,7 @@ def test_a_push_on_the_centre_of_mass_moves_no_joint():
     assert np.abs(course.error[0, 3:6]).max() > 0.1 > 3 * np.abs(course.error[-1, 3:6]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 def test_its_energy_falls(moving):
     """e'^T H* e' / 2 + m |e_c'|^2 / 2 + the springs' energy, also about a moving reference."""

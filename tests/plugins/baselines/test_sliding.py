@@ -83,6 +83,7 @@ def test_super_twisting_rejects_what_changes_within_its_bound():
     assert np.abs(course(weak, 0.0, 1.0, 6.0, disturbance)[2][-20000:]).max() > 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0.1, 1.0, 10.0])
 def test_super_twisting_reaches_in_a_time_that_grows_with_the_root(start):
     law = dynamics("super_twisting", width=1e-5, k_d=0.0)

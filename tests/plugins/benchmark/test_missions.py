@@ -93,6 +93,7 @@ def test_the_base_of_ets_vii_turns_as_its_momentum_asks():
     assert drift["base_rotation"] == pytest.approx(alone, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_repair_of_ets_vii_is_needed_least_and_slight():
     """The published inertia of link 5 is no body's; the repaired one is, just; it turns the base
     by the same angle.

@@ -531,6 +531,7 @@ class Computes(ControlLaw):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["Sleeps", "Computes"])
 def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
     module = f"blocked_{law.lower()}"
@@ -659,6 +660,7 @@ def test_merged_shards_are_one_run(spec, database, tmp_path):
     assert all_columns(tmp_path / "part.db") == all_columns(database)
 
 
+@pytest.mark.slow
 def test_databases_that_cannot_be_merged(spec, database, tmp_path):
     out = tmp_path / "whole.db"
     same = tmp_path / "same.db"

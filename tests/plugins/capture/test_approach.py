@@ -122,6 +122,7 @@ def test_a_margin_that_cannot_be_kept_is_refused():
         approach_posture(tumbling([0.03, 0.02, -0.03], "capture.approach.margin=0.5"))
 
 
+@pytest.mark.slow
 def test_a_target_that_turns_too_fast_is_refused_in_one_line():
     scenario = tumbling([0.0, 1.5, 0.0])
     with pytest.raises(ScenarioError, match=r"capture\.approach\.start: no start within 1 m") as no:

@@ -60,6 +60,7 @@ def record(log):
     return make_record(log, start=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -420,6 +421,7 @@ def test_findings_are_about_the_stop(record):
     assert momentum.verdict == "holds"
 
 
+@pytest.mark.slow
 def test_an_automatic_duration_is_recorded_as_it_was():
     scenario = override_scenario(
         SCENARIO, ["capture.approach=null", "duration=0.2", "reference.duration=auto"]

@@ -144,6 +144,7 @@ def test_the_shortest_duration_reaches_a_limit_with_the_nominal_payload(goal):
     assert longer.end > motion.end + 0.1
 
 
+@pytest.mark.slow
 def test_the_shortest_duration_keeps_the_positions(tmp_path):
     """joint_4 goes from 0.611 to 1.134 rad: an upper limit below that is named, one above changes
     nothing.

@@ -72,6 +72,7 @@ def centers(record: RunRecord, model: PlantModel) -> np.ndarray:
     return q[:, 4:7] + free_floating(model, q).center_of_mass
 
 
+@pytest.mark.slow
 def test_with_the_arm_alone_the_stack_turns_and_drifts_as_told() -> None:
     accepted = "capture.accepted_drift={base_rotation: 0.005, base_position: 0.003}"
     scenario = known(JOINTS, accepted, "simulator_config.max_step_size=0.005")

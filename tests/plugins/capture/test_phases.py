@@ -82,6 +82,7 @@ def test_phases_go_in_turn_and_begin_where_their_motion_does():
     assert record.ending.is_settled
 
 
+@pytest.mark.slow
 def test_a_law_of_its_own():
     record = run(phases("wait=own_phases:other_law"))
     assert counts(record) == {"wait": 100, "approach": 200, "stop": 401}

@@ -57,6 +57,7 @@ def test_stages_of_the_integrator_do_not_ask_the_actuators_again(monkeypatch, co
     assert 0 < len(calls) <= log.time.size + 1
 
 
+@pytest.mark.slow
 def test_saturation_is_damped_and_planned_anew(damped):
     limit = damped.coordinates.vector(damped.scenario.actuation.limit, key="limit")
     force = np.abs(damped.series["generalized_force"])

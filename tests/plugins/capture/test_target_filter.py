@@ -255,6 +255,7 @@ def test_approach_filter_and_gripper_move_it_alike(seed):
     assert environment is None or off(free, expected) > 1e-5  # what an orbit is for
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [0.01, 0.07, 1.5])
 @pytest.mark.parametrize("environment", [None, Environment(hill_rpy=[0.3, -0.2, 1.0])])
 def test_goes_on_at_each_sample(environment, period):
@@ -273,6 +274,7 @@ def test_goes_on_at_each_sample(environment, period):
 ORBIT = Environment(mean_motion=2e-3, altitude=None, hill_rpy=[0.3, -0.2, 1.0])
 
 
+@pytest.mark.slow
 def test_drifts_as_hill_s_equations_say():
     """Clohessy and Wiltshire's closed form, in axes that turn with the orbit."""
     n, time = 2e-3, 300.0
@@ -335,6 +337,7 @@ def test_learns():
     assert np.all(error[9:12] < 0.3 * SETTINGS.velocity_deviation)
 
 
+@pytest.mark.slow
 def test_leaves_outliers_out():
     sensor = dataclasses.replace(DROPS, outliers=0.05)
     *_, (estimate, truth) = followed(sensor, 20, 40, 2)

@@ -19,6 +19,7 @@ def scenario(law, *overrides):
     return load_scenario("postcapture", [f"controller=adapting_laws:{law}", *overrides])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "words", "remedy"),
     [

@@ -55,6 +55,7 @@ def test_within_the_disk_all_at_once_keep_it(margins, loops, seed, size):
         assert radius(loop, factor(margins.together, z)) < 1.0 + 1e-9
 
 
+@pytest.mark.slow
 def test_just_beyond_it_some_factor_makes_it_unstable(margins, loops):
     angles = np.exp(1j * np.linspace(0.0, np.pi, 361))  # a conjugate factor has conjugate poles
 

@@ -401,6 +401,7 @@ def test_design_is_nowhere_worse_than_the_given_gains():
         assert after.by_group()[name] <= 1.02 * error, name
 
 
+@pytest.mark.slow
 def test_design_without_time_keeps_the_given_gains():
     scenario = load_scenario("flight_sensors", ["controller=pd_plus", "duration=6"])
     found = design(scenario, time_limit=0.0)

@@ -144,6 +144,7 @@ def test_adaptation_to_these_bounds_diverges():
     assert simulate(scenario, check_stability=False).outcome.status == "diverged"
 
 
+@pytest.mark.slow
 def test_without_bounds_the_forecast_counts():
     assert leg(load_scenario("postcapture", ["controller=aismc"])).status == "stable"
     unbounded = "controllers.tde_aismc.k_s_max={}"
@@ -173,6 +174,7 @@ def test_blocks_that_count_samples_are_periodic(counting, held):
     assert leg(tracked(counting)).status == "stable"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"), [("Rare", "neither grow nor decay"), ("Irregular", "without a period")]
 )

@@ -110,6 +110,7 @@ def test_the_share_of_saturated_samples(with_wheels):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["thrusters_only", "thrusters_and_wheels"])
 def test_each_noise_is_rehearsed_as_it_is_alone(name):
     scenario = load_scenario(name, ["duration=2", "controller=tde_aismc"])

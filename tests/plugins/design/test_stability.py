@@ -121,6 +121,7 @@ def test_other_limits_follow_from_the_pole_at_minus_one():
 SAME = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
 def test_the_limit_of_one_axis_is_that_of_the_wiring(name):
     """Every K_s held 1 % below and above the limit by axis, with the true payload."""
@@ -380,6 +381,7 @@ def test_table_and_picture(tmp_path):
     assert pixels[..., :3].std() > 0.1
 
 
+@pytest.mark.slow
 def test_picture_of_a_controller_without_reaching_gain():
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

@@ -114,6 +114,7 @@ def test_a_load_beyond_the_limit_is_told_as_a_number_or_in_words(load, said):
     assert f"after the grasp {said}" in "; ".join(found.warnings)
 
 
+@pytest.mark.slow
 def test_nothing_is_concluded_from_a_loop_that_cannot_be_linearised():
     rare = 'blocks.sensing={tracker: "slow_tracker:Rare"}'
     scenario = load_scenario("flight_sensors", [rare, "controller=tdc"])

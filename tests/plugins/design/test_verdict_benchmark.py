@@ -85,6 +85,7 @@ def test_ends_that_errors_do_not_tell(verdicts):
     assert verdicts.end_of(log_of(error, grasp=turned)).kind == "missed"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mission", "capture"])
 def test_the_same_seed_draws_the_same_mission(verdicts, kind):
     mission, scenario, _ = verdicts.drawn(kind, 3, 5)

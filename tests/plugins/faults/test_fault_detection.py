@@ -124,6 +124,7 @@ def drawn_forces(rng):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("more", [AT_REST, ["reference.duration=10"]], ids=["at rest", "moving"])
 def test_no_joint_that_works_is_jammed(more, seed):
@@ -139,6 +140,7 @@ def test_no_thruster_that_works_is_weak(seed):
     assert noticed(run(NAME, None, None, *forces, duration=4.5)) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_jam_of_a_joint_that_moves(seed):
     rng = np.random.default_rng(seed)

@@ -278,6 +278,7 @@ def test_the_kalman_loop_does_not_notice_the_panels(run):
     assert float(np.abs(record.dataset["hidden_position"]).max()) == pytest.approx(2.3e-3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_grasp_shakes_the_panels_and_keeps_momentum(run):
     near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
     posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"

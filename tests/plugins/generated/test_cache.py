@@ -75,6 +75,7 @@ def test_code_that_others_may_write_is_not_used(kept, plant, compilations):
     assert len(compilations) == 1
 
 
+@pytest.mark.slow
 def test_another_tree_or_version_has_another_file(kept, plant, compilations, monkeypatch):
     Kernels(Reader(drawn_tree(6, 1)).tree)
     monkeypatch.setattr(compiling, "_generator", lambda: b"another")

@@ -69,6 +69,7 @@ FRAMES = st.one_of(
 SITES = st.sampled_from([None, "", "null", "http://evil.example", "http://localhost:1"])
 
 
+@pytest.mark.slow
 @given(FRAMES)
 def test_only_clicks_and_finite_values_come_through(frame):
     try:

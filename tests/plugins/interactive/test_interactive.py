@@ -556,6 +556,7 @@ def test_a_run_that_is_watched_obeys_nobody(meshcat, scenario, plain):
     assert record.outcome.completed
 
 
+@pytest.mark.slow
 def test_the_command_line_only_watches(run, tmp_path, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url))  # there is no browser

@@ -360,6 +360,7 @@ def test_wheels_larger_than_the_base_are_one_line(tmp_path: Path) -> None:
     assert len(str(error.value)) < 300
 
 
+@pytest.mark.slow
 def test_long_names_stand_apart(tmp_path: Path) -> None:
     long = "a_joint_with_a_name_that_is_longer_than_the_column"
     text = arm().replace('"elbow"', f'"{long}"')
@@ -395,6 +396,7 @@ def box_at(middle: np.ndarray, sides: np.ndarray) -> str:
     return f'<visual><origin xyz="{place}"/><geometry><box size="{size}"/></geometry></visual>'
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @example(
     sides=np.array([0.7, 0.7, 0.8]),

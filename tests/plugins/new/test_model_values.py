@@ -67,6 +67,7 @@ def shapes(rng: np.random.Generator, mesh: Path) -> Iterator[str]:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", DRAWS)
 def test_automatic_inertia_is_drakes(draws: int, tmp_path: Path) -> None:
     mesh, file = tmp_path / "block.obj", tmp_path / "craft.sdf"

@@ -233,6 +233,7 @@ def test_the_limit_in_the_way_is_named():
         )
 
 
+@pytest.mark.slow
 @settings(derandomize=True, database=None, deadline=None, max_examples=3)
 @given(st.integers(8, 24), st.floats(0.01, 0.1))
 def test_a_search_ends_when_its_time_is_over(segments, seconds):

@@ -191,6 +191,7 @@ def test_numbers_as_text():
     ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("plain")
 def test_verdicts_in_words(short, diverged):
     assert results_of([short])[0].status == "settled"
@@ -213,6 +214,7 @@ def test_verdicts_in_words(short, diverged):
     assert diverged.outcome.message in page_of(diverged).text
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plain")
 def test_diverged_runs_rank_last_and_never_best(short, diverged):
     # A run that diverges at once has the smallest sums of all.
@@ -324,6 +326,7 @@ def test_loads_nothing_from_elsewhere(short):
     assert "url(" not in style
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_stability")
 def test_text_from_scenarios_is_escaped(short):
     names = short.dataset["coordinate"].values.tolist()
@@ -345,6 +348,7 @@ def test_text_from_scenarios_is_escaped(short):
     assert frame["sandbox"] == "allow-scripts"
 
 
+@pytest.mark.slow
 def test_same_records_same_bytes(short, text, tmp_path):
     short.save(tmp_path / "run")
     written = write_report([RunRecord.load(tmp_path / "run")], tmp_path / "report.html")

@@ -19,6 +19,7 @@ def left_out(_):
     raise RecordError("left out")
 
 
+@pytest.mark.slow
 def test_a_report_of_another_run_is_noticed(tmp_path, run, monkeypatch):
     """One in the run's folder that was copied; that of a comparison above, whose runs were made
     anew one by one.

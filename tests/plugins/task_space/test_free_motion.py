@@ -124,6 +124,7 @@ def test_no_force_acts_where_nothing_drives_whatever_is_commanded():
     assert np.abs(record.dataset["velocity"].values[-1, :6]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_what_is_tracked_counts_and_what_drifts_is_reported():
     record = simulate(load_scenario("postcapture", [*FREE, *JOINTS]), check_stability=False)
     data, metrics = record.dataset, record.metrics
@@ -190,6 +191,7 @@ def test_a_motion_that_cannot_be_integrated_is_refused_within_a_bound(monkeypatc
         make_closed_loop(scenario)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", [1e-4, 3e-3, 0.04, 0.5, 3.0])
 def test_the_cost_of_a_motion_does_not_grow_as_it_becomes_shorter(duration, monkeypatch):
     """Afterwards nothing moves, however long the run; at rest the momentum is none."""

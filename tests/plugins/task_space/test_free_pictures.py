@@ -27,6 +27,7 @@ def by_joints(run):
     return run("free_floating", *POSITION, "controller=tdc")
 
 
+@pytest.mark.slow
 def test_the_recording_shows_where_the_base_was_and_what_went_where(record):
     meshcat = start_meshcat()
     view = ReplayView(meshcat, record, ghost=False, path=True, forces=False)

@@ -62,6 +62,7 @@ def test_the_damped_inverse_is_smooth_and_bounded():
     assert_allclose(damped_inverse(np.array([s]), damping), s / (s**2 + damped), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_arm_alone_takes_the_frame_along_its_path():
     motion, model, _ = motion_of("planar_detumble", *PLANAR, *ARM_ALONE, BERTH)
     found = motion.resolution()
@@ -76,6 +77,7 @@ def test_the_arm_alone_takes_the_frame_along_its_path():
     assert motion.remarks() == []
 
 
+@pytest.mark.slow
 def test_out_of_reach_it_is_damped_and_says_so():
     motion, _, scenario = motion_of("planar_detumble", *PLANAR, *ARM_ALONE, BEYOND)
     found, damping = motion.resolution(), scenario.reference.frame.damping
@@ -119,6 +121,7 @@ def test_what_comes_first_is_done():
     assert frame.base_turn.max() > 0.1
 
 
+@pytest.mark.slow
 def test_a_motion_of_the_joints_in_the_reaction_null_space():
     target = "target_posture.joints={all: 0.5}"
     motion, _, _ = motion_of(

@@ -279,6 +279,7 @@ def test_a_joint_law_is_judged_by_joints_beside_a_frame():
     assert " mm from its reference (at most " in results_table([record])
 
 
+@pytest.mark.slow
 def test_the_kalman_filter_of_a_frame():
     """It takes its noises through the Jacobian, and smooths: less force than one sample gives, with
     noisy sensors.
@@ -304,6 +305,7 @@ def test_the_kalman_filter_of_a_frame():
 LATE = ("sensing.delay=3", "sensing.position_period={base_position: 5}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [("kind=coupled",), ("kind=kalman", *LATE)])
 def test_an_estimator_of_the_coordinates_serves_a_frame(estimator):
     """Coordinates together, and late and slow sensors: the frame is that of the estimated state."""

@@ -43,6 +43,7 @@ def test_both_hands_take_the_momentum_at_once() -> None:
     assert contact.grasp.energy_after < one.grasp.energy_after < one.grasp.energy_before
 
 
+@pytest.mark.slow
 def test_a_tumbling_target_is_stopped() -> None:
     run = simulate(load_scenario("two_arms_capture"), check_stability=False)
     assert run.outcome.status == "completed"

@@ -223,6 +223,7 @@ def test_a_compliant_hand_begins_with_its_spring_at_rest() -> None:
     assert run.metrics["contacts"]["closing"]["energy_lost"] == 0.0
 
 
+@pytest.mark.slow
 def test_a_rollout_that_is_kept_gives_the_same_bits_again() -> None:
     seeds = [scenario("duration=3", "reference.duration=2.5", f"random_seed={k}") for k in (1, 2)]
     kept = make_rollout(seeds[0])

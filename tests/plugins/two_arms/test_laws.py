@@ -59,6 +59,7 @@ def test_the_internal_force_stays_below_1_newton_in_20_runs(law: str) -> None:
         assert run.metrics["contacts"]["moment"] < 2.0
 
 
+@pytest.mark.slow
 def test_noise_at_the_wrist_shakes_the_internal_force() -> None:
     """F' = F - g (F + n) with the gain g a sample: deviation sqrt(g / (2 - g)) of the noise's."""
     noise = ("contacts.right.force_noise=2", "contacts.right.moment_noise=0.2")
@@ -103,6 +104,7 @@ def test_the_ramp_is_foretold(law: str, overrides: tuple[str, ...]) -> None:
     assert not foretold.is_example
 
 
+@pytest.mark.slow
 def test_the_verdict_tells_of_the_internal_force() -> None:
     plain = verdict(scenario("controller=tdc", "chain.law=plain"), rehearsal=False)
     assert any("6 poles at one" in line and "chain.law: minimal" in line for line in plain.lines)
@@ -112,6 +114,7 @@ def test_the_verdict_tells_of_the_internal_force() -> None:
     assert "poles at one" not in "".join(adapted.lines)
 
 
+@pytest.mark.slow
 def test_the_target_is_shared_and_pressed_as_wanted() -> None:
     """The right hand's wrench: the share of what moves the target, and the preload."""
     runs = [

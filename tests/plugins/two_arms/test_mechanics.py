@@ -118,6 +118,7 @@ def test_a_run_agrees_with_mujoco() -> None:
     assert_allclose(state[-1], theirs, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_momentum_and_gap_over_a_run() -> None:
     """20 s at 10 ms under the joints' torques alone."""
     given = scenario("initial_velocity={base_rotation_z: 0.05, base_position_x: 0.02}")
