@@ -21,7 +21,7 @@ from ffsm_drake.runs.record import RunRecord
 
 claim = claims_about("Theory")
 _N_STAR = "the largest TDE error of the run, the least bound"
-_LEMMA_1 = f"with N* {_N_STAR}"
+LEMMA_1 = f"with N* {_N_STAR}"
 
 
 @functools.lru_cache(maxsize=4)
@@ -126,13 +126,13 @@ lemma_1_premise = _finding(
     "lemma_1_premise",
     "The normalization factor satisfies β_i < N*/‖s‖∞.",
     "After (9); premise of Lemma 1",
-    _LEMMA_1,
+    LEMMA_1,
 )
 lemma_1_conclusion = _finding(
-    "lemma_1_conclusion", "The gain dynamics stays below N*: K_si < N*.", "Lemma 1, (11)", _LEMMA_1
+    "lemma_1_conclusion", "The gain dynamics stays below N*: K_si < N*.", "Lemma 1, (11)", LEMMA_1
 )
 switching_gain_is_limited = _finding(
-    "switching_gain_bound", "The switching gain stays below N*.", "After (10)", _LEMMA_1
+    "switching_gain_bound", "The switching gain stays below N*.", "After (10)", LEMMA_1
 )
 lyapunov_function_decreases = _finding(
     "lyapunov_derivative",

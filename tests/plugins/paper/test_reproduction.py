@@ -28,6 +28,7 @@ from ffsm_drake.plugins.paper import (
     runs,
     schemes,
     table,
+    theory,
 )
 from ffsm_drake.plugins.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
@@ -337,8 +338,10 @@ def test_every_claim_has_a_verdict_with_figures(verdicts):
     for verdict in verdicts:
         assert re.search(r"\d", verdict.measured), verdict.claim
         assert re.search(r"[Ss]ection|Table|Abstract|Lemma|\(\d+\)", verdict.place), verdict.claim
-        has_condition = verdict.kind == "holds only" or "N*" in verdict.claim
-        assert has_condition == bool(verdict.condition), verdict.claim
+        needed = verdict.kind == "holds only"
+        assert verdict.condition or not needed, verdict.claim
+        assert needed or verdict.condition in ("", theory.LEMMA_1), verdict.claim
+    assert sum(theory.LEMMA_1 in verdict.verdict for verdict in verdicts) == 3
     assert sum(counts(verdicts).values()) == len(verdicts)
     assert sum(len(group) for _, group in by_topic(verdicts)) == len(verdicts)
 
