@@ -49,7 +49,7 @@ def _main(interrupts: Interrupts) -> None:
         os.write(2, b"error: the current folder has been deleted; change to another one\n")
         os._exit(2)
     try:
-        for end in os.pipe():
+        for end in (*os.pipe(), os.dup(2)):  # the watcher's pipe stays open beside an import
             os.close(end)
     except OSError:  # within an import it is anything
         os.write(2, b"error: too few files may be open; allow more, such as ulimit -n 256\n")

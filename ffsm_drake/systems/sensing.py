@@ -289,6 +289,9 @@ class _Errors:
 
     def of(self, key: str, default: float = 0.0) -> np.ndarray:
         """A setting by coordinate (nv)."""
+        for further in (f"{key}_density", f"{key}_time"):
+            if isinstance(given := getattr(self.settings, further, None), dict):
+                self.coordinates.vector(given, key=f"sensing.{further}")
         values = getattr(self.settings, key)
         return self.coordinates.vector(values, key=f"sensing.{key}", default=default)
 
