@@ -152,8 +152,8 @@ def not_measured(scenario: Scenario) -> Iterator[str]:
     if names := shapes_of(scenario).unmeasured:
         shown = f"{', '.join(names[:3])}{f' and {len(names) - 3} more' if names[3:] else ''}"
         yield (
-            f"clearance is not known: no shape of {shown} to measure; convert it to .obj, or give "
-            "its link a <collision>"
+            f"clearance is not known: no shape of {shown} to measure; give an .obj that is "
+            "there, or a <collision> of its link"
         )
 
 

@@ -204,9 +204,9 @@ def new(
     assert mission is not None
     lines = [made.summary(), "", *mission.lines, mission.conclusion]
     if not made.is_as_planned:
-        helps = f"{made.remedy}: with it, the mission is expected to go as planned"
+        helps = f"what helps: {made.remedy}: with it, the mission is expected to go as planned"
         if not made.remedy:
-            helps = f"none of these, each tried alone: {', '.join(made.tried)}"
-        lines.append(f"what helps: {helps}")
+            helps = f"nothing that was tried helps alone ({', '.join(made.tried)})"
+        lines.append(helps)
     print_result(as_json, made.data() | {"mission": mission.as_data()}, "\n".join(lines))
     sys.exit(EXIT_GOOD if made.is_as_planned else EXIT_UNSTABLE)

@@ -245,6 +245,11 @@ class _Reader:
             yield "flexible bodies (<flex>)"
         if (m.body_plugin >= 0).any():
             yield "plugins of bodies"
+        finite = np.isfinite(m.body_mass) & np.isfinite(m.body_inertia).all(axis=1)
+        if not finite.all():
+            names = ", ".join(self._name("body", int(k)) for k in np.flatnonzero(~finite))
+            yield f"mass or inertia of {names} is no finite number; give one"
+            return
         rotors = [m.dof_armature, getattr(m, "actuator_armature", np.zeros(0))]
         if not np.isfinite(np.concatenate(rotors)).all():
             yield "an armature is no finite number; give one of 0 or more, or leave it out"
