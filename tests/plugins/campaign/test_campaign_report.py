@@ -301,7 +301,7 @@ def test_a_plan_is_timed_by_runs_that_reach_their_end(tmp_path, monkeypatch):
     names = ["planned_law:Failing", "tdc"]
     spec = load_spec(write_spec(tmp_path / "s.yaml", **LABELLED, controllers=names))
     lines = plan_text(spec, workers=1).splitlines()
-    assert lines[-2].startswith("case 1 with planned_law:Failing: error: ")
+    assert lines[-2].startswith("case 1 with Failing: error: ")
     assert lines[-1] == (
         "planned_law:Failing: none of 2 cases reached its end, so a run that does takes longer"
     )
