@@ -442,7 +442,7 @@ def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, m
     assert {name for name in findings.influential if f">{name}</td>" in section} == matter
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_step_that_takes_time_has_a_name(tmp_path):
     """Also which case, run or point of how many."""
     with steps_seen() as seen:

@@ -62,7 +62,7 @@ def made(tmp_path_factory):
     return make
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_step_that_takes_time_has_a_name(tmp_path):
     """Also which try of how many."""
     urdf = tmp_path / "craft.urdf"
