@@ -404,6 +404,6 @@ def test_what_cannot_be_measured_is_named(name: str, text: str | None, tmp_path:
 def test_a_mission_with_an_unmeasured_shape_is_not_as_planned(tmp_path: Path) -> None:
     file = with_unread(tmp_path, "gone.stl", None, VISUAL.format("gone.stl"))
     found = CliRunner().invoke(main, ["new", str(tmp_path / "mine"), "--model", str(file)])
-    assert found.exit_code == 0, found.output
+    assert found.exit_code == 3, found.output
     assert "not expected to go as planned" in found.output
     assert "no shape of l4 (gone.stl) to measure" in found.output
