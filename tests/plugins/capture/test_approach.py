@@ -41,11 +41,14 @@ def planned(scenario, instants=60):
 
 # One draw each; others weekly.
 draws = pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))]
+    "seed",
+    [
+        pytest.param(0, marks=pytest.mark.slow),
+        *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3)),
+    ],
 )
 
 
-@pytest.mark.slow
 @draws
 def test_the_planned_approach_keeps_clear_and_is_gentle(seed):
     tumble, height, azimuth = np.random.default_rng(seed).uniform(
@@ -106,7 +109,6 @@ def test_the_planned_clearance_is_that_from_the_turning_target():
     assert plan_clearance(scenario)[: len(here)] == here
 
 
-@pytest.mark.slow
 @draws
 def test_the_margin_is_kept_beyond_the_clearance(seed):
     margin = np.random.default_rng(seed).uniform(0.005, 0.05)

@@ -244,7 +244,10 @@ def replay_served(record, count):
     return arrived
 
 
-COUNTS = pytest.mark.parametrize("count", [20, pytest.param(1670, marks=pytest.mark.exhaustive)])
+COUNTS = pytest.mark.parametrize(
+    "count",
+    [pytest.param(20, marks=pytest.mark.slow), pytest.param(1670, marks=pytest.mark.exhaustive)],
+)
 
 
 @pytest.mark.parametrize(
@@ -264,7 +267,6 @@ def test_no_frame_costs_a_record(live, count, tmp_path):
     assert record.dataset.sizes["time"] > 1
 
 
-@pytest.mark.slow
 @COUNTS
 def test_no_frame_ends_a_replay(count, tmp_path, run):
     run("postcapture", "duration=1").save(tmp_path)

@@ -67,8 +67,10 @@ def shapes(rng: np.random.Generator, mesh: Path) -> Iterator[str]:
         )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("draws", DRAWS)
+@pytest.mark.parametrize(
+    "draws",
+    [pytest.param(6, marks=pytest.mark.slow), pytest.param(500, marks=pytest.mark.exhaustive)],
+)
 def test_automatic_inertia_is_drakes(draws: int, tmp_path: Path) -> None:
     mesh, file = tmp_path / "block.obj", tmp_path / "craft.sdf"
     mesh.write_text(TETRAHEDRON)

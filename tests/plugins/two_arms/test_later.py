@@ -159,9 +159,12 @@ def test_the_hand_comes_to_its_place_with_the_targets_motion(
 
 
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.long) for k in range(2, 10))]
+    "seed",
+    [
+        *(pytest.param(k, marks=pytest.mark.slow) for k in range(2)),
+        *(pytest.param(k, marks=pytest.mark.long) for k in range(2, 10)),
+    ],
 )
-@pytest.mark.slow
 def test_no_drawn_run_is_lost(tmp_path: Path, seed: int) -> None:
     run = simulate(drawn(tmp_path, seed), check_stability=False)
     assert run.outcome.status == "completed", run.outcome
