@@ -190,12 +190,14 @@ class Sensing:
         """The sensors with their densities and times as values of control samples."""
         found: dict[str, Any] = {}
         for name in (*DENSITIES, *TIMES):
-            dense = name in DENSITIES
+            dense, least = name in DENSITIES, int(name.endswith("period"))
 
-            def of_sample(value: float, dense: bool = dense) -> float:
-                value = max(value, 0.0)  # a wrong one is refused by its own key
-                root = math.sqrt(sample_time)
-                return value / root if dense else math.ceil(value / sample_time - 1e-6)
+            def of_sample(value: float, dense: bool = dense, least: int = least) -> float:
+                if not 0.0 <= value < math.inf:  # a wrong one is refused by its own key
+                    return least
+                if dense:
+                    return value / math.sqrt(sample_time)
+                return max(math.ceil(value / sample_time - 1e-6), least)
 
             given = getattr(self, f"{name}_{'density' if dense else 'time'}")
             if isinstance(given, dict):

@@ -182,7 +182,7 @@ class _Meshes:
 
     def _copy(self, visual: Element) -> bool:
         """Copy the mesh of a visual, if it has one; whether it can be drawn."""
-        shape = next(iter(visual.find("geometry") or ()), Element("nothing"))
+        shape = next(visual.iterfind("geometry/*"), Element("nothing"))
         if shape.tag.removeprefix(DRAKE) in _SHAPES:
             return True
         if (mesh := visual.find("geometry/mesh")) is None:

@@ -109,7 +109,7 @@ def _frames(plant: MultibodyPlant) -> Iterator[Any]:
 def _add(link: Element, visual: Element, pose: Any) -> None:
     diffuse = (visual.findtext("material/diffuse") or "").split()
     color = np.array([*map(float, diffuse), 1.0])[:4] if len(diffuse) in (3, 4) else None
-    for kind in visual.find("geometry") or ():
+    for kind in visual.iterfind("geometry/*"):
         if kind.tag == "empty":
             continue
         if kind.tag == "ellipsoid":
