@@ -3,11 +3,11 @@
 import json
 import re
 import runpy
-import shutil
 import sys
 from pathlib import Path
 
 import pytest
+from browser import needs_chromium, pictured
 from children import finished
 from entry_points import is_there, needs, uses
 
@@ -18,7 +18,6 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 OWN_TESTS = ("postcapture.py", "campaign.py")
 OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in OWN_TESTS)
 DOCS = EXAMPLES.parent / "docs"
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
 @pytest.mark.slow
@@ -194,37 +193,15 @@ def _in_packed(part: str, page: str) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@needs_chromium
 def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
-    from matplotlib import image
+    def shows_it(pixels):
+        gold = (pixels[..., 0] > 0.45) & (pixels[..., 1] > 0.3) & (pixels[..., 2] < 0.35)
+        panels = (pixels[..., 2] > 0.4) & (pixels[..., 0] < 0.25)
+        # The bus and the solar cells.
+        return gold.sum() > 250 and panels.sum() > 250
 
-    picture = tmp_path / "picture.png"
-    finished(
-        [
-            CHROMIUM,
-            "--headless",
-            "--no-sandbox",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-sync",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--use-gl=angle",
-            "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=400,300",
-            "--virtual-time-budget=3000",
-            f"--screenshot={picture}",
-            recording.as_uri(),
-        ],
-        check=True,
-    )
-    pixels = image.imread(picture)[..., :3]
-    gold = (pixels[..., 0] > 0.45) & (pixels[..., 1] > 0.3) & (pixels[..., 2] < 0.35)
-    panels = (pixels[..., 2] > 0.4) & (pixels[..., 0] < 0.25)
-    assert gold.sum() > 250  # the bus
-    assert panels.sum() > 250  # the solar cells
+    pictured(recording, tmp_path, shows_it, "--window-size=400,300")
 
 
 def test_meshcat_serves_this_machine_only():

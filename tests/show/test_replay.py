@@ -2,17 +2,12 @@
 
 import base64
 import dataclasses
-import json
-import queue
 import re
-import shutil
-import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import flight_settings
 import numpy as np
 import pytest
-from children import DEVNULL, child
+from browser import answer_of, needs_chromium
 from meshcat_page import transform
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
@@ -27,8 +22,6 @@ from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.meshcat.solids import SwitchedSolids, solids_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.plan import load_plan
-
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +56,9 @@ def animation_of(page):
 
 
 # Plays to the end, moves the slider, goes on, stops; tells the server each time what the bar shows.
-HAND = """<script>(async () => {
+HAND = """
   const [slider, button, clock] = ["time", "play", "clock"].map(
     (id) => document.getElementById(id));
-  const until = (holds) => new Promise((done) => {
-    const timer = setInterval(() => { if (holds()) { clearInterval(timer); done(); } }, 20);
-  });
   const shown = [], look = () => shown.push([clock.textContent, button.textContent.at(-1)]);
   await until(() => viewer.animator.playing && button.textContent === "Pause"); look();
   await until(() => button.textContent !== "Pause"); look();
@@ -78,41 +68,14 @@ HAND = """<script>(async () => {
   await until(() => parseFloat(clock.textContent.slice(4)) > 0.6); look();
   button.click();
   await until(() => button.textContent !== "Pause"); look();
-  await fetch("/", {method: "POST", body: JSON.stringify(shown)});
-})()</script></body>"""
+  return shown;
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@needs_chromium
 def test_the_page_shows_time_and_controls(record, tmp_path):
-    page = HAND.join(recording_html(record, speed=2.0).rsplit("</body>", 1)).encode()
-    told = queue.Queue()
-
-    class Server(BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.end_headers()
-            self.wfile.write(page)
-
-        def do_POST(self):
-            told.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(204)
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    command = [
-        CHROMIUM, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--no-first-run", "--disable-background-networking",
-        f"--user-data-dir={tmp_path / 'profile'}", "--remote-debugging-port=0",
-    ]  # fmt: skip
-    with HTTPServer(("127.0.0.1", 0), Server) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        with child([*command, f"http://127.0.0.1:{server.server_port}/"], stderr=DEVNULL):
-            shown = told.get(timeout=100.0)
-        server.shutdown()
+    shown, _ = answer_of(recording_html(record, speed=2.0), HAND, tmp_path)
     times = [float(re.fullmatch(r"t = (\d\.\d) of 2\.0 s", clock)[1]) for clock, _ in shown]
     assert [word for _, word in shown] == ["e", "y", "y", "e", "y"]  # Pause, Play
     assert times[1] == 2.0

@@ -5,7 +5,6 @@ operator's hands.
 import contextlib
 import dataclasses
 import re
-import shutil
 import signal
 import sys
 import time
@@ -14,6 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from browser import command, needs_chromium
 from children import DEVNULL, child
 from click.testing import CliRunner
 from entry_points import installed
@@ -400,7 +400,6 @@ def test_a_controller_that_cannot_be_loaded_is_one_line_on_the_panel(meshcat, sc
 
 # Pages of other sites.
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 COMMANDS = [start_button("tde_aismc"), start_button("tdc"), PAUSE, *map(push_button, "xyz"), QUIT]
 
 
@@ -585,7 +584,7 @@ def test_drakes_servers_are_where_no_page_can_know():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@needs_chromium
 def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path, plain):
     """Neither a run that the operator has started nor afterwards, though it is told the address and
     never rests.
@@ -597,20 +596,14 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path,
           s.send(new Uint8Array(m)) }};
         s.onopen = () => {{ send(); setInterval(send, 20) }};</script>"""
     (tmp_path / "foreign.html").write_text(script)
-    command = [
-        CHROMIUM,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        f"--user-data-dir={tmp_path / 'profile'}",
-        "--remote-debugging-port=0",
-        (tmp_path / "foreign.html").as_uri(),
-    ]
+    start_browser = command(
+        tmp_path, "--remote-debugging-port=0", (tmp_path / "foreign.html").as_uri()
+    )
     told, browser = [], contextlib.ExitStack()
 
     def come(hands):
         meshcat.AddButton("arrived")
-        browser.enter_context(child(command, stdout=DEVNULL, stderr=DEVNULL))
+        browser.enter_context(child(start_browser, stdout=DEVNULL, stderr=DEVNULL))
         until(lambda: meshcat.GetButtonClicks("arrived") >= 1, seconds=60.0)
 
     def is_still_sending(hands):

@@ -7,13 +7,12 @@ import csv
 import dataclasses
 import io
 import re
-import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from children import finished
+from browser import needs_chromium, pictured
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.paper import (
@@ -36,7 +35,6 @@ from ffsm_drake.runs.log import Outcome
 from ffsm_drake.show import block_diagram
 
 pytestmark = pytest.mark.slow  # every run of the paper, if shortened
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 DOCS = Path(__file__).parents[3] / "docs"
 SHORT = ("duration=0.2",)
 # Far beyond what the exactly integrated loop tolerates, and within what explicit Euler does.
@@ -500,33 +498,13 @@ def test_an_interrupted_reproduction_writes_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@needs_chromium
 def test_the_page_in_a_browser(written, tmp_path):
-    from matplotlib import image
+    def shows_it(pixels):
+        # marks of the overview
+        orange = (pixels[..., 0] > 0.75) & (pixels[..., 1] < 0.5) & (pixels[..., 2] < 0.2)
+        # verdicts
+        green = (pixels[..., 1] > pixels[..., 0] + 0.2) & (pixels[..., 1] > pixels[..., 2] + 0.1)
+        return orange.sum() > 500 and green.sum() > 200
 
-    picture = tmp_path / "picture.png"
-    finished(
-        [
-            CHROMIUM,
-            "--headless",
-            "--no-sandbox",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-sync",
-            "--disable-background-networking",
-            "--disable-component-update",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=1200,2000",
-            "--virtual-time-budget=3000",
-            f"--screenshot={picture}",
-            (written / "reproduction.html").as_uri(),
-        ],
-        check=True,
-    )
-    pixels = image.imread(picture)[..., :3]
-    # marks of the overview
-    orange = (pixels[..., 0] > 0.75) & (pixels[..., 1] < 0.5) & (pixels[..., 2] < 0.2)
-    # verdicts
-    green = (pixels[..., 1] > pixels[..., 0] + 0.2) & (pixels[..., 1] > pixels[..., 2] + 0.1)
-    assert orange.sum() > 500
-    assert green.sum() > 200
+    pictured(written / "reproduction.html", tmp_path, shows_it, "--window-size=1200,2000")

@@ -4,11 +4,10 @@ import dataclasses
 import html
 import json
 import re
-import shutil
 from html.parser import HTMLParser
 
 import pytest
-from children import finished
+from browser import answer_of, needs_chromium
 from click.testing import CliRunner
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -21,7 +20,6 @@ campaign_tools = pytest.importorskip("campaign_tools")
 run_here, write_spec = campaign_tools.run_here, campaign_tools.write_spec
 campaign = pytest.importorskip("ffsm_drake.plugins.campaign.command").campaign
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 TAKEN = "document['title']='taken'"
 PIECES = (
     f"</script><script>{TAKEN}</script>", f'<img src=x onerror="{TAKEN}">', "</title>", "</pre>",
@@ -157,21 +155,8 @@ def test_a_recording_s_caption_is_text(short):
     assert html.unescape(caption).count(TAKEN) == 2 * EVERYTHING.count(TAKEN)
 
 
-def looked_at(path, *options):
-    """What Chromium makes of a page."""
-    return finished(
-        [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-            "--disable-background-networking", "--disable-component-update", "--disable-sync",
-            f"--user-data-dir={path.parent / 'profile'}", "--window-size=1400,3000",
-            "--virtual-time-budget=20000", *options, path.as_uri(),
-        ],
-        longest=180.0, check=True,
-    ).stdout  # fmt: skip
-
-
 @pytest.mark.long
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@needs_chromium
 @pytest.mark.usefixtures("no_analysis", "coarse_map")
 def test_no_name_runs_in_a_browser(short, tmp_path):
     pages = {
@@ -179,10 +164,12 @@ def test_no_name_runs_in_a_browser(short, tmp_path):
         "campaign": campaign_page(tmp_path / "campaign", EVERYTHING, as_factor(EVERYTHING)),
     }
     for name, text in pages.items():
-        path = tmp_path / f"{name}.html"
-        path.write_text(text, encoding="utf-8")
-        seen = looked_at(path, "--dump-dom")
-        title = re.search(r"<title>(.*?)</title>", seen, re.DOTALL)[1]
+        folder = tmp_path / f"browser_{name}"
+        folder.mkdir()
+        script = (
+            'await until(() => document.getElementsByClassName("js-plotly-plot").length > 0);'
+            "return [document.title, document.lastElementChild.tagName];"
+        )
+        (title, last), _ = answer_of(text, script, folder, "--window-size=1400,9000")
         assert title != "taken"
-        assert seen.count("js-plotly-plot") > 0
-        assert seen.rstrip().endswith("</html>")
+        assert last == "HTML"

@@ -10,12 +10,11 @@ import json
 import math
 import re
 import shlex
-import shutil
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from children import finished
+from browser import answer_of, needs_chromium
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.common.numbers import number
@@ -28,7 +27,6 @@ from ffsm_drake.show.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
 from ffsm_drake.systems.part import PartRecord
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 HOSTILE = (
     "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & "
     '"quotes" </title>'
@@ -480,50 +478,22 @@ def test_command_and_scenario_make_the_same_run(short, text):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    CHROMIUM is None, reason="chromium is not installed: the page cannot be looked at"
-)
+@needs_chromium
 def test_draws_in_a_browser_without_complaint(short, tmp_path):
     records = [with_scenario(short, description=HOSTILE), shortened(short, 1)]
-    path = write_report(records, tmp_path / "report.html")
-    done = finished(
-        [
-            CHROMIUM,
-            "--headless",
-            "--no-sandbox",
-            "--use-gl=angle",
-            "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            "--enable-logging=stderr",
-            "--window-size=1400,9000",
-            "--force-device-scale-factor=0.25",
-            "--virtual-time-budget=30000",
-            "--dump-dom",
-            path.as_uri(),
-        ],
-        longest=180.0,
-    )
-    complaints = [
-        line
-        for line in done.stderr.splitlines()
-        if "CONSOLE" in line and "willReadFrequently" not in line
-    ]
-    assert not complaints, complaints[0][:500]
     # Of each section the first view is in sight: of its panels all are drawn, one of them by WebGL.
     open_panels = sum(key.split("-")[1] == "0" for key in page_of(*records).figures)
     assert open_panels > 30
-    drawn = done.stdout.count("js-plotly-plot")
-    assert drawn >= open_panels
-    assert done.stdout.count("scatterlayer") >= drawn - 1
-    assert (
-        "taken"
-        not in re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
-        .group(1)
-        .partition("&lt;")[0]
+    page = write_report(records, tmp_path / "report.html").read_text(encoding="utf-8")
+    answer, complaints = answer_of(
+        page,
+        "const count = (name) => document.getElementsByClassName(name).length;"
+        f'await until(() => count("js-plotly-plot") >= {open_panels}'
+        ' && count("scatterlayer") >= count("js-plotly-plot") - 1);'
+        "return document.title;",
+        tmp_path,
+        "--window-size=1400,9000",
+        "--force-device-scale-factor=0.25",
     )
+    assert not [line for line in complaints if "willReadFrequently" not in line]
+    assert "taken" not in answer.partition("<")[0]
