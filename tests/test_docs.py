@@ -244,7 +244,7 @@ def leave_out_what_takes_long(monkeypatch):
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=pytest.mark.slow if page.name == "README.md" else (), id=page.name)
+        pytest.param(page, marks=pytest.mark.long if page.name == "README.md" else (), id=page.name)
         for page in PAGES
         if blocks(page, "python")
     ],

@@ -23,7 +23,7 @@ def test_type_checkers_see_each_name():
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW) + NEEDS.get(name, []))
+        pytest.param(name, marks=[pytest.mark.long] * (name in SLOW) + NEEDS.get(name, []))
         for name in NAMES
     ],
 )

@@ -1055,7 +1055,7 @@ def test_a_duration_between_samples_is_told():
 # What surrounds a run.
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("unchecked")
 def test_a_run_with_other_settings_is_not_replaced_in_silence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -1100,7 +1100,7 @@ def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
     "stderr",
     [
         pytest.param("closed", marks=pytest.mark.long),
-        pytest.param("full", marks=pytest.mark.slow),
+        pytest.param("full", marks=pytest.mark.long),
     ],
 )
 def test_standard_error_that_takes_nothing(tmp_path, stderr):
@@ -1135,7 +1135,7 @@ def test_a_folder_that_is_gone(tmp_path):
     assert ended.returncode == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_home_that_cannot_be_written(tmp_path):
     script = "from ffsm_drake.cli import main; main(['schema'], standalone_mode=False); "
     script += "import matplotlib; matplotlib.get_configdir()"
@@ -1153,7 +1153,7 @@ def test_a_name_that_is_no_text(tmp_path, monkeypatch):
     check_line(result.stderr, ("is not UTF-8 text; rename the file or folder",))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("rough_pictures")
 def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

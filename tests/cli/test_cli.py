@@ -113,7 +113,7 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
     assert RunRecord.load(tmp_path).outcome.status == "diverged"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
     without_stability(monkeypatch)
     table = tmp_path / "laws.csv"
@@ -152,7 +152,7 @@ def test_compare_refuses_the_same_twice():
     assert "tdc is given more than once" in result.output
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("rough_pictures")
 def test_plot_overlays_runs(run, tmp_path):
     """Of two runs with the fewest samples that there are; a whole run's are drawn by
@@ -185,7 +185,7 @@ def test_plot_overlays_runs(run, tmp_path):
     assert drawn == {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("scenario", ["postcapture", "seven_joint", "two_arms"])
 def test_figures_fit_a_page(scenario, run, tmp_path):
     """The given width, larger than no label, and no heading, which the caption of a page has."""
@@ -315,7 +315,7 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_silent_command_names_its_steps(tmp_path):
     """Everything a run does that takes long: nothing of it is without a name."""
     scenario = tmp_path / "heavy.yaml"

@@ -126,7 +126,7 @@ def mappings(schema, data, path=""):
         yield path
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["capture_on_thrusters", "tumbling_capture"])
 def test_a_misspelt_coordinate_is_named_with_its_whole_key(name):
     warnings.simplefilter("ignore")

@@ -31,7 +31,7 @@ def ended(*words, **env):
             pytest.param({"LC_ALL": name, "PYTHONUTF8": "0"}, marks=pytest.mark.long)
             for name in ("C", "POSIX", "en_US.ISO-8859-1", "de_DE@euro")
         ),
-        pytest.param({"LC_ALL": "no_such_locale", "PYTHONUTF8": "0"}, marks=pytest.mark.slow),
+        pytest.param({"LC_ALL": "no_such_locale", "PYTHONUTF8": "0"}, marks=pytest.mark.long),
         pytest.param({"PYTHONIOENCODING": "ascii"}, marks=pytest.mark.long),
     ],
     ids=str,

@@ -98,7 +98,7 @@ def changed(database, *statements):
             connection.execute(*statement)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("command", "imports"), OF_A_DATABASE.items(), ids=str)
 def test_a_database_is_a_program_where_it_is_run(command, imports, here, database):
     with open_store(database) as store:

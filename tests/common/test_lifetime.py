@@ -62,7 +62,7 @@ class Idle(LeafSystem):
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("blocks", [None, {"controller": Idle}], ids=["shipped", "user-supplied"])
 def test_simulating_again_and_again_takes_no_more_memory(blocks):
     """Drake 1.51 would take 2.3 MiB a call without a release."""

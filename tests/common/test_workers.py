@@ -112,7 +112,7 @@ def test_processes_serve_one_list_of_tasks_after_the_other():
     assert first == second
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_killed_worker_is_replaced_and_its_task_repeated(tmp_path):
     marks = [tmp_path / str(k) for k in range(4)]
     for mark in marks[2:]:

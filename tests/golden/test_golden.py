@@ -35,7 +35,7 @@ def test_what_must_not_move(path):
 
 
 # One scenario of each kind: a plain run, pulses, hands whose force has no inertia to smooth it.
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["postcapture", "thrusters_only", "two_arms"])
 def test_fresh_last_bits_move_a_hundredth_of_what_they_may(name):
     """On the instructions of another processor, with draws that the measurement did not have."""

@@ -165,7 +165,7 @@ def test_every_block_is_replaced_from_yaml(lab):
     assert np.array_equal(data["disturbance_force"].values, both)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
     done = CliRunner().invoke(
         main, ["run", str(lab / "mine.yaml"), "--out", str(lab / "out/mine"), "--no-report"]
@@ -199,7 +199,7 @@ def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_goes_through_a_campaign(lab):
     (lab / "spec.yaml").write_text(
         """{scenario: mine.yaml, controllers: ["lab_blocks:Springs", tdc], cases: 2,

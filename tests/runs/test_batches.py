@@ -218,9 +218,9 @@ def test_every_law_has_its_bits(controller):
         "planar_detumble",
         "paper",
         "thrusters_and_wheels",
-        pytest.param("thrusters_only", marks=pytest.mark.slow),
-        pytest.param("free_floating", marks=pytest.mark.slow),
-        pytest.param("reaction_null", marks=pytest.mark.slow),
+        pytest.param("thrusters_only", marks=pytest.mark.long),
+        pytest.param("free_floating", marks=pytest.mark.long),
+        pytest.param("reaction_null", marks=pytest.mark.long),
     ],
 )
 def test_every_shipped_scenario_has_its_bits(name):
@@ -256,7 +256,7 @@ def test_long_runs_have_their_bits(name, controller):
     check_side_by_side(scenario, 16, batches=(4, 16))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_batches_of_one_have_their_bits():
     check_side_by_side(load_scenario("flight_sensors", ["duration=4"]), 4, batches=(1,))
 
@@ -289,7 +289,7 @@ KINDS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=8, deadline=None)
 @given(
     kinds=st.lists(

@@ -201,7 +201,7 @@ def held(which):
     return *np.sqrt(np.mean(np.square(errors), axis=0)), drift
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_tumbling_pose_is_held_with_the_generalized_jacobian():
     position, attitude, _ = held("fixed")
     assert position == pytest.approx(4.2666, abs=5.1e-5)

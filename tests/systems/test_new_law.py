@@ -68,7 +68,7 @@ def test_run_and_compare(ffsm, tmp_path):
     assert "stiff" in json.loads(ffsm("schema"))["properties"]["controllers"]["properties"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs("campaign")
 def test_campaign(ffsm, tmp_path):
     (tmp_path / "spec.yaml").write_text(

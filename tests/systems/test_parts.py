@@ -89,7 +89,7 @@ def test_its_torque_is_across_the_field_and_within_its_limit(folder):
     assert again.figures == record.figures
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("folder", "rough_pictures")
 def test_it_goes_through_compare_stability_and_validate():
     common = f"flight_sensors --set duration=0.3 --set '{BLOCK}'"
@@ -102,7 +102,7 @@ def test_it_goes_through_compare_stability_and_validate():
     assert linear.spectral_radius == pytest.approx(without.spectral_radius, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs("campaign")
 def test_a_campaign_has_its_columns(folder):
     (folder / "spec.yaml").write_text(

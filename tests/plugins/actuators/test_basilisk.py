@@ -46,7 +46,7 @@ def test_wheels_and_torque_mapping(basilisk):
     assert np.abs(found["wheel_speed"][-1] - found["wheel_speed"][0]).min() > 5.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_panels_a_sloshing_mass_and_wheels(basilisk):
     found, expected = bus.parts(), basilisk["parts"]
     names = ("rate", "attitude", "velocity", "wheel_speed", "deflection", "deflection_rate")

@@ -378,7 +378,7 @@ BROKEN = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mistake", BROKEN)
 def test_a_mistake_is_named(mistake, true_log, tmp_path):
     make, cause, words = BROKEN[mistake]
@@ -427,7 +427,7 @@ def test_csv_is_read_as_people_have_it(true_log, tmp_path):
     assert audit(path, URDF).verdict == "yes"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_beside_the_drift_of_a_coarse_integrator_nothing_is_said(tmp_path):
     """MuJoCo's default steps lose momentum; a shorter step loses less."""
     euler = mujoco.mjtIntegrator.mjINT_EULER
@@ -512,10 +512,8 @@ def test_a_small_scale_is_a_finding(factor, tmp_path):
         assert found.causes == ((cause,) if cause else ()), str(found)
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [pytest.param(k, marks=pytest.mark.long if k else pytest.mark.slow) for k in range(5)],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(5))
 def test_sixty_drawn_logs(seed, tmp_path):
     """No true one is accused, none of the others passes, 39 of 40 are named; -s prints them."""
     cases = [*drawn_logs.true_logs(tmp_path, seed), *drawn_logs.wrong_logs(tmp_path, seed)]
@@ -587,7 +585,7 @@ CHAINS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("case", CHAINS)
 def test_a_record_of_a_closed_chain_is_accounted_for(case, tmp_path):
     """The force of its loops jumps with the efforts, or is smooth; no wrong effort passes."""

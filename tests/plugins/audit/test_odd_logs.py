@@ -81,7 +81,7 @@ def test_degenerate_numbers(kind, name, log, model, tmp_path):
     assert expected in found if len(expected) > 3 else expected == found, found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_cells_of_drawn_degenerate_numbers(seed, log, model, tmp_path):
     """A cell, a column or a row of any: never a traceback."""

@@ -98,7 +98,7 @@ def still(q):
     return lambda _: (q, np.zeros(11), np.zeros(11))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_forces_and_joint_rates_keep_to_their_limits():
     limits = [
         "actuation.limit={base_rotation: 30, base_position: 20, joints: 20}",
@@ -117,7 +117,7 @@ def test_forces_and_joint_rates_keep_to_their_limits():
     assert np.abs(flown(free, still(FIRST), 12.0, start=start).state[:, 18:]).max() > 0.08
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wheels_keep_to_their_torque_and_momentum():
     """A turn of 0.2 rad, faster than the wheels allow without the program."""
     start = np.concatenate([FIRST, np.zeros(11)])
@@ -174,7 +174,7 @@ def test_the_same_seed_gives_the_same_bits():
     assert np.abs(one["generalized_force"]).values[:, 6:].max() == pytest.approx(2.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_base_asks_no_more_than_its_thrusters_give():
     """Each commanded wrench against a linear program over the thrusters."""
     start = np.concatenate([FIRST, np.zeros(11)])

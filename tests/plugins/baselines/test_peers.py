@@ -118,7 +118,7 @@ def test_bodies_of_the_robot_with_wheels_are_the_sums_of_the_published_ones(peer
     ("controller", "overrides", "at_once"),
     [
         pytest.param("tde_aismc", ["reference.duration=50", "duration=52"], False,
-                     marks=pytest.mark.slow),
+                     marks=pytest.mark.long),
         pytest.param("mpc", ["reference.duration=20", "duration=30"], True, marks=pytest.mark.long),
     ],
 )  # fmt: skip

@@ -65,7 +65,7 @@ def test_a_regularised_power_and_its_slope():
         assert slope(np.zeros(1), power, 0.1)[0] == pytest.approx(0.1 ** (power - 1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_super_twisting_rejects_what_changes_within_its_bound():
     """A disturbance far larger than the law's other terms, whose rate is just below C."""
     bound = 20.0
@@ -103,7 +103,7 @@ def test_terminal_mode_ends_at_the_time_that_its_surface_gives():
     assert entry(e, 1e-3) < expected
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_terminal_laws_gain_adapts_to_an_unknown_disturbance():
     def last(**gains):
         law = dynamics("terminal_sliding_mode", width_s=1e-5, k_s=50.0, **gains)
@@ -113,7 +113,7 @@ def test_the_terminal_laws_gain_adapts_to_an_unknown_disturbance():
     assert last() < 0.4 * last(alpha=0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("start", [0.1, 10.0, 1e4, 1e8])
 def test_the_fixed_time_law_settles_within_its_bound_from_anywhere(start):
     law = dynamics("fixed_time")

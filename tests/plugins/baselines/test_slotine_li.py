@@ -149,7 +149,7 @@ RICH = swinging(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_unknown_8_kg_are_found(tmp_path):
     """Their gains: Lambda = 2, K_D = 5 I, gamma = 1000; one unknown, the mass."""
     given = "{slope: 2, k_d: 5, mass_rate: 1000, moment_rate: 0, inertia_rate: 0}"
@@ -169,7 +169,7 @@ def _rms(course):
     return np.sqrt(np.mean(course.error**2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_momentum_tells_the_payload_where_identification_pays():
     """Joints that follow a plan of the identified payload bring it to its berth."""
     settings = [

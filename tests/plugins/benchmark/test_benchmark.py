@@ -198,7 +198,7 @@ def test_a_law_that_diverges_at_once_does_not_lead(mission, folder, tmp_path, mo
     assert "0 of 3, 3 diverged" in board_text(board)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_other_scenarios_do_not_mix(mission, folder, tmp_path):
     """Runs of a mission that has changed since are left out."""
     changed = dataclasses.replace(
@@ -337,7 +337,7 @@ def test_the_page_opens_offline_and_holds_every_number(mission, folder):
     assert np.isfinite(data["missions"]["postcapture"]["laws"]["tdc"]["itae"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command(tmp_path, monkeypatch):
     scenario = tmp_path / "short.yaml"
     scenario.write_text("extends: postcapture\nduration: 0.2\n")

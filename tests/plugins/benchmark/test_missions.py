@@ -80,7 +80,7 @@ def repaired():
     return (*LINKS[:4], (mass, (*inertia[:4], LINK_5_XZ, 0.0), *others), LINKS[5])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_base_of_ets_vii_turns_as_its_momentum_asks():
     """The stated figure, the run, and momentum integrated here agree."""
     mission = load_mission("ets_vii")
@@ -138,7 +138,7 @@ def test_the_least_time_of_envisat():
     assert held == pytest.approx((about_z * RATE - turned_by_forces) / 300.0, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_heavy_servicer_stops_envisat():
     log = make_rollout(load_mission("envisat").scenario).run()
     assert log.outcome.completed

@@ -62,7 +62,7 @@ def rows(database):
         return [store.result(case, "tdc") for case in range(4)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_row_tells_of_the_grasp(rows):
     sets = [f"{name}={values[0]}" for name, values in CASES.items()]
     scenario = load_scenario(

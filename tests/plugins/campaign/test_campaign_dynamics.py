@@ -40,7 +40,7 @@ def databases(tmp_path_factory):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_generated
 def test_rows_are_those_of_drake_but_for_rounding(databases):
     found, expected = (rows(databases[name], *NUMBERS) for name in ("generated", "drake"))
@@ -97,7 +97,7 @@ def test_what_is_not_covered_is_an_error_or_left_to_drake(tmp_path):
     assert dynamics.startswith("drake (")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_generated
 def test_the_option_replaces_the_key(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -88,7 +88,7 @@ def test_the_plan_shows_the_names_of_values(tmp_path):
     assert line.split()[1:] == ["published", "published", "moderate", "moderate", "published"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_point_is_what_simulate_gives(database, points):
     with open_store(database) as store:
         seed = store.case(7).seed

@@ -182,7 +182,7 @@ def database(tmp_path_factory):
     return run_here(spec, folder / "x.db")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_predicted_boundary_agrees_with_the_outcomes(database):
     with open_store(database) as store:
         findings = find(store, axes=("nominal_error", "payload.truth.mass"))

@@ -67,7 +67,7 @@ def one_line_error(result, said):
     assert result.output.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rows_that_another_program_removes_are_missed(tmp_path):
     """Rows removed at any moment of a campaign: it says so, with what to type; that restores
     them.
@@ -276,7 +276,7 @@ def test_a_slurm_step_gives_the_same_table(spec, database, tmp_path):
     assert not list(tmp_path.glob("scheduler-*"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
     result = invoke(
         "rerun",

@@ -69,7 +69,7 @@ def test_the_planned_approach_keeps_clear_and_is_gentle(seed):
     assert np.allclose(q[-1, 7:], Handover(scenario).reference[7:12], atol=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_start_does_not_depend_on_the_target_that_is_left_out_or_the_law():
     scenario = tumbling([0.05, 0.0, 0.0])
     posture = approach_posture(scenario)
@@ -118,7 +118,7 @@ def test_the_margin_is_kept_beyond_the_clearance(seed):
         assert nearest.distance > scenario.clearance + margin - 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_margin_that_cannot_be_kept_is_refused():
     with pytest.raises(ScenarioError, match=r"keeps 0\.51 m from the target"):
         approach_posture(tumbling([0.03, 0.02, -0.03], "capture.approach.margin=0.5"))
@@ -132,7 +132,7 @@ def test_a_target_that_turns_too_fast_is_refused_in_one_line():
     assert "\n" not in str(no.value)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_approach_through_the_target_is_seen_in_the_run():
     still = load_scenario("tumbling_capture", STILL)
     clear = still.replace(capture={"approach": {"start": "clear"}})

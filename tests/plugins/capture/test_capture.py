@@ -327,7 +327,7 @@ def test_late_sensors_bring_what_was_before_the_grasp():
     assert np.abs(log.generalized_force[GRASP : GRASP + 30]).max() < 10.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_has_the_bits_of_a_fresh_build(rollout, log):
     other = override_scenario(SCENARIO, ["random_seed=5", "duration=2.5"])
     assert rollout.accepts(other)

@@ -37,7 +37,7 @@ def closed(*given: str):
     return simulate(load_scenario("tumbling_capture", [*CLOSING, *given]), check_stability=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_target_is_drawn_in_and_captured():
     record = closed("capture.closing.preload=50")
     data = record.dataset
@@ -61,7 +61,7 @@ def test_a_target_is_drawn_in_and_captured():
     assert np.abs(data["error"].values[200]).max() < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_weak_gripper_lets_it_slip_and_the_servicer_retreats():
     retreat = "capture.retreat={tries: 1, duration: 3, distance: 0.05}"
     record = closed("capture.closing.preload=0.1", retreat)
@@ -148,7 +148,7 @@ def measured(*given):
     return simulate(load_scenario("tumbling_capture", [*MEASURED, *given]), check_stability=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_approach_meets_a_target_that_is_not_where_it_is_expected():
     record = measured(*APART, "capture.envelope={position: 0.02, angle: 0.05}")
     data = record.dataset

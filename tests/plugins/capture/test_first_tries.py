@@ -57,7 +57,7 @@ def test_gripper_and_supervisor_are_one_block_for_all():
     assert not [n for n, block in loop.blocks.items() if isinstance(block, SideBySide)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("joints", "rest", "ends"),
     [
@@ -85,7 +85,7 @@ def test_first_tries_that_hold_go_on_side_by_side(joints, rest, ends):
         assert_same(log, alone[index])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_that_diverge_while_the_gripper_closes_keep_their_logs():
     base = load_scenario("tumbling_capture", [*CLOSING, "disturbance.amplitude_scale=0"])
     bounds = (1e6, 0.1)  # the second is exceeded as the target turns the limp arm

@@ -76,7 +76,7 @@ def test_the_joints_alone_bring_the_stack_to_rest(servicer, least, most):
     assert least <= np.linalg.norm(data["velocity"].values[-1, :3]) < most
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_base_torque_after_the_grasp_takes_no_momentum_out():
     """With the approach flown, the base driven, and the target's mass unknown by none."""
     given = scenario(

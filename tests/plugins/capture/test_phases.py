@@ -95,7 +95,7 @@ def test_a_law_of_its_own():
     assert step[99] < 3.0 * max(step[98], step[100])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["wait", "other_law"])
 def test_side_by_side_with_the_same_bits(name):
     given = [phases(f"{name}=own_phases:{name}").replace(random_seed=seed) for seed in (1, 2)]
@@ -158,7 +158,7 @@ def test_settings_that_cannot_be(given, words):
         load_scenario("tumbling_capture", [*SHORT, wait, given])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_with_all_that_a_capture_may_have():
     """A wait before a measured target that a closing gripper misses, and a second try."""
     given = ["blocks.phases.wait={system: own_phases:wait, duration: 1}", HERE, "supervisor={}"]

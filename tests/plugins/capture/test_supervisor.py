@@ -134,7 +134,7 @@ class Asking(LeafSystem):
         )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_block_asks_during_the_approach_and_the_servicer_retreats():
     scenario = load_scenario("tumbling_capture", ["supervisor={}", "duration=21"])
     log = make_rollout(scenario, blocks={"forces.asking": Asking}).run()
@@ -147,7 +147,7 @@ def test_a_block_asks_during_the_approach_and_the_servicer_retreats():
     assert np.abs(log.series["state"][-1] - start)[7:12].max() < 1e-3  # the joints are back
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_while_the_gripper_closes_it_waits():
     given = ["supervisor={}", "capture.closing={}", "duration=21"]
     scenario = load_scenario("tumbling_capture", given)

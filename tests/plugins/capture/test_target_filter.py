@@ -113,7 +113,7 @@ def test_consistent_at_first():
     assert low < means(DROPS, 8, [0], runs=60).mean() < high
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_consistent():
     low, high = band(60)
     found = means(DROPS, 80, [26], runs=60)
@@ -226,7 +226,7 @@ def off(found, expected):
     return max(np.abs(sign * found[:4] - expected[:4]).max(), np.abs(found - expected)[4:].max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_approach_filter_and_gripper_move_it_alike(seed):
     """A drawn tumble far from the origin of a fast orbit, or in none."""

@@ -58,7 +58,7 @@ def test_a_target_within_the_bus_is_seen_however_few_joints_are_between(tmp_path
     assert nearest.distance < -0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_parts_that_overlap_are_not_as_planned():
     scenario = load_scenario("postcapture", [*OVERLAP, "duration=22"])
     found = verdict(scenario)
@@ -83,7 +83,7 @@ def test_settled_is_not_enough_where_parts_overlap(tmp_path, given, code):
     assert ("Not as planned: the run: base and debris overlap" in result.output) is bool(given)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_joint_beyond_its_limit_is_not_as_planned():
     found = verdict(load_scenario("ets_vii", ["target_posture.joints.joint_3=3.2"]))
     assert found.run.ending.is_settled
@@ -124,7 +124,7 @@ def test_a_limit_within_the_reach_of_the_noise_is_rehearsed_with_more():
     assert 0.5 < shares[2.45] < 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_that_settles_contradicts_a_loop_that_always_diverges():
     found = verdict(
         load_scenario("flight_sensors", ["actuation.limit.base_rotation=2.6"]), advises=False
@@ -137,7 +137,7 @@ def test_a_run_that_settles_contradicts_a_loop_that_always_diverges():
     assert contradicted.conclusion.startswith("expected to settle, not as planned")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_no_noise_diverges_the_chance_is_bounded_and_said():
     found = verdict(load_scenario("flight_sensors", ["actuation.limit.base_rotation=2.9"]))
     assert not found.is_alarm

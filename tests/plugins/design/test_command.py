@@ -14,7 +14,7 @@ def ffsm(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stability(tmp_path, monkeypatch):
     """Its table and picture of a stable loop: ``test_stability.py``."""
     unstable = ffsm("stability", "--set", "controllers.tde_aismc.k_s_initial=150", "--json")
@@ -35,7 +35,7 @@ def test_stability(tmp_path, monkeypatch):
     assert (tmp_path / "other" / "stability.png").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("few_delays")
 def test_stability_with_disk_margins():
     options = ("-c", "tdc", "--set", "duration=3", "--no-rehearsal", "--disk")

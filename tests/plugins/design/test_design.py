@@ -119,7 +119,7 @@ def test_a_mission_that_will_not_go_as_planned_ranks_last(coordinates):
     assert requirement.rank(alarmed) > requirement.rank(point_of(coordinates, errors=9.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_predicted_of_the_given_gains_frees_the_choice():
     """Whatever goes as planned is better than what does not; nothing else is chosen."""
     free = ("controller=pd_plus", "actuation.limit={joints: 500}")
@@ -146,7 +146,7 @@ def test_what_is_predicted_of_the_given_gains_frees_the_choice():
 @pytest.mark.parametrize(
     "after",
     [
-        pytest.param(4, marks=pytest.mark.slow),
+        pytest.param(4, marks=pytest.mark.long),
         *(pytest.param(count, marks=pytest.mark.long) for count in (1, 12)),
     ],
 )
@@ -165,12 +165,10 @@ def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
         assert error <= 1.02 * was, name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "limit",
-    [
-        pytest.param(limit, marks=pytest.mark.slow if limit == 1.5 else pytest.mark.long)
-        for limit in (0.0, 1.5, 6.0)
-    ],
+    (0.0, 1.5, 6.0),
 )
 def test_the_limit_bounds_all_of_a_design(limit):
     """Within a candidate, too: each of a heavy mission takes seconds."""
@@ -185,7 +183,7 @@ def test_the_limit_bounds_all_of_a_design(limit):
     assert any("ended by the time limit" in remark for remark in found.remarks)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("rough_pictures")
 def test_the_table_shows_margins_before_and_after(tmp_path):
     arguments = ["design", "flight_sensors", "-c", "computed_torque", "--time", "300"]

@@ -76,7 +76,7 @@ def test_range_of_gain_and_phase(margins):
     assert np.rad2deg(margins.phase(1.0)) == pytest.approx(53.13, abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_delay_costs_margin(margins):
     tdc = ["controller=tdc"]
     late = disk.disk_margins(load_scenario("flight_sensors", [*tdc, "actuation.delay=2"]))

@@ -151,7 +151,7 @@ def test_the_published_estimate_does_not_fly(run, controller):
     assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc", "pd_plus"])
 def test_prediction_against_three_seeds(run, controller):
     """Rms error and effort predicted from the wiring agree with Monte Carlo."""

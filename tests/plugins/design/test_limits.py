@@ -122,7 +122,7 @@ def checked_limits(seed, law, *, runs):
 NUMBER = int(os.environ.get("FFSM_DRAWN_LIMITS", "1"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(NUMBER))
 @pytest.mark.parametrize("law", LAWS if NUMBER > 1 else ("tde_aismc",))
 def test_drawn_limits_hold_as_printed_and_no_further(seed, law):

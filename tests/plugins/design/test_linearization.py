@@ -313,7 +313,7 @@ def test_boundaries_against_simulation(controller, monkeypatch):
     assert grows(with_delay(scenario, int(found.delay) + 1)), found.delay
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_boundaries_of_the_closed_form():
     """AISMC: (K_D + K_s) L < 2 at eta = 1, in the gains as in the sample time.
 

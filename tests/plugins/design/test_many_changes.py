@@ -69,11 +69,11 @@ def test_some(name, law):
     check(name, law, 0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_frame_at_the_estimated_state():
     check("seven_joint", "task_time_delay", 0.1, "estimator.kind=coupled")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_measurement_within_the_samples_compared_is_no_counter():
     check("slow_navigation", "task_time_delay", 0.625)

@@ -70,7 +70,7 @@ def passing(mass, *changes):
     return load_scenario("free_floating", changes)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_posture_that_is_passed_is_no_alarm():
     found = linear_verdict(passing(54.74))
     (motion,) = found.legs
@@ -98,7 +98,7 @@ def alternating(mass, *, rest):
     return np.sqrt((rough[: len(rough) // 25 * 25].reshape(-1, 25 * 5) ** 2).mean(axis=1))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mass", np.random.default_rng(51).uniform(54.48, 54.62, 3).round(2))
 def test_errors_grow_at_rest_as_the_spectral_radius_says(mass):
     sizes = alternating(mass, rest=6)[-22:]
@@ -109,7 +109,7 @@ def test_errors_grow_at_rest_as_the_spectral_radius_says(mass):
     assert leg(passing(mass)).status == "unstable"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mass", [54.9, 56.37])
 def test_a_stable_motion_past_the_posture_shows_no_growth(mass):
     sizes = alternating(mass, rest=1)
@@ -117,7 +117,7 @@ def test_a_stable_motion_past_the_posture_shows_no_growth(mass):
     assert sizes.max() < 2.0 * np.median(sizes)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_loop_that_is_unstable_where_it_rests():
     found = leg(load_scenario("free_floating", ["controller=tdc", "payload.truth.mass=54.5"]))
     assert found.status == "unstable"

@@ -64,7 +64,7 @@ def with_wheels():
     return make
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wheels_that_give_too_little_are_told(with_wheels):
     """Predicted; that it is so: below."""
     (told,) = verdict(with_wheels(1.0), rehearsal=False).warnings
@@ -74,7 +74,7 @@ def test_wheels_that_give_too_little_are_told(with_wheels):
 @pytest.mark.parametrize(
     ("torque", "stable"),
     [
-        pytest.param(1.0, False, marks=pytest.mark.slow),
+        pytest.param(1.0, False, marks=pytest.mark.long),
         pytest.param(1.6, True, marks=pytest.mark.long),
     ],
 )
@@ -85,7 +85,7 @@ def test_saturated_wheels(with_wheels, torque, stable):
     assert diverges(scenario) is not stable
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_verdict(with_wheels):
     margins = stability(dataclasses.replace(with_wheels(1.0), duration=12.0), postures=3)
     assert margins.starts_stable
@@ -94,7 +94,7 @@ def test_verdict(with_wheels):
     assert "thrusters and wheels give 1.3 to 2.3 N m and 10 to 17 N" in margins.verdict
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_assisted_wheels_are_enough(with_wheels):
     scenario = with_wheels(1.0, "actuation.wheels.assist_above=2")
     assert rehearse(scenario, seeds=1).share_diverged == 0.0
@@ -184,7 +184,7 @@ def test_a_stop_of_any_duration_keeps_what_the_wheels_give():
 
 @pytest.mark.parametrize(
     ("layout", "torque", "stop"),
-    [("16x22N", None, 8.0), pytest.param("12x5N", 2.0, 20.0, marks=pytest.mark.slow)],
+    [("16x22N", None, 8.0), pytest.param("12x5N", 2.0, 20.0, marks=pytest.mark.long)],
 )
 def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
     """From the grasp on, with either kind of actuators."""
@@ -207,7 +207,7 @@ def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
     assert np.abs(error).max() < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cases_side_by_side_have_the_results_that_they_have_alone():
     base = load_scenario(
         "thrusters_and_wheels", ["duration=1", "actuation.delay=1", "controller=tde_aismc"]

@@ -68,13 +68,13 @@ HEAVY = (
     ("scenario", "without"),
     [
         ("postcapture", ("scipy",)),
-        pytest.param("planar_detumble", ("scipy",), marks=pytest.mark.slow),
+        pytest.param("planar_detumble", ("scipy",), marks=pytest.mark.long),
         # its filter's gain takes scipy.linalg
         ("flight_sensors", ("scipy.optimize", "scipy.integrate")),
         pytest.param(
-            "flexible_panels", ("scipy.optimize", "scipy.integrate"), marks=pytest.mark.slow
+            "flexible_panels", ("scipy.optimize", "scipy.integrate"), marks=pytest.mark.long
         ),
-        pytest.param("free_floating", (), marks=pytest.mark.slow),
+        pytest.param("free_floating", (), marks=pytest.mark.long),
     ],
 )
 def test_a_first_run_loads_only_what_it_needs(scenario, without):

@@ -34,15 +34,13 @@ UNSTABLE = {
         "controllers.tde_aismc.k_s_max",
     ),
 }
-SLOW, LONG = {"K_s", "gains", "payload", "period"}, {"approach", "delay"}
 
 
 @pytest.mark.parametrize(
     "kind",
     [
-        *(kind for kind in UNSTABLE if kind not in SLOW | LONG),
-        *(pytest.param(kind, marks=pytest.mark.slow) for kind in UNSTABLE if kind in SLOW),
-        *(pytest.param(kind, marks=pytest.mark.long) for kind in UNSTABLE if kind in LONG),
+        pytest.param(kind, marks=pytest.mark.slow if kind == "period" else pytest.mark.long)
+        for kind in UNSTABLE
     ],
 )
 def test_each_change_makes_the_loop_stable(kind):
@@ -63,10 +61,8 @@ def test_a_nominal_payload_that_is_too_heavy_is_told_with_its_eta():
     assert "eta is up to 1.28, and tde_aismc tolerates 1.11" in first.reason
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [pytest.param(seed, marks=pytest.mark.long if seed else pytest.mark.slow) for seed in range(6)],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(6))
 def test_following_what_helps_settles(seed):
     """Missions of the class, drawn: too heavy, too stiff, or with too little force."""
     rng = np.random.default_rng(seed)

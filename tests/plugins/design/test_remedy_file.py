@@ -18,7 +18,7 @@ def ffsm(line):
     return found.exit_code, found.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failed_run_leaves_a_scenario_that_settles(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, said = ffsm("run --set payload.nominal.mass=130 --out out/heavy --no-report")
@@ -32,7 +32,7 @@ def test_a_failed_run_leaves_a_scenario_that_settles(tmp_path, monkeypatch):
     assert not (tmp_path / "out" / "heavy" / REMEDY_FILE).exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["", "tde_aismc"])
 def test_the_page_names_the_file(place, tmp_path, monkeypatch):
     from ffsm_drake.plugins.report import write_report

@@ -291,7 +291,7 @@ def test_verdicts(name, overrides, stable, words):
     assert words in margins.verdict
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_expected_adaptation_against_simulation(run):
     """The forecast ends within 3 % of the simulated K_s, and puts the published gains' end at about
     the right time.
@@ -309,7 +309,7 @@ def test_expected_adaptation_against_simulation(run):
     assert first == pytest.approx(run("postcapture", *PUBLISHED_UNBOUNDED).outcome.time, abs=2.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     with pytest.warns(
         StabilityWarning,
@@ -368,7 +368,7 @@ def test_command_line(arguments, code, words):
     assert "Traceback" not in result.output
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_table_and_picture(tmp_path):
     from matplotlib import image
 

@@ -73,7 +73,7 @@ def test_success_is_said_of_a_run_alone(settling, load, status, end):
         assert ENDS.search(said) or found.is_alarm
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "law"), [MISSING, *DRAWN])
 def test_without_a_run_no_command_speaks_of_success(name, law):
     for command in ("validate", "stability"):
@@ -130,7 +130,7 @@ def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
     assert not found.is_alarm
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "controller"), [("Rare", "tdc"), ("Irregular", "tdc"), ("Irregular", "pd_plus")]
 )

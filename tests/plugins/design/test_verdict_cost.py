@@ -28,8 +28,8 @@ def cost():
     [
         ("paper", 14, 5),
         ("flight_sensors", 7, 1),
-        pytest.param("slow_navigation", 28, 4, marks=pytest.mark.slow),
-        pytest.param("reaction_null", 6, 4, marks=pytest.mark.slow),
+        pytest.param("slow_navigation", 28, 4, marks=pytest.mark.long),
+        pytest.param("reaction_null", 6, 4, marks=pytest.mark.long),
     ],
 )
 def test_every_loop_is_linearised_once(cost, name, maps, of_margins):
@@ -61,7 +61,7 @@ def test_the_same_instant_and_gains_are_the_same_loop():
         assert linearizer.at(1.01) is not linearizer.at(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("with_margins", [False, True])
 @pytest.mark.parametrize(("name", "noises"), [("postcapture", 0), ("thrusters_only", 1)])
 def test_one_run_and_the_noises_are_rehearsed(name, noises, with_margins, monkeypatch):
@@ -84,7 +84,7 @@ def test_one_run_and_the_noises_are_rehearsed(name, noises, with_margins, monkey
     assert made.count("rehearse") == noises
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_ratios_are_printed(cost, capsys):
     cost.main(["planar_detumble", "--repeats", "1"])
     printed = capsys.readouterr().out

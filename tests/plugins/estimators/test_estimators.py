@@ -476,7 +476,7 @@ def test_gains_are_as_many_as_a_motion_takes():
     assert counts[1:] == [41, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_capture_whose_approach_changes_the_wrists_inertia_is_followed():
     """Its approach diverged at 13.0 s with the gain of the grasp's posture."""
     body = "{mass: 20, center_of_mass: [0, 0, 0], inertia: [3.3, 3.3, 3.3]}"

@@ -46,7 +46,7 @@ def pose(transform):
     return RigidTransform(Quaternion(q.w, q.x, q.y, q.z), [p.x, p.y, p.z])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bodies_are_where_the_record_has_them(run):
     record, _, topics = run
     data = record.dataset
@@ -109,7 +109,7 @@ def test_without_the_library_one_line_says_what_to_install(run, tmp_path, monkey
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ros_2_reads_it(run, tmp_path):
     ros2 = pytest.importorskip("mcap_ros2.reader", reason="needs mcap-ros2-support")
     record, path, topics = run

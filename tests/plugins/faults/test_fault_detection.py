@@ -263,12 +263,12 @@ def test_slopes():
 @pytest.mark.parametrize(
     ("name", "unit", "kind"),
     [
-        pytest.param(NAME, "thrusters.a_x", "stuck_on", marks=pytest.mark.slow),
+        pytest.param(NAME, "thrusters.a_x", "stuck_on", marks=pytest.mark.long),
         pytest.param(NAME, "thrusters.a_x", "stuck_off", marks=pytest.mark.long),
         pytest.param(NAME, "wheels.wheel_2", "stops", marks=pytest.mark.long),
-        pytest.param(SENSORS, "joints.joint_2", "jammed", marks=pytest.mark.slow),
-        pytest.param(SENSORS, "sensing.joint_3_velocity", "biased", marks=pytest.mark.slow),
-        pytest.param(NAME, None, None, marks=pytest.mark.slow),
+        pytest.param(SENSORS, "joints.joint_2", "jammed", marks=pytest.mark.long),
+        pytest.param(SENSORS, "sensing.joint_3_velocity", "biased", marks=pytest.mark.long),
+        pytest.param(NAME, None, None, marks=pytest.mark.long),
     ],
 )
 def test_faults_with_a_supervisor(name, unit, kind):

@@ -76,7 +76,7 @@ def test_drawn_trees_agree(joints):
     assert differences(drawn_tree(joints, joints)).largest < DRAWN
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("joints", range(2, 31, 4))
 def test_larger_drawn_trees_agree(joints):
     assert differences(drawn_tree(100 + joints, joints)).largest < DRAWN

@@ -91,7 +91,7 @@ def test_shipped_scenarios_have_the_runs_of_drake(name):
     check(seeded(load_scenario(name, ["duration=0.3"]), 3))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_whole_run_is_that_of_drake():
     check(varied(load_scenario("postcapture"), 3))
 
@@ -107,7 +107,7 @@ def test_slosh_and_beams_have_the_runs_of_drake():
     check(varied(load_scenario("flexible_panels", ["duration=2", parts]), 3))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_captures_have_the_runs_of_drake():
     scenarios = varied(load_scenario("tumbling_capture", ["duration=24"]), 2)
     check(scenarios, bound=1e-7)  # thrusters switch
@@ -226,7 +226,7 @@ ENDS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_grippers_that_close_end_as_with_drake():
     base = load_scenario("tumbling_capture", CLOSING)
     scenarios = [override_scenario(base, [each]) for each in ENDS]

@@ -132,7 +132,7 @@ def test_steps_cover_the_samples_of_a_run_and_no_other(copies):
         np.testing.assert_allclose(velocity[0], data["velocity"].values[-1], rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_capture_goes_through_its_legs():
     scenario = load_scenario("tumbling_capture", ["duration=20.5"])
     env = MissionEnv(scenario, action="residual", samples_per_step=50)

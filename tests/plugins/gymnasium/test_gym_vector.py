@@ -53,8 +53,8 @@ def test_every_copy_has_the_bits_of_a_single_one(name, action):
     [
         ("force", 1),
         ("residual", 2),
-        pytest.param("force", 2, marks=pytest.mark.slow),
-        pytest.param("residual", 1, marks=pytest.mark.slow),
+        pytest.param("force", 2, marks=pytest.mark.long),
+        pytest.param("residual", 1, marks=pytest.mark.long),
     ],
 )
 def test_a_copy_that_diverges_begins_anew_while_the_others_go_on(action, samples_per_step):

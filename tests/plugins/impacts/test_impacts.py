@@ -66,7 +66,7 @@ def test_forces_on_robot_and_target_are_opposite():
             assert about == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_impacts_with_admittance_slow_the_target():
     mission = Strikes(duration=4.5, step=2e-3)
     found = run(mission)
@@ -124,7 +124,7 @@ def test_base_goes_where_momentum_takes_it():
     np.testing.assert_allclose(scene.base_after(q, joints), at[:3], atol=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_slow_target_is_caged():
     found = run(Strikes(spin=-0.45, cage=Cage(), duration=7.0, step=2e-3))
     last = found.time > 6.0

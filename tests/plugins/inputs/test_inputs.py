@@ -154,7 +154,7 @@ def project_with_a_law(tmp_path, monkeypatch):
     return project, file, f"_{seed}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_changed_or_missing_file_is_named(tmp_path, monkeypatch):
     project, file, unique = project_with_a_law(tmp_path, monkeypatch)
     ffsm("run", file, "--no-report", "--out", "out")

@@ -246,14 +246,14 @@ def replay_served(record, count):
 
 COUNTS = pytest.mark.parametrize(
     "count",
-    [pytest.param(20, marks=pytest.mark.slow), pytest.param(1670, marks=pytest.mark.exhaustive)],
+    [pytest.param(20, marks=pytest.mark.long), pytest.param(1670, marks=pytest.mark.exhaustive)],
 )
 
 
 @pytest.mark.parametrize(
     ("live", "count"),
     [
-        pytest.param(run_watched, 20, marks=pytest.mark.slow),
+        pytest.param(run_watched, 20, marks=pytest.mark.long),
         pytest.param(run_with_controls, 20, marks=pytest.mark.long),
         *(
             pytest.param(live, 1670, marks=pytest.mark.exhaustive)

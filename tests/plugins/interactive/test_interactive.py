@@ -583,7 +583,7 @@ def test_drakes_servers_are_where_no_page_can_know():
     assert not first.hostname.startswith("127.0.")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_chromium
 def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path, plain):
     """Neither a run that the operator has started nor afterwards, though it is told the address and

@@ -43,19 +43,3 @@ def covering_array(factors, refused):
             missing.pop(pair, None)
         rows.append({factor: row[factor] for factor in factors})
     return rows
-
-
-def each_value(rows, effort):
-    """Few of the rows, in which every value of a factor occurs that occurs in any; ``effort(row)``
-    tells what one costs.
-
-    Greedy: the next row is that with the least effort for each value that is still missing.
-    """
-    missing = {item for row in rows for item in row.items()}
-    chosen = []
-    while missing:
-        bringing = [row for row in rows if missing & row.items()]
-        row = min(bringing, key=lambda row: effort(row) / len(missing & row.items()))
-        missing -= row.items()
-        chosen.append(row)
-    return chosen

@@ -86,7 +86,7 @@ def check(record, folder):
     return given
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_record_is_read_back(tmp_path):
     pytest.importorskip("ffsm_drake.plugins.new")
     made, signals = 0, set()

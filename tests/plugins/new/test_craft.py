@@ -144,7 +144,7 @@ def test_a_sliding_base_of_its_own_mass_or_rotor_is_refused(tmp_path: Path) -> N
         read_urdf(written(tmp_path, arm(*SLIDES, rotor)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rotors_of_a_urdf_stay(tmp_path: Path) -> None:
     """Drake adds gear^2 times a rotor's inertia to the joint's."""
     rotor = (
@@ -206,7 +206,7 @@ def test_limits_that_say_nothing_are_named(tmp_path: Path, limits: str, told: st
         read_urdf(written(tmp_path, arm(limits='lower="0.3" upper="0.3"')))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fingers(tmp_path: Path) -> None:
     """A finger that rests at a limit is moved into its range; one that follows it is fixed."""
     finger = 'lower="0" upper="0.05" effort="5" velocity="0.1"'
@@ -257,7 +257,7 @@ def test_a_target_of_welded_links_is_one_body(tmp_path: Path) -> None:
     assert "no frame where it could be held" in str(error.value)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("word", "mass", "size"),
     [(None, 50.0, 0.794), ("20", 20.0, 0.585), ("20kg", 20.0, 0.585), ("20kg,0.3m", 20.0, 0.3)],
@@ -288,7 +288,7 @@ CROWDED = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_advice_on_a_smaller_target_helps(tmp_path: Path) -> None:
     """The advice is a value that was tried; followed, it leaves no remark."""
     told = "".join(
@@ -308,7 +308,7 @@ def test_the_advice_on_a_smaller_target_helps(tmp_path: Path) -> None:
     assert not [each for each in again.remarks if "overlap" in each]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_advice_where_none_helps(tmp_path: Path) -> None:
     block = '<visual><geometry><box size="2 2 2"/></geometry></visual>'
     bus = link("bus", mass=300, inertia=(120, 120, 120), extra=block)
@@ -329,7 +329,7 @@ def test_an_invented_base_does_not_count_for_clearances(tmp_path: Path) -> None:
         assert ("bus" in {body.name() for pair in pairs for body in pair}) is invented
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("thrusters", ["12", "12x0.1N"])
 def test_a_small_base_gets_small_actuators(tmp_path: Path, thrusters: str) -> None:
     asked = Asked.parsed(thrusters=thrusters, wheels="3", sensors="flight")

@@ -68,7 +68,7 @@ def test_a_drawn_mission_goes_as_planned_or_has_a_remedy(tmp_path, seed):
     assert code == 0, lines[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failing_mission_names_what_helps_and_typing_it_does(tmp_path, monkeypatch):
     def verdict(scenario, **_):
         planned = ("too heavy",) if scenario.payload.truth.mass > 20.0 else ()

@@ -94,12 +94,10 @@ def test_peak_forces_are_those_of_the_motion_that_was_written(tmp_path, mass):
 SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name == "six_joints" else pytest.mark.long)
-        for name in SIX
-    ],
+    SIX,
 )
 def test_everything_at_once_settles(tmp_path, name):
     begin = time.process_time()
@@ -176,7 +174,7 @@ def test_flags_are_the_scenarios_settings(tmp_path):
         assert max(new.peak_force[name] for name in names) < 0.7 * least
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_undriven_base(tmp_path):
     """Nothing is commanded, and nothing acts, where no actuator moves the base."""
     urdf = tmp_path / "arm.urdf"
@@ -188,7 +186,7 @@ def test_undriven_base(tmp_path):
     assert not any(name.startswith("base_position") for name in scenario.disturbance.harmonics)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_weak_wheels_are_named(tmp_path):
     words = {"thrusters": "12x5N", "wheels": "4x0.5Nm", "sensors": "flight"}
     new = make(tmp_path, "six_joints", words)

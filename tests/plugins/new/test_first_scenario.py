@@ -146,7 +146,7 @@ def test_folder_can_be_moved(made, tmp_path):
     assert np.array_equal(Rollout(moved).run().series["state"], before.series["state"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pd_plus_gains_follow_the_inertia(made):
     """A wrist gets less than the base, a heavy hull more than a light platform; every coordinate
     has its own.
@@ -250,7 +250,7 @@ def test_refused_arguments(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full", "robot.urdf"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tutorial(tmp_path):
     """The URDF that docs/own_arm.md prints, through the command that it prints."""
     page = (Path(__file__).parents[3] / "docs" / "own_arm.md").read_text()
@@ -296,7 +296,7 @@ def test_the_tutorial(tmp_path):
     assert "is not empty" in again.output
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_arm_alone_on_a_bus_with_a_target_of_its_own(tmp_path):
     (tmp_path / "ur5.urdf").write_text(arm_alone())
     (tmp_path / "stage.urdf").write_text(stage())

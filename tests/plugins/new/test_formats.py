@@ -158,7 +158,7 @@ MACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name=
   </xacro:macro></robot>"""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("folder", ["above", "given"])
 def test_xacro_with_arguments_and_packages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str

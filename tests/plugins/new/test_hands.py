@@ -72,7 +72,7 @@ def settles(new: NewScenario) -> bool:
     return run.ending.is_settled
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_planar_craft_with_two_arms_settles(tmp_path: Path) -> None:
     new = made(tmp_path, craft("zzz"))
     assert settles(new)

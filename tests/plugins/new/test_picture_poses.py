@@ -400,7 +400,7 @@ def test_what_cannot_be_measured_is_named(name: str, text: str | None, tmp_path:
     assert line.startswith(f"clearance is not known: no shape of l4 ({name}) to measure")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mission_with_an_unmeasured_shape_is_not_as_planned(tmp_path: Path) -> None:
     file = with_unread(tmp_path, "gone.stl", None, VISUAL.format("gone.stl"))
     found = CliRunner().invoke(main, ["new", str(tmp_path / "mine"), "--model", str(file)])

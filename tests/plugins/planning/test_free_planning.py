@@ -92,7 +92,7 @@ def test_small_rotations_add_up_and_their_derivatives_are_exact():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_turns_the_base_as_planned(arm, tmp_path):
     assert all(margin.kept for margin in arm.margins)
     assert (
@@ -118,7 +118,7 @@ def test_a_run_turns_the_base_as_planned(arm, tmp_path):
     assert record.dataset.position.values[-1, 7:] == pytest.approx([-0.65, 1.15, 0.6], abs=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_starts_where_the_plan_does(tmp_path):
     path = tmp_path / "plan.yaml"
     place = "initial_posture.base_position=[0.08, 0.2, -0.08]"
@@ -143,7 +143,7 @@ def test_the_solver_stops_when_it_gains_no_more():
     assert not found.exceeded
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_base_turns_no_further_than_it_may(arm):
     limit = 0.8 * turn(arm.rows)
     found = plan_motion(
@@ -154,7 +154,7 @@ def test_the_base_turns_no_further_than_it_may(arm):
     assert found.plan.duration > arm.plan.duration
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wheels_take_a_tumble_out_while_the_position_drifts():
     over = [
         "actuation.driven=[base_rotation, joints]",

@@ -36,7 +36,7 @@ def shipped():
     return load_plan(scenario.reference.plan, make_nominal_plant(scenario).coordinates)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_least_time_uses_the_limits_and_keeps_them(quick):
     assert all(margin.kept for margin in quick.margins)
     used = {
@@ -62,7 +62,7 @@ def test_the_reserve_holds_between_knots_too(quick):
     assert 0.99 < used < 1.002
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exact_rest_takes_hardly_longer_than_the_least_time():
     """The knots move to where the limits switch: 3.70 s. By rounding, Drake 1.58 stops on some
     processors before they have moved: 3.77 s.
@@ -172,7 +172,7 @@ def test_controllers_bring_the_published_case_to_rest(controller):
     assert (np.abs(record.dataset.applied_force.values) <= limit).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_base_turns_no_further_than_it_may(quick):
     def turn(found):
         return 2.0 * np.arccos(np.clip(np.abs(found.rows[:, 0]), 0.0, 1.0)).max()
@@ -244,7 +244,7 @@ def test_a_search_ends_when_its_time_is_over(segments, seconds):
     assert time.process_time() - begun < seconds + 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_refused_plan_says_what_to_try():
     with pytest.raises(
         PlanningError, match=r"active limit: .* \(reserve included\); try planning.segments 8 or"
@@ -344,7 +344,7 @@ def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
 
 @pytest.mark.parametrize(
     "rate",  # rad/s
-    [pytest.param(0.01, marks=pytest.mark.long), pytest.param(0.035, marks=pytest.mark.slow)],
+    [pytest.param(0.01, marks=pytest.mark.long), pytest.param(0.035, marks=pytest.mark.long)],
 )
 def test_a_slow_tumble_stops_where_it_is(rate):
     """It takes no longer than a control sample per segment, or than the base's torque needs."""

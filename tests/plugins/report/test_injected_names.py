@@ -115,7 +115,7 @@ def short(run):
     return run("postcapture", "duration=0.05")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("no_analysis")
 @quick
 @given(NAMES)
@@ -131,7 +131,7 @@ def coarse_map(monkeypatch):
     monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.REFINEMENT", 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("rough_pictures", "coarse_map")
 @quick
 @given(NAMES, NAMES.map(as_factor))

@@ -169,7 +169,7 @@ def test_with_the_base_driven_the_joints_do_it_and_the_base_keeps_its_motion():
         assert_allclose(mine[:, :6], its[:, :6], atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_leaves_the_base_alone():
     """In the closed loop, with noise, the base turns by less than 1e-6 rad; with a wrong payload it
     says how much.

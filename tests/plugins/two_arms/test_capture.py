@@ -150,7 +150,7 @@ def test_an_approach_to_a_tumbling_target(closes: float) -> None:
     assert run.dataset["phase"].values.tolist().count("approach") == 300
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_approach_in_a_kept_rollout_gives_the_same_bits_again() -> None:
     given = [load_scenario("two_arms_capture", [*APPROACH, f"random_seed={k}"]) for k in (1, 2)]
     kept = make_rollout(given[0])

@@ -44,7 +44,7 @@ def test_the_mass_is_the_published_one(model: PlantModel) -> None:
     assert model.plant.CalcTotalMass(model.context) == pytest.approx(whole, rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_hands_catch_the_cube() -> None:
     run = simulate(load_scenario("tohoku_arms", ["duration=12", "reference.duration=8"]))
     assert run.ending.is_settled

@@ -81,7 +81,7 @@ CLOSING = ("capture.closing={joints: controlled}", "duration=9.5")
 SHORT = ("capture.approach.duration=8", "duration=8.5", "disturbance.amplitude_scale=0")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scenario", "law", "settings"),
     [
@@ -115,7 +115,7 @@ def faults_of(record):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_faults_before_the_grasp_stay_in_the_record():
     flying = pilot("tumbling_capture", *(f"--set={each}" for each in SHORT))
     with flying as port, faulty(port) as through:
