@@ -168,7 +168,7 @@ def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
 @pytest.mark.long
 @pytest.mark.parametrize(
     "limit",
-    (0.0, 1.5, 6.0),
+    [0.0, 1.5, 6.0],
 )
 def test_the_limit_bounds_all_of_a_design(limit):
     """Within a candidate, too: each of a heavy mission takes seconds."""
