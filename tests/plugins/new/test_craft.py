@@ -82,7 +82,7 @@ TILTED = (link("world"), joint("slide", "world", "bus", kind="planar", axis="0 1
 FLOATING = (link("root"), joint("float", "root", "bus", kind="floating"))
 
 
-@pytest.mark.smoke
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parts", "normal"),
     [(SLIDES, 2), (PLANAR, 2), (TURNED, 2), (UPRIGHT, 1), (EARLY, 0), (TILTED, None),
