@@ -623,9 +623,8 @@ def check_line(stderr: str, expected: tuple[str, ...]) -> None:
         found = [line for line in lines if line.startswith("error: ")]
         others = [line for line in lines if line not in found and not line.startswith("warning: ")]
         # progress
-        assert all(re.search(r" of [\d.]+ s$", line) or ": completed" in line for line in others), (
-            others
-        )
+        told = r" of [\d.]+ s$|: completed|s: still at work: "
+        assert all(re.search(told, line) for line in others), others
     assert len(found) == 1, stderr
     for fragment in expected:
         assert fragment in found[0]

@@ -530,7 +530,7 @@ def pytest_generate_tests(metafunc):
     # Every scenario and every controller in each run of the tests, every pair among the long ones.
     pairs = [
         pytest.param(
-            name, law, marks=() if law == "tdc" or name == "postcapture" else pytest.mark.slow
+            name, law, marks=() if law == "tdc" or name == "postcapture" else pytest.mark.long
         )
         for name in sorted(shipped_scenarios())
         for law in controller_names()

@@ -60,25 +60,27 @@ def run(number):
 
 
 FIRST = {case["number"]: k for k, case in reversed(list(enumerate(CASES)))}
-cases = pytest.mark.parametrize(
-    "number",
-    [
-        pytest.param(
-            k,
-            id=f"{case['number']} {case['name']}".replace(" ", "-"),
-            # the first of each class on each change, its variants weekly
-            marks=pytest.mark.slow if k in FIRST.values() else pytest.mark.long,
-        )
-        for k, case in enumerate(CASES)
-    ],
-)
+
+
+def cases(on_each_change):
+    return pytest.mark.parametrize(
+        "number",
+        [
+            pytest.param(
+                k,
+                id=f"{case['number']} {case['name']}".replace(" ", "-"),
+                marks=pytest.mark.slow if k in on_each_change else pytest.mark.long,
+            )
+            for k, case in enumerate(CASES)
+        ],
+    )
 
 
 def test_every_class_is_there():
     assert {case["number"] for case in CASES} == set(range(1, 13))
 
 
-@cases
+@cases(FIRST.values())
 def test_the_run_ends_as_said(number, verdicts):
     case, (log, record) = CASES[number], run(number)
     end = verdicts.end_of(log)
@@ -90,7 +92,7 @@ def test_the_run_ends_as_said(number, verdicts):
         assert least <= FIGURES[name](record) <= most, name
 
 
-@cases
+@cases([])
 def test_a_user_is_told(number, verdicts):
     """Warned where the run ends badly, in words that help; not where it settles."""
     case, (log, record) = CASES[number], run(number)

@@ -212,7 +212,7 @@ def test_verdicts_in_words(short, diverged):
     assert diverged.outcome.message in page_of(diverged).text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("plain")
 def test_diverged_runs_rank_last_and_never_best(short, diverged):
     # A run that diverges at once has the smallest sums of all.
