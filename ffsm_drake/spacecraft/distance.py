@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from pydrake.math import RigidTransform
 
-_ITERATIONS, _TOLERANCE = 200, 1e-12  # of a search; m
+_ITERATIONS, _TOLERANCE = 1000, 1e-12  # of a search; m
 _LEAST, _MOST = 1e-9, 1e10  # m; of a size, of a distance
 _THIN, _GROWN = 1e-4, 1e-6  # a hull thinner than a share of its size grows by a share of it, or m
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))

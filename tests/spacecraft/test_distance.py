@@ -35,9 +35,10 @@ def mesh(path: Path, vertices: np.ndarray) -> Mesh:
     return Mesh(str(path))
 
 
-def draw(rng, path: Path):
+def draw(rng, path: Path, *, nearly_round: bool = False):
     """A shape, and its support function: the largest n . x in its frame, of directions (m, 3)."""
-    a, b, c = sizes = 10.0 ** rng.uniform(-1.5, 0.3) * rng.uniform(0.1, 1.0, 3)
+    least = 0.7 if nearly_round else 0.1
+    a, b, c = sizes = 10.0 ** rng.uniform(-1.5, 0.3) * rng.uniform(least, 1.0, 3)
     kind = rng.integers(6)
     if kind == 0:
         return Sphere(a), lambda n: a * np.linalg.norm(n, axis=1)
@@ -63,6 +64,14 @@ def measured(first, second):
     return distance, points
 
 
+def gap(n, shapes, poses):
+    """The gaps between the shadows of two shapes on lines along n (m, 3)."""
+    (_, first), (_, second) = shapes
+    one, other = (n @ X.rotation().matrix() for X in poses)
+    far = n @ (poses[1].translation() - poses[0].translation())
+    return far - first(one) - second(-other)
+
+
 def test_no_direction_separates_better(tmp_path: Path) -> None:
     """A signed distance is the largest gap between the shadows on a line."""
     rng = np.random.default_rng(int(os.environ.get("FFSM_SEED", "3")))
@@ -71,18 +80,23 @@ def test_no_direction_separates_better(tmp_path: Path) -> None:
         turns = [RotationMatrix() if rng.random() < 0.3 else rotation(rng) for _ in shapes]
         poses = [RigidTransform(R, rng.normal(size=3) * 10 ** rng.uniform(-2, 0.5)) for R in turns]
 
-        def gap(n, shapes=shapes, poses=poses):
-            (_, first), (_, second) = shapes
-            one, other = (n @ X.rotation().matrix() for X in poses)
-            far = n @ (poses[1].translation() - poses[0].translation())
-            return far - first(one) - second(-other)
-
         distance, points = measured(*((s, X) for (s, _), X in zip(shapes, poses, strict=True)))
         away = (points[1] - points[0]) / distance
-        assert gap(away[None])[0] == pytest.approx(distance, abs=1e-4)
+        assert gap(away[None], shapes, poses)[0] == pytest.approx(distance, abs=SINGLE)
         n = np.vstack([away, away + 0.01 * rng.normal(size=(200, 3)), rng.normal(size=(800, 3))])
-        best = gap(n / np.linalg.norm(n, axis=1)[:, None]).max()
+        best = gap(n / np.linalg.norm(n, axis=1)[:, None], shapes, poses).max()
         assert best <= distance + SINGLE, (shapes, distance, best)
+
+
+def test_depths_of_round_solids_about_one_centre(tmp_path: Path) -> None:
+    """Any direction is nearly the best: a depth is at most 1 % too small, and never too large."""
+    rng = np.random.default_rng(int(os.environ.get("FFSM_SEED", "3")))
+    for k in range(DRAWS):
+        shapes = [draw(rng, tmp_path / f"{k}_{i}.obj", nearly_round=True) for i in range(2)]
+        poses = [RigidTransform(rotation(rng), 0.002 * rng.normal(size=3)) for _ in shapes]
+        distance, points = measured(*((s, X) for (s, _), X in zip(shapes, poses, strict=True)))
+        least = gap((points[1:] - points[:1]) / distance, shapes, poses)[0]
+        assert -SINGLE <= distance - least <= 0.01 * abs(distance) + SINGLE
 
 
 def test_capsules_whose_axes_meet(tmp_path: Path) -> None:
