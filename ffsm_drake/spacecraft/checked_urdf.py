@@ -91,19 +91,6 @@ class Faults(list[str]):
         require(not told, "".join(told))
 
 
-def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
-    """The root element, and the comments before it (licences).
-
-    Raises ModelError: not a URDF, or one with unusable names or numbers; it names link or joint,
-    element and attribute.
-    """
-    root, text = read_xml(path, what)
-    is_xacro = any("xacro" in element.tag for element in root.iter())
-    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
-    check(root)
-    return root, header_of(text)
-
-
 def header_of(text: str) -> str:
     """The comments before a root element."""
     before = re.match(r"(?:\s|\ufeff|<\?.*?\?>|<!--.*?-->)*", text, re.DOTALL)

@@ -1,12 +1,18 @@
 """Inertia matrices: as Drake's types, and how two of them compare."""
 
+import math
+from xml.etree.ElementTree import Element
+
 import numpy as np
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
+
+from ffsm_drake.spacecraft.checked_urdf import number, require
 
 # Indices of Ixx, Iyy, Izz, Ixy, Ixz, Iyz in a matrix.
 SIX = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 ROUNDING = 1e-9  # relative; an excess of the largest principal moment below it is no fault
 _EXACT = 1e-15  # relative; below the tolerance of Drake
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def without_rounding(matrix: np.ndarray) -> np.ndarray:
@@ -18,6 +24,59 @@ def without_rounding(matrix: np.ndarray) -> np.ndarray:
     if _EXACT < excess / max(moments[2], 1e-300) <= ROUNDING:
         matrix = matrix + excess * np.outer(axes[:, 0], axes[:, 0])
     return matrix
+
+
+def mended_moments(inertia: Element, place: str) -> dict[str, str]:
+    """Moments of an <inertia> that change when their rounding is removed (``without_rounding``)."""
+    given, matrix = [number(inertia, key, place, "0") for key in MOMENTS], np.zeros((3, 3))
+    matrix[SIX] = matrix.T[SIX] = given
+    if not np.isfinite(matrix).all():
+        return {}
+    mended = without_rounding(matrix)[SIX].tolist()
+    moments = zip(MOMENTS, given, mended, strict=True)
+    return {key: repr(value) for key, old, value in moments if value != old}
+
+
+def mend(root: Element) -> bool:
+    """Remove the rounding from the inertias of a URDF; whether there was any."""
+    found = False
+    for link in root.findall("link"):
+        for inertia in link.findall("inertial/inertia"):
+            moments = mended_moments(inertia, f"link '{link.get('name', '')}'")
+            inertia.attrib |= moments
+            found |= bool(moments)
+    return found
+
+
+def read_inertia(link: Element) -> np.ndarray:
+    """Inertia matrix (3, 3) of a link about its centre of mass, kg m^2; zero without <inertia>."""
+    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+    inertia = link.find("inertial/inertia")
+    if inertia is None:
+        return np.zeros((3, 3))
+    place = f"link '{link.get('name', '')}'"
+    return np.array([[number(inertia, key, place, "0") for key in row] for row in rows])
+
+
+def read_mass(link: Element) -> float:
+    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a non-physical inertia."""
+    place = f"link '{link.get('name', '')}'"
+    mass_element, matrix = link.find("inertial/mass"), read_inertia(link)
+    mass = 0.0 if mass_element is None else number(mass_element, "value", place)
+    require(0.0 <= mass < math.inf, f"{place}: mass {mass:g} kg must be positive")
+    require(np.isfinite(matrix).all(), f"{place}: its inertia must be finite")
+    require(
+        mass or not matrix.any(),
+        f"{place}: has inertia but no mass; give it both, or remove its <inertial>",
+    )
+    principal = np.linalg.eigvalsh(matrix)
+    require(
+        principal[0] + principal[1] >= principal[2] * (1.0 - ROUNDING),
+        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg "
+        "m^2; they must be positive, and the largest at most the sum of the others: correct its "
+        "<inertia>",
+    )
+    return mass
 
 
 def rotational_inertia(matrix: np.ndarray) -> RotationalInertia:

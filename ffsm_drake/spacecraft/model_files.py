@@ -2,15 +2,26 @@
 and abort on some numbers of a URDF.
 """
 
+import contextlib
 import re
-from collections.abc import Iterator, Mapping
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.spacecraft.checked_urdf import check_directives, check_poses, parse
+from ffsm_drake.spacecraft.checked_urdf import (
+    DRAKE,
+    Faults,
+    check,
+    check_directives,
+    check_poses,
+    read_xml,
+    require,
+)
+from ffsm_drake.spacecraft.inertia import mend, read_mass
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
@@ -40,7 +51,7 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
       ModelError: one of them is a device, a FIFO, a folder, too large, or an unusable URDF;
         directives or an SDF with other than UTF-8 text, or places that cannot be used.
     """
-    first = next(_resolved(address, Path(), packages), None)
+    first = next(resolved(address, Path(), packages), None)
     try:
         if first is None or not first.exists():
             return ()
@@ -60,7 +71,7 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
         try:
             check_regular(path, limit=_MAX_SIZE)
             if path.suffix.lower() == ".urdf":
-                parse(path)
+                _parsed(path)
             if path.suffix.lower() in _TEXTS:
                 checks = _PLACES.get(path.suffix.lower())
                 with path.open(encoding="utf-8", errors="strict" if checks else "replace") as file:
@@ -69,7 +80,7 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
                     checks(text)
                 for found in _NAMES.finditer(text):
                     name = next(filter(None, found.groups()), "")
-                    further = _resolved(name, path.parent, packages)
+                    further = resolved(name, path.parent, packages)
                     pending += [other for other in further if other not in pending]
         except FileNotFoundError:
             continue
@@ -82,7 +93,50 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
     return "", tuple(pending)
 
 
-def _resolved(name: str, folder: Path, packages: Mapping[str, str]) -> Iterator[Path]:
+@contextlib.contextmanager
+def mended(files: Iterable[Path]) -> Iterator[dict[Path, Path]]:
+    """Copies of the URDFs whose inertias hold rounding that Drake refuses, without it."""
+    texts = {file: _mended(file) for file in files if file.suffix.lower() == ".urdf"}
+    with contextlib.ExitStack() as stack:
+        copies = dict[Path, Path]()
+        for file, text in texts.items():
+            if text:
+                folder = stack.enter_context(tempfile.TemporaryDirectory())
+                copies[file] = Path(folder, file.name)
+                copies[file].write_text(text, encoding="utf-8")
+        yield copies
+
+
+@memoized(maxsize=64)
+def _mended(file: Path) -> str:
+    """The text of a URDF without the rounding of its inertias; "" if there is none."""
+    root = _parsed(file)
+    if not mend(root):
+        return ""
+    for element in root.iter():
+        if "://" not in (name := element.get("filename", "://")):
+            element.set("filename", str((file.parent / name).absolute()))
+    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _parsed(path: Path) -> ElementTree.Element:
+    """The root element of a URDF. Raises ModelError: it is none, or its names, numbers or inertias
+    cannot be used; it names link or joint, element and attribute.
+    """
+    root, _ = read_xml(path, "the URDF of base and arm")
+    is_xacro = any("xacro" in element.tag for element in root.iter())
+    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+    check(root)
+    faults = Faults()
+    for link in root.findall("link"):
+        with faults:
+            read_mass(link)
+    faults.raise_all()
+    return root
+
+
+def resolved(name: str, folder: Path, packages: Mapping[str, str]) -> Iterator[Path]:
     """The path of a file that is named in a file of ``folder``, if it has one."""
     scheme, separator, rest = name.rpartition("://")
     if not separator and not name.startswith("data:"):

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
-from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.parsing import (
+    FlattenModelDirectives,
+    LoadModelDirectives,
+    PackageMap,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
@@ -29,7 +35,7 @@ from ffsm_drake.spacecraft.coordinates import (
     StateSplit,
     joints_of,
 )
-from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
+from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of, mended, resolved
 
 # C++ exceptions as they arrive in Python; a violated condition arrives as SystemExit.
 DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)
@@ -321,17 +327,35 @@ def _add_models(
     files = files_of(file, place, packages)
     if (trial := optional(SERVICES, "model_trial")) is not None:
         trial(file, place, files, packages)
-    try:
-        instances: list[ModelInstanceIndex] = (
-            parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
-        )
-    except DRAKE_ERRORS as error:
-        # Drake's text begins with the file and line.
-        cause = cause_of(error)
-        raise ModelError(
-            place + (cause.removeprefix(file) if cause.startswith(f"{file}:") else f": {cause}")
-        ) from error
-    return instances
+    with mended(files) as copies:
+        try:
+            return _added(parser, file, packages, copies)
+        except DRAKE_ERRORS as error:
+            # Drake's text begins with the file and line.
+            cause = cause_of(error)
+            for original, copied in copies.items():
+                cause = cause.replace(str(copied), str(original))
+            cause = cause.removeprefix(file) if cause.startswith(f"{file}:") else f": {cause}"
+            raise ModelError(place + cause) from error
+
+
+def _added(
+    parser: Parser, file: str, packages: Mapping[str, str], copies: Mapping[Path, Path]
+) -> list[ModelInstanceIndex]:
+    """Add the models of a file, with copies in place of some files."""
+    found: list[ModelInstanceIndex]
+    path = next(resolved(file, Path(), packages), Path(file))
+    if not copies or path in copies:
+        file = str(copies.get(path, file))
+        found = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+        return found
+    flat = FlattenModelDirectives(LoadModelDirectives(str(path)), parser.package_map())
+    for each in flat.directives:
+        if each.add_model is not None:
+            model = next(resolved(each.add_model.file, path.parent, packages), path)
+            if model in copies:
+                each.add_model.file = f"file://{copies[model]}"
+    return [info.model_instance for info in ProcessModelDirectives(flat, parser)]
 
 
 def base_body(plant: MultibodyPlant) -> RigidBody:

@@ -14,10 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
-from ffsm_drake.plugins.new.urdf.elements import MOMENTS
 from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
 from ffsm_drake.scenario import Model
-from ffsm_drake.spacecraft.inertia import SIX
+from ffsm_drake.spacecraft.inertia import MOMENTS, SIX
 from ffsm_drake.spacecraft.limits import urdf_limits
 from ffsm_drake.spacecraft.plant import make_plant
 

@@ -7,15 +7,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ffsm_drake.plugins.new.urdf.elements import (
-    end_of,
-    name_of,
-    read_inertia,
-    read_joint,
-    read_mass,
-    vector,
-)
+from ffsm_drake.plugins.new.urdf.elements import end_of, name_of, read_joint, vector
 from ffsm_drake.spacecraft.clearance import INVENTED, UNMEASURED
+from ffsm_drake.spacecraft.inertia import read_inertia, read_mass
 
 _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": "0.48 0.50 0.54 1"}
 

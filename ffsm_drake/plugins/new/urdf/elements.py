@@ -8,11 +8,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ffsm_drake.spacecraft.checked_urdf import number, read_limits, require
-from ffsm_drake.spacecraft.inertia import ROUNDING, SIX, without_rounding
+from ffsm_drake.spacecraft.checked_urdf import read_limits, require
 
 WORLD = "world"
-MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _MOVING = ("revolute", "continuous", "prismatic")
 _TURN, _STROKE = 2.2, 0.5  # rad, m, from the resting position at most; m: without limits
 
@@ -64,7 +62,7 @@ class Joint:
 
 
 def name_of(element: Element) -> str:
-    """The name of a link, joint or frame, which ``parse`` found good."""
+    """The name of a link, joint or frame, which ``check`` found good."""
     return element.get("name", "")
 
 
@@ -142,45 +140,3 @@ def check_kind(joint: Joint) -> None:
         f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace "
         "several degrees of freedom by single joints, with links without <inertial> between them",
     )
-
-
-def read_inertia(link: Element) -> np.ndarray:
-    """Inertia matrix (3, 3) of a link about its centre of mass, kg m^2; zero without <inertia>."""
-    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-    inertia = link.find("inertial/inertia")
-    if inertia is None:
-        return np.zeros((3, 3))
-    place = f"link '{name_of(link)}'"
-    return np.array([[number(inertia, key, place, "0") for key in row] for row in rows])
-
-
-def mended_moments(inertia: Element, place: str) -> dict[str, str]:
-    """Moments of an <inertia> that change when their rounding is removed (``without_rounding``)."""
-    given, matrix = [number(inertia, key, place, "0") for key in MOMENTS], np.zeros((3, 3))
-    matrix[SIX] = matrix.T[SIX] = given
-    if not np.isfinite(matrix).all():
-        return {}
-    mended = without_rounding(matrix)[SIX].tolist()
-    moments = zip(MOMENTS, given, mended, strict=True)
-    return {key: repr(value) for key, old, value in moments if value != old}
-
-
-def read_mass(link: Element) -> float:
-    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a non-physical inertia."""
-    place = f"link '{name_of(link)}'"
-    mass_element, matrix = link.find("inertial/mass"), read_inertia(link)
-    mass = 0.0 if mass_element is None else number(mass_element, "value", place)
-    require(0.0 <= mass < math.inf, f"{place}: mass {mass:g} kg must be positive")
-    require(np.isfinite(matrix).all(), f"{place}: its inertia must be finite")
-    require(
-        mass or not matrix.any(),
-        f"{place}: has inertia but no mass; give it both, or remove its <inertial>",
-    )
-    principal = np.linalg.eigvalsh(matrix)
-    require(
-        principal[0] + principal[1] >= principal[2] * (1.0 - ROUNDING),
-        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg "
-        "m^2; they must be positive, and the largest at most the sum of the others: correct its "
-        "<inertia>",
-    )
-    return mass

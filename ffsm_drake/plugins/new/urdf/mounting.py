@@ -6,9 +6,10 @@ import math
 from xml.etree.ElementTree import Element, SubElement
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, read_mass, vector
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, vector
 from ffsm_drake.plugins.new.urdf.simplifying import free_base
 from ffsm_drake.spacecraft.checked_urdf import require
+from ffsm_drake.spacecraft.inertia import read_mass
 
 DENSITY = 50.0  # kg/m^3, of a bus without a given size; that of the shipped servicer
 _NAME, _MOUNT = "bus", "bus_mount"

@@ -16,9 +16,7 @@ from ffsm_drake.plugins.new.urdf.elements import (
     Joint,
     check_kind,
     name_of,
-    read_inertia,
     read_joint,
-    read_mass,
     vector,
 )
 from ffsm_drake.plugins.new.urdf.formats import read_model
@@ -26,6 +24,7 @@ from ffsm_drake.plugins.new.urdf.mounting import Bus, mount
 from ffsm_drake.plugins.new.urdf.simplifying import fix_followers, free_base, vague_limits
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, Faults, number, require
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
+from ffsm_drake.spacecraft.inertia import read_inertia, read_mass
 
 _RESERVED = ("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION)
 

@@ -10,16 +10,9 @@ import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from ffsm_drake.plugins.new.urdf.elements import (
-    WORLD,
-    end_of,
-    listed,
-    name_of,
-    read_joint,
-    read_mass,
-    vector,
-)
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, listed, name_of, read_joint, vector
 from ffsm_drake.spacecraft.checked_urdf import number, require
+from ffsm_drake.spacecraft.inertia import read_mass
 
 _BASES = {  # kinds of the joints between the world and a base -> kind of base
     ("floating",): "free",

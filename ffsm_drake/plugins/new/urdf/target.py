@@ -11,19 +11,12 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.design.rounding import rounded
-from ffsm_drake.plugins.new.urdf.elements import (
-    end_of,
-    listed,
-    name_of,
-    read_inertia,
-    read_mass,
-    vector,
-)
+from ffsm_drake.plugins.new.urdf.elements import end_of, listed, name_of, vector
 from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.formats.building import add_link, add_visual, text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.checked_urdf import Faults, require
-from ffsm_drake.spacecraft.inertia import SIX, without_rounding
+from ffsm_drake.spacecraft.inertia import SIX, read_inertia, read_mass, without_rounding
 
 GRASP, SECOND = "grasp", "grasp_2"
 # A frame where a target is held, by the suffix of its file: a URDF's, and others.

@@ -11,9 +11,9 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from ffsm_drake.plugins.new.apart import answer
-from ffsm_drake.plugins.new.urdf.elements import mended_moments, name_of
 from ffsm_drake.plugins.new.urdf.formats.converting import check_depth
 from ffsm_drake.spacecraft.checked_urdf import check, header_of, read_xml, require
+from ffsm_drake.spacecraft.inertia import mend
 from ffsm_drake.spacecraft.model_files import files_of
 
 __all__ = ["read_model"]
@@ -58,7 +58,5 @@ def read_model(
         )  # fmt: skip
         root, remarks = ElementTree.fromstring(found["urdf"]), found["remarks"]
     check(root)
-    for link in root.findall("link"):
-        for inertia in link.findall("inertial/inertia"):
-            inertia.attrib |= mended_moments(inertia, f"link '{name_of(link)}'")
+    mend(root)
     return root, header_of(text), remarks

@@ -17,14 +17,7 @@ from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from ffsm_drake.common.errors import one_line
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.plugins.new.urdf.elements import (
-    MOMENTS,
-    WORLD,
-    listed,
-    mended_moments,
-    name_of,
-    read_mass,
-)
+from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
     add_link,
@@ -40,6 +33,7 @@ from ffsm_drake.plugins.new.urdf.formats.located import (
 )
 from ffsm_drake.plugins.new.urdf.formats.pictures import Pictures
 from ffsm_drake.spacecraft.checked_urdf import Faults, number, require
+from ffsm_drake.spacecraft.inertia import MOMENTS, mended_moments, read_mass
 
 # Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
 _PASSED_OVER = (
