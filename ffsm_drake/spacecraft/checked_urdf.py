@@ -24,6 +24,7 @@ MAX_SHAPES = 5_000
 _MAX_NAME = 200  # characters
 # strtod's decimal numbers, as Drake reads them; Python's float reads more
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)", re.ASCII)
+_DECLARED = re.compile(r"""\ufeff?\s*<\?xml\s[^>]*?\bencoding\s*=\s*(["'])(.*?)\1""", re.DOTALL)
 _NAMED = ("link", "joint", "frame", f"{DRAKE}joint")
 
 
@@ -103,13 +104,9 @@ def read_xml(path: Path, what: str) -> tuple[Element, str]:
     try:
         check_regular(path, limit=MAX_URDF)
         content = path.read_bytes()
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise ModelError(f"line {line}: is not UTF-8 text; save it as UTF-8") from error
     except OSError as error:
         raise ModelError(f"cannot be read: {one_line(error)}") from error
-    # read with Drake's encoding, regardless of the declared one
+    text = decoded(content)
     require("<!DOCTYPE" not in text, "has a <!DOCTYPE ...>, not allowed in a URDF; remove it")
     try:
         parser = ElementTree.XMLParser(encoding="utf-8")
@@ -117,6 +114,24 @@ def read_xml(path: Path, what: str) -> tuple[Element, str]:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ModelError(f"is not valid XML: {one_line(error)}") from error
     return root, text
+
+
+def decoded(content: bytes) -> str:
+    """The text of a file in UTF-8, as which Drake reads any. Raises ModelError: it is none, or the
+    encoding that it declares gives another text.
+    """
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise ModelError(f"line {line}: is not UTF-8 text; save it as UTF-8") from error
+    if found := _DECLARED.match(text):
+        try:
+            is_same = content.decode(found[2]) == text
+        except (LookupError, ValueError):
+            is_same = False
+        require(is_same, f"declares the encoding '{found[2][:40]}'; save it as UTF-8")
+    return text
 
 
 def number(element: Element, attribute: str, place: str, default: str = "") -> float:

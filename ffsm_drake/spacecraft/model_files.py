@@ -18,6 +18,7 @@ from ffsm_drake.spacecraft.checked_urdf import (
     check,
     check_directives,
     check_poses,
+    decoded,
     read_xml,
     require,
 )
@@ -25,7 +26,9 @@ from ffsm_drake.spacecraft.inertia import mend, read_mass
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
-_PLACES = {".yaml": check_directives, ".yml": check_directives, ".sdf": check_poses}
+_PLACES = {  # texts that must be UTF-8, and what else is checked
+    ".yaml": check_directives, ".yml": check_directives, ".sdf": check_poses, ".xml": str,
+}  # fmt: skip
 _MAX_SIZE = 500_000_000  # bytes
 _MAX_READ = 5_000_000  # characters searched for names of further files
 # A file name in XML, JSON or YAML, or at the end of a line of a Wavefront file.
@@ -70,15 +73,16 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
     for path in pending:  # grows during the loop
         try:
             check_regular(path, limit=_MAX_SIZE)
-            if path.suffix.lower() == ".urdf":
+            if path.suffix.lower() in (".urdf", ".xacro"):
                 _parsed(path)
             if path.suffix.lower() in _TEXTS:
-                checks = _PLACES.get(path.suffix.lower())
-                with path.open(encoding="utf-8", errors="strict" if checks else "replace") as file:
-                    text = file.read(_MAX_READ)
-                if checks:
-                    checks(text)
-                for found in _NAMES.finditer(text):
+                if path.suffix.lower() in _PLACES:
+                    text = decoded(path.read_bytes())
+                    _PLACES[path.suffix.lower()](text)
+                else:
+                    with path.open(encoding="utf-8", errors="replace") as file:
+                        text = file.read(_MAX_READ)
+                for found in _NAMES.finditer(text[:_MAX_READ]):
                     name = next(filter(None, found.groups()), "")
                     further = resolved(name, path.parent, packages)
                     pending += [other for other in further if other not in pending]
@@ -86,8 +90,6 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
             continue
         except (ModelError, OSError, ValueError) as error:
             named = "" if path == pending[0] else f"{path}: "
-            if isinstance(error, UnicodeDecodeError):
-                return f"{named}is not UTF-8 text; save it as UTF-8", ()
             remedy = "" if isinstance(error, ModelError) else "; give a file"
             return f"{named}{one_line(error)}{remedy}", ()
     return "", tuple(pending)
@@ -126,7 +128,7 @@ def _parsed(path: Path) -> ElementTree.Element:
     """
     root, _ = read_xml(path, "the URDF of base and arm")
     is_xacro = any("xacro" in element.tag for element in root.iter())
-    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+    require(not is_xacro, f"is a xacro file; convert it: ffsm new NAME --model {path.name}")
     check(root)
     faults = Faults()
     for link in root.findall("link"):

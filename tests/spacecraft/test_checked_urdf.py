@@ -73,6 +73,27 @@ def test_other_encodings(load, word, encoding):
             load(each.encode(encoding))
 
 
+@pytest.mark.parametrize("word", ["cafe", "café"])
+@pytest.mark.parametrize(
+    ("encoding", "right"),
+    [
+        ("utf-8", ("cafe", "café")), ("UTF8", ("cafe", "café")), ("us-ascii", ("cafe",)),
+        ("ISO-8859-1", ("cafe",)), ("windows-1252", ("cafe",)), ("utf-16", ()), ("IBM037", ()),
+        ("nosuch", ()), ("hex", ()), ("", ()),
+    ],
+)  # fmt: skip
+def test_declared_encodings(load, encoding, right, word):
+    """Files are read as UTF-8: refused is what means another text."""
+    text = GOOD.replace('version="1.0"', f"version='1.0' encoding='{encoding}'")
+    text = text.replace("<robot", f"<!-- {word} --><robot", 1)
+    assert encoding in text
+    if word in right:
+        load(text)
+    else:
+        with pytest.raises(ModelError, match=rf"servicer\.urdf: declares .* '{encoding}'; save it"):
+            load(text)
+
+
 @pytest.mark.parametrize("side", ["1e300", "1e-300", "0", "-1"])
 def test_boxes_that_no_distance_can_be_measured_to(load, side):
     text = re.sub(r'<box size="[^"]*"', f'<box size="1 {side} 1"', GOOD)
@@ -120,7 +141,7 @@ def test_encodings_of_directives(tmp_path):
     file = tmp_path / "m.dmd.yaml"
     file.write_bytes(DIRECTIVES.encode() + "# café\n".encode("latin-1"))
     model = load_scenario("postcapture", [f"model.directives={file}"]).model
-    with pytest.raises(ModelError, match=r"m\.dmd\.yaml: is not UTF-8 text"):
+    with pytest.raises(ModelError, match=r"m\.dmd\.yaml: line \d+: is not UTF-8 text"):
         make_plant(model)
     file.write_text(DIRECTIVES + "# café\n")
     make_plant(model)

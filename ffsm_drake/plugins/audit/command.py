@@ -12,7 +12,14 @@ _file = click.Path(path_type=Path, dir_okay=False)
 
 @click.command()
 @click.argument("log", type=_file)
-@click.option("--urdf", type=_file, required=True, help="The model; or model directives.")
+@click.option(
+    "--urdf",
+    "--model",
+    "urdf",
+    type=_file,
+    required=True,
+    help="The model: URDF, MJCF, SDFormat or model directives.",
+)
 @click.option(
     "--column",
     "columns",

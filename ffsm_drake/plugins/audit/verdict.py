@@ -6,13 +6,17 @@ integrals of the logged forces. The residual is compared with the tolerance, and
 bound from sampling and digits; beyond both, the mistake that explains the residual is named.
 """
 
+import tempfile
 import warnings
 from pathlib import Path
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.common.errors import RecordError
+from ffsm_drake.common.errors import ModelError, RecordError
+from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.audit.checks import Audit, Check, fault, undecided
 from ffsm_drake.plugins.audit.dynamics import Dynamics
 from ffsm_drake.plugins.audit.efforts import check_efforts
@@ -26,6 +30,7 @@ from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import base_body, make_plant
 
 TOLERANCE = 1e-3  # largest residual, as a share of the motion or of the exchanged momentum
+_DIRECT = (".urdf", ".xacro", ".yaml", ".yml")  # the others are converted
 _EVEN = 0.8  # least share of equal periods in an evenly sampled log
 _FARTHEST = 2.8  # rad between samples, nearly half a turn
 _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
@@ -43,9 +48,10 @@ def audit(
     columns: dict[str, str] | None = None,
     tolerance: float = TOLERANCE,
 ) -> Audit:
-    """Check a log (``read_log``) against a URDF with one free base, or model directives.
+    """Check a log (``read_log``) against a model with one free base.
 
     Args:
+      urdf: the file of the model: URDF, MJCF, SDFormat or model directives.
       columns: other names of columns; see ``read_log``.
       tolerance: largest residual, as a share: of a displacement, of the momentum exchanged by the
         bodies, and of a joint's momentum.
@@ -53,8 +59,7 @@ def audit(
     Raises:
       ModelError, RecordError: a file cannot be used.
     """
-    model = Model(directives=str(urdf), end_effector="WorldModelInstance::world")
-    plant = make_plant(model, jointless=True)
+    plant = _plant(urdf)
     dynamics = Dynamics(plant)
     read = read_log(log, dynamics.names, base=base_body(plant).name(), columns=columns)
     try:
@@ -64,6 +69,23 @@ def audit(
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         said = "its numbers are too large or too small to be computed with"
         raise RecordError(f"{log}: {said}: {error}") from error
+
+
+def _plant(file: Path) -> MultibodyPlant:
+    with tempfile.TemporaryDirectory() as folder:
+        given = file
+        if file.suffix.lower() not in _DIRECT:
+            given = Path(folder, f"{file.stem}.urdf")
+            try:
+                write_text(given, service("model_as_urdf", "--urdf")(file))
+            except ModelError as error:
+                raise ModelError(f"{file}: {error}") from None
+        try:
+            model = Model(directives=str(given), end_effector="WorldModelInstance::world")
+            return make_plant(model, jointless=True)
+        except ModelError as error:
+            told = str(error).replace(str(given), str(file))
+            raise ModelError(told.removeprefix("model.directives: ")) from None
 
 
 def _checks(log: Log, dynamics: Dynamics, tolerance: float) -> list[Check]:

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.common.errors import RecordError
+from ffsm_drake.common.errors import ModelError, RecordError
 from ffsm_drake.plugins.audit.dynamics import Dynamics
 from ffsm_drake.plugins.audit.reading import read_log
 from ffsm_drake.plugins.audit.verdict import audit
@@ -37,6 +37,14 @@ QUATERNION = [f"base_quaternion_{x}" for x in "wxyz"]
 PERIOD = 0.01
 
 
+def craft():
+    """The shipped servicer in MuJoCo, free."""
+    spec = mujoco.MjSpec.from_file(str(URDF))
+    spec.compiler.fusestatic = False
+    spec.body("base").add_freejoint()
+    return spec
+
+
 def mujoco_log(
     *,
     gravity=(0.0, 0.0, 0.0),
@@ -47,9 +55,7 @@ def mujoco_log(
     integrator=mujoco.mjtIntegrator.mjINT_RK4,
 ):
     """The shipped servicer, its arm swung by torques for 5 s: columns by name."""
-    spec = mujoco.MjSpec.from_file(str(URDF))
-    spec.compiler.fusestatic = False
-    spec.body("base").add_freejoint()
+    spec = craft()
     spec.body("link_3").mass *= heavy
     spec.body("link_3").inertia *= heavy
     spec.option.gravity, spec.option.timestep = gravity, step
@@ -99,6 +105,19 @@ def test_a_log_of_mujoco_is_physics(true_log, tmp_path):
     assert statement(found, "base velocity").startswith("in world axes")
     assert "conserved within" in statement(found, "momentum")
     assert "follows the work" in statement(found, "energy")
+
+
+def test_models_of_mujoco_are_read_as_new_reads_them(true_log, tmp_path):
+    """With its sites and armature, which Drake's own parser refuses or drops."""
+    log, spec = write(tmp_path / "log.csv", true_log), craft()
+    spec.body("link_5").add_site(name="tool")
+    for armature in (0.0, 2.0):
+        spec.joint("joint_2").armature = armature
+        (tmp_path / "craft.xml").write_text(spec.to_xml())
+        assert audit(log, tmp_path / "craft.xml").is_physics == (armature == 0.0)
+    (tmp_path / "craft.xacro").write_text('<robot xmlns:xacro="x"><xacro:no/></robot>')
+    with pytest.raises(ModelError, match=r"craft\.xacro: is a xacro file; convert it: ffsm new"):
+        audit(log, tmp_path / "craft.xacro")
 
 
 def pinocchio_log(pin):

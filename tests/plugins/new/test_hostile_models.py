@@ -226,6 +226,17 @@ def test_faults_of_sdformat_are_told_with_their_lines(old, new, told, tmp_path):
     assert told.format(line=line) in str(error.value), error.value
 
 
+@pytest.mark.parametrize(("name", "text"), [("a.xml", MJCF), ("a.sdf", SDF), ("a.urdf", urdf())])
+def test_declared_encodings(name, text, tmp_path):
+    file = tmp_path / name
+    file.write_text(f'<?xml version="1.0" encoding="nosuch"?>{text.partition('?>')[2] or text}')
+    with pytest.raises(ModelError, match="declares the encoding 'nosuch'; save it as UTF-8"):
+        read_urdf(file)
+    given = {"servicer": str(file), "debris": "package://ffsm_drake/urdf/debris.urdf"}
+    with pytest.raises(ModelError, match="declares the encoding 'nosuch'; save it as UTF-8"):
+        make_plant(Model(**given, end_effector="servicer::l3", grasp="debris::grasp"))
+
+
 def test_joints_that_follow_each_other(tmp_path):
     loop = '<equality><joint joint1="j0" joint2="j1"/><joint joint1="j1" joint2="j0"/></equality>'
     (tmp_path / "a.xml").write_text(MJCF.replace("<equality>", f"{loop}<equality>"))

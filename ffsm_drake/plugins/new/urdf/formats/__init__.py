@@ -11,12 +11,13 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from ffsm_drake.plugins.new.apart import answer
+from ffsm_drake.plugins.new.urdf.formats.building import without_pictures
 from ffsm_drake.plugins.new.urdf.formats.converting import check_depth
 from ffsm_drake.spacecraft.checked_urdf import check, header_of, read_xml, require
 from ffsm_drake.spacecraft.inertia import mend
 from ffsm_drake.spacecraft.model_files import files_of
 
-__all__ = ["read_model"]
+__all__ = ["as_urdf", "read_model"]
 
 _XACRO = re.compile(r"\bxmlns:xacro\s*=")
 
@@ -60,3 +61,14 @@ def read_model(
     check(root)
     mend(root)
     return root, header_of(text), remarks
+
+
+def as_urdf(path: Path) -> str:
+    """The text of a model file's URDF, without pictures and the joints' friction, for its dynamics
+    alone. Raises ModelError.
+    """
+    root, _, _ = read_model(path, "a model", {}, {})
+    for joint in root.findall("joint"):
+        for dynamics in joint.findall("dynamics"):
+            joint.remove(dynamics)
+    return without_pictures(root)

@@ -1,6 +1,7 @@
 """A URDF put together from bodies and joints."""
 
 from collections.abc import Mapping
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -117,3 +118,12 @@ def keep_servicer(root: Element) -> list[str]:
             if name in joints:
                 root.remove(joints[name])
     return list(lone)
+
+
+def without_pictures(root: Element) -> str:
+    """The text of a URDF, whose visuals are removed."""
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
+    return ElementTree.tostring(root, encoding="unicode")

@@ -22,8 +22,9 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.plugins.new.urdf.elements import listed, name_of
+from ffsm_drake.plugins.new.urdf.formats.building import without_pictures
 from ffsm_drake.plugins.new.urdf.formats.converting import convert
-from ffsm_drake.spacecraft.checked_urdf import DRAKE, number, read_limits
+from ffsm_drake.spacecraft.checked_urdf import number, read_limits
 
 _TOLERANCE = 1e-9  # relative, of numbers that two readers compute
 
@@ -64,16 +65,13 @@ def _check(model: Path, packages: Mapping[str, str]) -> None:
     except ModelError as error:
         raise ModelError(f"{model.name}: {error}") from error
     root = ElementTree.fromstring(found["urdf"])
-    for link in root.findall("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
-    urdf = ElementTree.tostring(root, encoding="unicode")
+    urdf = without_pictures(root)
     ours = _plant(packages, lambda parser: parser.AddModelsFromString(urdf, "urdf"))
     try:
         theirs = _plant(packages, lambda parser: parser.AddModels(str(model)), strict=True)
     except (RuntimeError, ValueError, SystemExit) as error:
-        told = re.sub(rf"/?{re.escape(str(model))}:(\d+): error: ", r"line \1: ", one_line(error))
+        place = re.escape(str(model.absolute()))
+        told = re.sub(rf"{place}:(\d+): error: ", r"line \1: ", one_line(error))
         raise ModelError(f"{model.name}: Drake's parser refuses it ({told}){remedy}") from error
     for difference in _differences(root, ours, theirs):
         raise ModelError(f"{model.name}: Drake's parser reads {difference}{remedy}")

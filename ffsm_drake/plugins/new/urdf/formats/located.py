@@ -9,6 +9,7 @@ from xml.parsers import expat
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.spacecraft.checked_urdf import decoded
 
 Lines = Mapping[Element, int]
 _COUNTS = {  # element of SDFormat -> how many numbers its text holds
@@ -34,7 +35,7 @@ def read_located(path: Path) -> tuple[Element, Lines]:
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: builder.end(_spaced(tag))
     parser.CharacterDataHandler = builder.data
-    parser.Parse(path.read_bytes(), True)
+    parser.Parse(decoded(path.read_bytes()), True)
     return builder.close(), lines
 
 
