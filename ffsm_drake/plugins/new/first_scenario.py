@@ -39,6 +39,7 @@ from ffsm_drake.plugins.new.urdf import (
     read_urdf,
     write_urdf,
 )
+from ffsm_drake.plugins.new.urdf.elements import listed
 from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, write_yaml
 from ffsm_drake.spacecraft.plant import check_pictures
 
@@ -98,6 +99,7 @@ class NewScenario:
             "joints": [{key: getattr(joint, key) for key in joint_keys} for joint in found.joints],
             "tip": found.tip.frame,
             "second_tip": None if found.second is None else found.second.frame,
+            "other_frames": found.other_frames,
             "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
             "duration": self.scenario.reference.duration,
             "peak_force": dict(self.peak_force),
@@ -125,6 +127,9 @@ class NewScenario:
                 other = f"            or {tip.frame}, {length}: --tip {tip.frame}"
                 held = tip in (found.tip, found.second)
                 lines.append(f"tip         {tip.frame}, {length}" if held else other)
+        told = {tip.frame for tip in (found.second, *found.other_tips) if tip is not None}
+        if others := [frame for frame in found.other_frames if frame not in told]:
+            lines.append(f"            or {listed(others)}: --tip NAME")
         width = max(28, *(len(joint.name) + 2 for joint in found.joints))
         lines += ["", f"{'joint':<{width}}{'kind':<12}{'limits':>24}{'peak force':>14}"]
         for joint in found.joints:

@@ -104,8 +104,12 @@ FORK = """<mujoco><worldbody><body name="bus"><freejoint/>
 def test_frames_that_could_hold_the_target_in_place_of_the_tip(tmp_path):
     (tmp_path / "fork.xml").write_text(FORK)
     servicer = read_urdf(tmp_path / "fork.xml")
+    assert servicer.tip.frame == "tool"  # the only frame that is named
+    assert servicer.other_frames == ["right", "left"]
+    (tmp_path / "gripper.xml").write_text(FORK.replace('<site name="tool" pos="0 0 0.35"/>', ""))
+    servicer = read_urdf(tmp_path / "gripper.xml")
     assert servicer.tip.frame == "stem"
-    assert servicer.other_frames == ["tool", "left", "right"]
+    assert servicer.other_frames == ["left", "right"]
     (tmp_path / "arm.urdf").write_text(simple_arm())
     assert read_urdf(tmp_path / "arm.urdf").other_frames == []
 

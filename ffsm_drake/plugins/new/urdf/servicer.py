@@ -362,6 +362,9 @@ class _Tree:
         reach += float(np.linalg.norm(vector(self.frames.get(frame), "xyz", f"frame '{frame}'")))
         return Tip(frame=frame, joints=joints, reach=reach)
 
+    def _frames_on(self, links: Collection[str]) -> list[str]:
+        return [name for name, frame in self.frames.items() if frame.get("link") in links]
+
     def _ends(self) -> list[Tip]:
         """The ends of the chains; for a gripper its palm or a link fixed there, not its fingers."""
         ends = []
@@ -378,8 +381,13 @@ class _Tree:
             has_fingers = fingers > 1 and not any(
                 j.moves for joint in onward for j in self.descend(joint.child)
             )
+            frames = self._frames_on(group)
+            if has_fingers and not frames:  # an only frame beyond is the hand's
+                beyond = [
+                    each.child for joint in onward for each in [joint, *self.descend(joint.child)]
+                ]
+                has_fingers = len(self._frames_on(beyond)) != 1
             if not onward or has_fingers:
-                frames = [name for name, frame in self.frames.items() if frame.get("link") in group]
                 leaves = [name for name in group if not self.below[name]]
                 holders = sorted({joint.parent for joint in below if joint.child not in group})
                 ends.append(
