@@ -16,7 +16,7 @@ from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.clearance import Nearest, shapes_of
+from ffsm_drake.spacecraft.clearance import TOLERANCE, Nearest, in_words, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
@@ -160,13 +160,11 @@ def not_measured(scenario: Scenario) -> Iterator[str]:
 def too_near(found: Iterable[Closest], threshold: float, what: str) -> Iterator[str]:
     """A line for each distance below a threshold, m."""
     for closest in found:
-        if closest.distance >= threshold:
+        if closest.keeps(threshold):
             continue
-        pair, size = f"{closest.first} and {closest.second}", f"{abs(closest.distance):.3g} m"
-        state = "overlap by" if closest.distance < 0.0 else "come within"
-        each_other = "" if closest.distance < 0.0 else " of each other"
+        state = in_words(closest.distance, "come within {} of each other")
         when = f"at t = {closest.time:.3g} s (clearance {threshold:g} m)"
-        yield f"{what}: {pair} {state} {size}{each_other} {when}"
+        yield f"{what}: {closest.first} and {closest.second} {state} {when}"
 
 
 def saturation(record: RunRecord) -> dict[str, float]:
@@ -211,7 +209,7 @@ def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) 
         for i in np.flatnonzero(left.any(axis=0)):
             found[f"{what} {limit.names[i]}"] = float(log.time[np.argmax(left[:, i])])
     times, distances = distances_in(log) if near is None else near
-    too_near = distances < log.scenario.clearance
+    too_near = distances < log.scenario.clearance - TOLERANCE
     if clearance.unmeasured:
         found[CLEARANCE] = float(log.time[0])
     elif too_near.any():

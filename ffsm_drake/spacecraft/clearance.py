@@ -40,6 +40,8 @@ from ffsm_drake.spacecraft.plant import (
     model_files,
 )
 
+TOLERANCE = 1e-6  # m; rounding: parts nearer than that to contact touch, and to a limit keep it
+
 # Visuals whose names begin so stand for a link without a picture, and for a shape, named after
 # them, that cannot be measured.
 INVENTED, UNMEASURED = "invented", "unmeasured"
@@ -64,14 +66,23 @@ class _Shape:
 class Nearest:
     """The smallest distance in one configuration."""
 
-    distance: float  # m; negative: depth of overlap; infinite: no bodies can meet
+    distance: float  # m; negative: depth of overlap; 0: contact; infinite: no bodies can meet
     first: str  # names of the bodies
     second: str
 
     def __str__(self) -> str:
-        if self.distance < 0.0:
-            return f"{self.first} and {self.second} overlap by {-self.distance:.3g} m"
-        return f"{self.first} and {self.second} {self.distance:.3g} m apart"
+        return f"{self.first} and {self.second} {in_words(self.distance, '{} apart')}"
+
+    def keeps(self, least: float) -> bool:
+        """Whether the distance is a least one, m, or within rounding of it."""
+        return self.distance >= least - TOLERANCE
+
+
+def in_words(distance: float, apart: str) -> str:
+    """How two parts at a signed distance (m) are; ``apart``: the words where they do not touch."""
+    if distance < 0.0:
+        return f"overlap by {-distance:.3g} m"
+    return apart.format(f"{distance:.3g} m") if distance else "touch"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -176,6 +187,8 @@ class Clearance:
         if index < 0:
             return Nearest(distance=np.inf, first="", second="")
         first, second = sorted(body.name() for body in bodies[index])
+        if abs(distance) < TOLERANCE:
+            distance = 0.0
         return Nearest(distance=distance, first=first, second=second)
 
     def within(

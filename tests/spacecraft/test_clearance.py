@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import os
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import load_scenario
+from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
 from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, models_dir
 
+DRAWS = int(os.environ.get("FFSM_DRAWS", "8"))
 BEYOND = 0.012  # m; by which a picture may stand out of its shape
 
 
@@ -61,6 +64,57 @@ def test_overlap_is_negative_and_where_it_is(planar):
     assert "base" in (nearest.first, nearest.second)
     motion = np.array([np.r_[1.0, np.zeros(9)], folded, np.full(10, np.nan)])
     assert planar.along(motion).index == 1
+
+
+BALLS = """<robot name="balls"><link name="base"><inertial><mass value="9"/><inertia ixx="1"
+iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry>{0}</geometry></visual></link>
+<link name="rod"/><joint name="a" type="prismatic"><parent link="base"/><child link="rod"/><axis
+xyz="1 0 0"/><limit lower="-1e3" upper="1e3" effort="1" velocity="1"/></joint>
+<link name="hand"><inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+iyz="0"/></inertial><visual><geometry>{1}</geometry></visual></link><joint name="b"
+type="prismatic"><parent link="rod"/><child link="hand"/><axis xyz="1 0 0"/><limit lower="-1e3"
+upper="1e3" effort="1" velocity="1"/></joint></robot>"""
+POINT = """<robot name="point"><link name="debris"><inertial><mass value="1"/><inertia ixx="1"
+iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><frame name="grasp" link="debris"/>
+</robot>"""
+
+
+@pytest.mark.parametrize("kind", ["sphere", "box", "capsule"])
+def test_rounding_is_neither_an_overlap_nor_a_gap(kind, tmp_path):
+    """Within a micrometre parts touch, and a distance keeps its limit."""
+    rng = np.random.default_rng(3)
+    (tmp_path / "point.urdf").write_text(POINT)
+    for _ in range(DRAWS):
+        sizes = rng.uniform(0.02, 2.0, 2)
+        shapes = {
+            "sphere": [f'<sphere radius="{size!r}"/>' for size in sizes.tolist()],
+            "capsule": [f'<capsule radius="{r!r}" length="1"/>' for r in sizes.tolist()],
+            "box": [f'<box size="{2.0 * size!r} 1 1"/>' for size in sizes.tolist()],
+        }[kind]
+        (tmp_path / "balls.urdf").write_text(BALLS.format(*shapes))
+        model = Model(
+            servicer=str(tmp_path / "balls.urdf"), debris=str(tmp_path / "point.urdf"),
+            end_effector="servicer::hand", grasp="debris::grasp",
+        )  # fmt: skip
+        clearance, far = Clearance(model), rng.uniform(-50.0, 50.0)
+        for small in (0.0, *rng.uniform(-5e-7, 5e-7, 5)):
+            q = np.r_[1.0, np.zeros(6), far, sizes.sum() + small - far]
+            nearest = clearance.nearest(q)
+            assert nearest.distance == 0.0
+            assert str(nearest) == "base and hand touch"
+            assert nearest.keeps(0.0)
+            q[-1] += 0.01
+            assert clearance.nearest(q).keeps(0.01)
+        for large in (2e-6, 10.0 ** rng.uniform(-5.0, -2.0)):
+            found = [clearance.nearest(q + np.r_[np.zeros(8), x - 0.01 - small])
+                     for x in (large, -large)]  # fmt: skip
+            assert [str(each) for each in found] == [
+                f"base and hand {found[0].distance:.3g} m apart",
+                f"base and hand overlap by {-found[1].distance:.3g} m",
+            ]
+            assert [each.distance for each in found] == pytest.approx([large, -large], abs=5e-7)
+            assert [each.keeps(0.0) for each in found] == [True, False]
+            assert not found[0].keeps(large + 2e-6)
 
 
 def points_on(shape):

@@ -37,6 +37,7 @@ from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.clearance import in_words
 from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.part import Metric, Part
 from ffsm_drake.systems.reference import timed
@@ -417,10 +418,9 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         if outcome == "settled" and CLEARANCE in run.left:
             told, closest = next(not_measured(log.scenario), ""), run.closest
             if not told and closest is not None:
-                how = "overlap by" if closest < 0.0 else "as near as"
                 told = (
-                    f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and {how} "
-                    f"{abs(closest):.3g} m"
+                    f"parts come too near at t = {run.left[CLEARANCE]:.2f} s, and "
+                    f"{in_words(closest, 'as near as {}')}"
                 )
             text |= {"outcome": "not_settled", "message": told}
     values |= {each.column_name: each.value for each in log.figures if each.column_name}

@@ -530,7 +530,7 @@ class ClosingRun(Captures):
         q = motion.rows(times)[:, : len(self.before.coordinates.position_names)]
         target = self._known.motion[samples, :7]
         nearest = closest_of(scenario, times, q, target=target)
-        return all(each.distance >= scenario.clearance + margin for each in nearest)
+        return all(each.keeps(scenario.clearance + margin) for each in nearest)
 
 
 def _nothing(loop: ClosedLoop, root_context: Context) -> None:
@@ -574,7 +574,7 @@ def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
         times = np.linspace(motion.begin, motion.end, 2 * _INSTANTS)
         q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
         if (np.abs(model.calc_tracking_force(q, v, a)) <= limit).all() and all(
-            each.distance >= scenario.clearance for each in closest_of(scenario, times, q)
+            each.keeps(scenario.clearance) for each in closest_of(scenario, times, q)
         ):
             return paced
     return scenario

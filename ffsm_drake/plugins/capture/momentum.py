@@ -247,10 +247,7 @@ def _arm_budget(
             time += max(float(own[first]), 0.0)
             ended_by = f"{model.coordinates.joints[first]} reaches its limit"
             break
-        if (
-            clearance is not None
-            and (nearest := clearance.nearest(q)).distance < scenario.clearance
-        ):
+        if clearance and not (nearest := clearance.nearest(q)).keeps(scenario.clearance):
             ended_by = (
                 f"{nearest.first} and {nearest.second} come within {scenario.clearance:g} "
                 "m of each other"

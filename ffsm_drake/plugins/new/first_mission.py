@@ -173,7 +173,6 @@ class Draft:
         starts = arm.best([*near, 0.5 * (target + rest)], to=target, count=_STARTS)
         end, initial = self.data["target_posture"], self.data["initial_posture"]
         end["joints"], initial["joints"] = map(arm.by_name, (target, starts[0]))
-        arm.clearance = Clearance(self.scenario.model, flexible=True)  # real shapes only
         if (least := arm.nearest(starts[0], target)).distance < 0.0:
             self.touching = f"no posture free of contact was found: {least} in the best"
         self.data["reference"]["duration"] = max(
@@ -585,10 +584,9 @@ class _Arm:
 
     def __init__(self, draft: Draft) -> None:
         self.true, self.plant, tip = draft.true, draft.true.plant, draft.servicer.tip
-        self.clearance, self.reach = (
-            Clearance(draft.scenario.model, flexible=True, invented=True),
-            max(tip.reach, 0.05),
-        )
+        model, self.reach = draft.scenario.model, max(tip.reach, 0.05)
+        self.clearance = Clearance(model, flexible=True)  # real shapes only
+        self.all_shapes = Clearance(model, flexible=True, invented=True)
         self.tip = find_frame(self.plant, f"servicer::{tip.frame}", key="tip")
         named = {joint.name: joint for joint in draft.servicer.joints}
         joints = [named[name] for name in draft.coordinates.joints]
@@ -613,26 +611,35 @@ class _Arm:
         self, candidates: list[np.ndarray], *, to: np.ndarray | None = None, count: int = 1
     ) -> list[np.ndarray]:
         """The ``count`` most dexterous candidates (m) that are clear of contact, also on the way
-        ``to`` another; where none is, the one with the largest distance.
+        ``to`` another; where none is, those clear of real shapes, else the one with the largest
+        distance of these.
         """
         ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
-        found, distances = list[np.ndarray](), list[float]()
-        for each in ranked:
-            with step(f"candidate {len(distances) + 1} of {len(ranked)}"):
-                distances.append(self.nearest(each, each if to is None else to).distance)
-            if distances[-1] >= _CLEAR:
-                found.append(each)
-            if len(found) == count:
-                break
-        return found or [ranked[int(np.argmax(distances))]]
+        has_invented = len([*self.all_shapes.placed()]) > len([*self.clearance.placed()])
+        for shapes in (self.all_shapes, self.clearance)[not has_invented :]:
+            found, distances = list[np.ndarray](), list[float]()
+            for each in ranked:
+                with step(f"candidate {len(distances) + 1} of {len(ranked)}"):
+                    distances.append(
+                        self.nearest(each, each if to is None else to, shapes).distance
+                    )
+                if distances[-1] >= _CLEAR:
+                    found.append(each)
+                if len(found) == count:
+                    break
+            if found:
+                return found
+        return [ranked[int(np.argmax(distances))]]
 
-    def nearest(self, start: np.ndarray, end: np.ndarray) -> Nearest:
-        """The nearest parts on the straight way between two postures (m); as far as ``_CLEAR`` of
-        interest.
+    def nearest(
+        self, start: np.ndarray, end: np.ndarray, shapes: Clearance | None = None
+    ) -> Nearest:
+        """The nearest parts on the straight way between two postures (m), by default of real
+        shapes; as far as ``_CLEAR`` of interest.
         """
         shares = np.linspace(0.0, 1.0, 1 if np.array_equal(start, end) else _WAY)
         ways = (self.whole(start + share * (end - start)) for share in shares)
-        found = (self.clearance.nearest(q, below=_CLEAR) for q in ways)
+        found = ((shapes or self.clearance).nearest(q, below=_CLEAR) for q in ways)
         return min(found, key=lambda each: each.distance)
 
     def _stiffness(self, values: np.ndarray) -> float:

@@ -169,7 +169,7 @@ class _Planner:
                     f"no plan: {what}: {names[i]} at {joints[i]:.4g}, outside its limits {span}"
                 )
             nearest = self._clearance.nearest(posture)
-            if nearest.distance < self._scenario.clearance:
+            if not nearest.keeps(self._scenario.clearance):
                 raise PlanningError(
                     f"no plan: {what}: {nearest}, below clearance ({self._scenario.clearance:g} m)"
                 )

@@ -2,7 +2,9 @@
 
 import os
 import random
+import re
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +20,12 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, WheelData
+from ffsm_drake.plugins.new.first_mission import _Arm
 from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.plugins.new.urdf import read_urdf
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import thrusters_of
+from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import base_limits
 from ffsm_drake.systems.reference import make_motion
@@ -256,3 +261,35 @@ def test_what_cannot_act_is_refused(tmp_path):
 def test_generated_arms_have_six_and_seven_joints():
     assert six_joints().count('type="revolute"') == 6
     assert seven_joints().count('type="revolute"') == 7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_posture_is_that_of_real_shapes(seed, tmp_path):
+    """Where shapes that stand for a base without a picture leave none clear."""
+    urdf = MODELS / "servicer.urdf"
+    invented = (  # from which the arm is farthest inside the base
+        '<collision name="invented_0"><origin xyz="0 0 12"/><geometry><sphere radius="13"/>'
+        "</geometry></collision>"
+    )
+    text = re.sub(r'(<link name="base">)', rf"\1{invented}", urdf.read_text())
+    (tmp_path / "craft.urdf").write_text(text)
+    names = [
+        f"model.servicer={tmp_path / 'craft.urdf'}", f"model.debris={MODELS / 'debris.urdf'}"
+    ]  # fmt: skip
+    scenario = load_scenario("postcapture", names)
+    servicer, true = read_urdf(urdf), make_true_plant(scenario)
+    made = types.SimpleNamespace(
+        true=true, scenario=scenario, servicer=servicer, coordinates=true.coordinates
+    )
+    arm, rng, shapes = _Arm(made), np.random.default_rng(seed), Clearance(scenario.model)
+
+    def distance(joints):
+        return shapes.nearest(arm.whole(joints)).distance
+
+    low, high = arm.limits.T
+    candidates = [*(low + (high - low) * rng.random((12, low.size)))]
+    assert min(map(distance, candidates)) < 0.0  # otherwise any would do
+    assert distance(*arm.best(candidates)) >= min(max(map(distance, candidates)) - 2e-3, 0.05)
+    touching = [each for each in candidates if distance(each) < 0.0]
+    deepest = max(map(distance, touching))
+    assert distance(*arm.best(touching)) == pytest.approx(deepest, abs=2e-3)
