@@ -291,44 +291,27 @@ def test_scenario_fragments_are_valid(page, text):
     assert scenario_to_dict(scenario_from_yaml(text)) != scenario_to_dict(Scenario()), page
 
 
-@needs("planning")
-@needs("task_space")
-@pytest.mark.parametrize(
-    ("page", "phrase"),
-    [
-        ("README.md", "{} controllers are included"),
-        ("docs/index.md", "{} controllers are included"),
-        ("docs/quickstart.md", "{} included controllers"),
-        ("docs/validation.md", "all {} pass the conformance kit"),
-        ("docs/comparison.md", "| post-capture controllers | {}: "),
-    ],
-)
-def test_the_controllers_are_counted(page, phrase):
-    words = [
-        "eight",
-        "nine",
-        "ten",
-        "eleven",
-        "twelve",
-        "thirteen",
-        "fourteen",
-        "fifteen",
-        "sixteen",
-        "seventeen",
-        "eighteen",
-        "nineteen",
-        "twenty",
-    ]
-    number = len(shipped_names("controller"))
-    assert phrase.format(words[number - 8]) in (ROOT / page).read_text().lower(), (
-        f"there are {number} controllers"
-    )
-
-
 def with_table(page: str) -> str:
     """A page as the site shows it."""
     tables = module_at(DOCS / "_ext/settings_tables.py")
     return tables.with_table(page, (DOCS / f"{page}.md").read_text())
+
+
+@needs("planning")
+def test_lists_of_laws_scenarios_and_plugins_are_made_from_the_package():
+    tables = module_at(DOCS / "_ext/settings_tables.py")
+    text = tables.with_table("any", "\n".join(["A", *tables.LISTS, "B"]))
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.+?) \|", text, re.MULTILINE))
+    assert rows.keys() >= {*shipped_names("controller"), *shipped_scenarios(), "planning"}
+    assert rows["tvlqr"].startswith("Time-varying linear-quadratic regulator")
+    assert "[planning](planning.md) |" in text
+    assert "<!--" not in text
+
+
+def test_links_of_generated_lists_exist():
+    tables = module_at(DOCS / "_ext/settings_tables.py")
+    for page in tables.PAGE_OF.values():
+        assert (DOCS / f"{page}.md").is_file(), page
 
 
 def test_every_port_is_in_the_reference():

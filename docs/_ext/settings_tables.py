@@ -1,25 +1,58 @@
-"""The tables of the pages scenario and blocks, made from the package as the site is built.
+"""The tables of the documentation that are made from the package when the site is built.
 
-Types, defaults and meanings of the keys come from ffsm_drake.scenario, gains from the control laws,
-ports from ffsm_drake.loop.blocks. A table takes the place of the line ``<!-- table -->`` of its
-page; ``python docs/_ext/settings_tables.py`` prints all of them.
+On the pages scenario and blocks, the line ``<!-- table -->`` stands for the table of keys or ports.
+On any page, ``<!-- laws -->``, ``<!-- scenarios -->`` and ``<!-- plugins -->`` stand for lists of
+what the package contains. ``python docs/_ext/settings_tables.py`` prints all of them.
 """
 
+import ast
 import dataclasses
 import inspect
 import re
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
+import ffsm_drake
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.loop.blocks import BLOCKS
-from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
+from ffsm_drake.scenario import (
+    PerCoordinate,
+    Scenario,
+    load_scenario,
+    schema_fields,
+    shipped_scenarios,
+)
 from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.registry import find_factory, shipped_names
 
 MARK = "<!-- table -->"
+DOCS = Path(__file__).parents[1]
+PLUGINS = Path(ffsm_drake.__file__).parent / "plugins"
+# Plug-in -> page about it, without an entry if the page has the plug-in's name. "": the core.
+PAGE_OF = {
+    "": "controllers",
+    "analysis": "findings",
+    "campaign": "campaigns",
+    "design": "verdict",
+    "environment": "physics",
+    "estimators": "controllers",
+    "exports": "interfaces",
+    "generated": "speed",
+    "gymnasium": "interfaces",
+    "impacts": "capture",
+    "inputs": "blocks",
+    "interactive": "meshcat",
+    "new": "own_arm",
+    "paper": "reproduction",
+    "policy": "interfaces",
+    "report": "quickstart",
+    "task_space": "free_floating",
+    "udp": "interfaces",
+}
 # keys of Drake's own settings that not every version has
 _OLDER_DRAKE = ("publish_every_time_step",)
 _BLOCK_KEYS = {
@@ -191,18 +224,88 @@ def block_table() -> str:
     return "\n".join(lines)
 
 
+def law_table() -> str:
+    """The shipped control laws with the first line of their docstrings, as Markdown."""
+    lines = ["| `controller` | law | page |", "|---|---|---|"]
+    for name in shipped_names("controller"):
+        factory: Any = find_factory("controller", name)
+        lines.append(
+            f"| `{name}` | {_first(factory.__doc__)} | {_link(_plugin(factory.__module__))} |"
+        )
+    return "\n".join(lines)
+
+
+def scenario_list() -> str:
+    """The shipped scenarios with their descriptions, as Markdown."""
+    lines = ["| scenario | what it simulates |", "|---|---|"]
+    for name in shipped_scenarios():
+        lines.append(f"| `{name}` | {_escaped(load_scenario(name).description)} |")
+    return "\n".join(lines)
+
+
+def plugin_table() -> str:
+    """The plug-ins, with what they bring, their entry points and imports, as Markdown."""
+    lines = ["| plug-in | what it brings | entry points | imports |", "|---|---|---|---|"]
+    for folder in sorted(path.parent for path in PLUGINS.glob("*/__init__.py")):
+        name, code = folder.name, [path.read_text() for path in sorted(folder.rglob("*.py"))]
+        brings = _first(ast.get_docstring(ast.parse((folder / "__init__.py").read_text())))
+        link = _link(name)
+        others = {*re.findall(r"^\s*from ffsm_drake\.plugins\.(\w+)", "\n".join(code), re.M)} - {
+            name
+        }
+        lines.append(
+            f"| `{name}` | {brings}{f' ({link})' if link else ''} | {_offers(name)} | "
+            f"{', '.join(f'`{other}`' for other in sorted(others))} |"
+        )
+    return "\n".join(lines)
+
+
+def _offers(plugin: str) -> str:
+    """The entry points of a plug-in by kind."""
+    kinds = []
+    for group in sorted(entry_points().groups):
+        found = {each.name for each in entry_points(group=group) if _plugin(each.module) == plugin}
+        if group.startswith("ffsm_drake.") and found:
+            kind = group.removeprefix("ffsm_drake.").replace("_", " ")
+            kinds.append(f"{kind} {', '.join(f'`{name}`' for name in sorted(found))}")
+    return "; ".join(kinds)
+
+
+def _plugin(module: str) -> str:
+    """The plug-in that a module is part of; empty: none."""
+    return module.split(".")[2] if module.startswith("ffsm_drake.plugins.") else ""
+
+
+def _link(plugin: str) -> str:
+    """The page about a plug-in, or about the laws of the core."""
+    page = PAGE_OF.get(plugin, plugin)
+    file = DOCS / f"{page}.md"
+    return f"[{page.replace('_', ' ')}]({page}.md)" if file.exists() else ""
+
+
+def _first(docstring: str | None) -> str:
+    """The first paragraph of a docstring without its full stop, as Markdown for a table's cell."""
+    return _escaped(" ".join((docstring or "").split("\n\n")[0].split()).removesuffix("."))
+
+
 PAGES: dict[str, Callable[[], str]] = {"scenario": scenario_table, "blocks": block_table}
+LISTS: dict[str, Callable[[], str]] = {
+    "<!-- laws -->": law_table,
+    "<!-- scenarios -->": scenario_list,
+    "<!-- plugins -->": plugin_table,
+}
 
 
 def with_table(page: str, text: str) -> str:
-    """A page's text with its table."""
-    before, after = text.split(MARK)
-    return before + PAGES[page]() + after
+    """A page's text with its tables in place of their marks."""
+    lists = {mark: table for mark, table in LISTS.items() if mark in text}
+    for mark, table in lists.items() | ({MARK: PAGES[page]} if page in PAGES else {}).items():
+        text = text.replace(mark, table())
+    return text
 
 
 def _fill_in(_: Any, page: str, source: list[str]) -> None:
-    if page in PAGES:
-        source[0] = with_table(page, source[0])
+    source[0] = with_table(page, source[0])
 
 
 def setup(app: Any) -> dict[str, Any]:
@@ -222,5 +325,5 @@ def _escaped(text: str) -> str:
 
 
 if __name__ == "__main__":
-    for table in PAGES.values():
+    for table in (*PAGES.values(), *LISTS.values()):
         print(table(), end="\n\n")

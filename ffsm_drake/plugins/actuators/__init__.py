@@ -1,1 +1,1 @@
-"""Actuators: limits, drives, wheels, thrusters and their plumes."""
+"""Limits and delays of actuators, joint drives, reaction wheels, thrusters and their plumes."""

@@ -1,7 +1,7 @@
-"""Check the theory on a recorded run: ``analyze(record)``, for any controller.
+"""Checks of the theory on a recorded run, for any controller.
 
-Nothing here runs during a simulation. A run that ended early is analysed up to its last finite
-sample.
+``analyze(record)`` analyses a run that ended early up to its last finite sample. Nothing here runs
+during a simulation.
 """
 
 from typing import TYPE_CHECKING

@@ -1,1 +1,3 @@
-"""Audits of other simulators' logs: is a log physics? ``verdict.audit`` answers."""
+"""Audits of logs from other simulators: do they obey the equations of motion?
+
+``verdict.audit`` is the entry."""

@@ -1,1 +1,3 @@
-"""Baselines: control laws of others, for comparison; each in a file with its source."""
+"""Control laws from the literature as baselines.
+
+Each law is in one file, with its source."""

@@ -32,10 +32,10 @@ _TRANSLATION = slice(3, NUM_BASE_VELOCITIES)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Coordinated(ControlLaw):
-    """f_c for the centre of mass, PD+ of H* for base attitude and joints.
+    """PD control of the centre of mass, and PD+ of base attitude and joints (Giordano et al.).
 
-    The gains of ``base_position`` are those of the centre of mass. With an undriven base position
-    there is no f_c, with an undriven base H* is that of the joints.
+    The gains of ``base_position`` act on the centre of mass. If the base position is not driven,
+    f_c is zero. If the whole base is not driven, H* is the mass matrix of the joints.
     """
 
     model: PlantModel

@@ -25,11 +25,13 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FixedTime(InjectedDynamics):
-    """u = a_d + f'(e) e' + a_2 sig^p(s) + b_2 sig^g(s) with s = e' + f(e).
+    """Fixed-time control with time-delay estimation; the settling time is bounded for any start.
+
+    u = a_d + f'(e) e' + a_2 sig^p(s) + b_2 sig^g(s) with s = e' + f(e). Gains are diagonals (nv).
 
     sig^p is linear within boundary layers of e and s, which removes the singularity of f'(0). A
-    linearisation about the plan, such as that of ``ffsm stability``, is that of the layers, where
-    the law is stiffest but for errors of more than order one. Gains are diagonals (nv).
+    linearisation about the plan, for example by ``ffsm stability``, uses the slope within the
+    layers. The law is stiffest there, unless the errors are larger than order one.
     """
 
     wide: ClassVar[bool] = True

@@ -169,11 +169,13 @@ class _Now:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Mpc(ControlLaw):
-    """tau = H (a_d - K x + c - N), with c of a quadratic program where a limit is active.
+    """Model-predictive control that respects limits, by a quadratic program about the plan.
 
-    A linearisation about the plan, such as that of ``ffsm stability``, is that of the regulator
-    with the estimate, without limits. The memory ``programs`` counts the programs, ``fallbacks``
-    those without a solution.
+    tau = H (a_d - K x + c - N). The quadratic program chooses c if a limit is active.
+
+    A linearisation about the plan, for example by ``ffsm stability``, has the regulator and the
+    estimate, without limits. The state ``programs`` counts the programs solved, and ``fallbacks``
+    the programs without a solution.
     """
 
     steps: ClassVar[int] = 5  # predicted steps, each with an unknown c_k

@@ -30,10 +30,10 @@ _STEP = 1e-6  # step of finite differences, rad, m, rad/s, m/s
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Nmpc(Mpc):
-    """As ``Mpc``, with the forces of the nonlinear stack along the prediction.
+    """Model-predictive control that respects limits, with the nonlinear model of the stack.
 
-    A linearisation about the plan is that of the regulator with the estimate, without limits, as
-    that of ``mpc``. The memory ``planned`` is the last solution.
+    It differs from ``Mpc`` in the forces along the prediction. A linearisation about the plan has
+    the regulator and the estimate, without limits. The state ``planned`` is the last solution.
     """
 
     solutions: float = gain(

@@ -43,11 +43,13 @@ from ffsm_drake.systems.setup import BlockSetup
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SlotineLi(ControlLaw):
-    """tau = H(theta) a_r + C(theta) v_r + K_D s, with the payload's parameters theta adapted.
+    """Adaptive control of Slotine and Li, which adapts the payload's mass and inertia.
 
-    The memory ``payload_change`` is theta less the nominal one: kg, kg m (3), kg m^2 (xx, yy, zz,
-    xy, xz, yz), about the payload's frame in its axes. A linearisation about the plan, such as that
-    of ``ffsm stability``, holds it.
+    tau = H(theta) a_r + C(theta) v_r + K_D s with the adapted parameters theta of the payload.
+
+    The state ``payload_change`` is theta minus its nominal value: kg, kg m (3), kg m^2 (xx, yy, zz,
+    xy, xz, yz), about the origin of the payload's frame, in its axes. A linearisation about the
+    plan, for example by ``ffsm stability``, holds it constant.
     """
 
     model: PlantModel

@@ -24,11 +24,14 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SuperTwisting(InjectedDynamics):
-    """u = a_d + K_D e' + k_1 |s|^(1/2) sgn s + z with z' = k_2 sgn s and s = e' + K_D e.
+    """Super-twisting sliding-mode control with time-delay estimation.
 
-    Root and sign are linear within a boundary layer of s. A linearisation about the plan, such as
-    that of ``ffsm stability``, is that of the layer, where the law is stiffest: K_s = k_1 /
-    width^(1/2), with an integral gain of k_2 / width. Gains are diagonals (nv).
+    u = a_d + K_D e' + k_1 |s|^(1/2) sgn s + z with z' = k_2 sgn s and s = e' + K_D e. Gains are
+    diagonals (nv).
+
+    Root and sign are linear within a boundary layer of s. A linearisation about the plan, for
+    example by ``ffsm stability``, uses the slope within the layer, where the law is stiffest:
+    K_s = k_1 / width^(1/2), with an integral gain of k_2 / width.
     """
 
     wide: ClassVar[bool] = True

@@ -28,11 +28,14 @@ from ffsm_drake.systems.part import UNIT
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TerminalSlidingMode(InjectedDynamics):
-    """u = a_d + (B/p) |e'|^(2-p) sgn e' + K_s s + G sgn s with s = e + |e'|^p sgn e' / B.
+    """Adaptive nonsingular terminal sliding-mode control with time-delay estimation.
+
+    u = a_d + (B/p) |e'|^(2-p) sgn e' + K_s s + G sgn s with s = e + |e'|^p sgn e' / B. Gains are
+    diagonals (nv).
 
     Powers and sign are linear within boundary layers of e' and s. A linearisation about the plan,
-    such as that of ``ffsm stability``, is that of the layers, with G held at its value: K_P = K_s
-    + G / width_s, K_D = (B/p) width_rate^(1-p) + K_P width_rate^(p-1) / B. Gains are diagonals.
+    for example by ``ffsm stability``, uses the slopes within the layers, with G held at its value:
+    K_P = K_s + G / width_s, K_D = (B/p) width_rate^(1-p) + K_P width_rate^(p-1) / B.
     """
 
     wide: ClassVar[bool] = True

@@ -1,1 +1,1 @@
-"""The benchmark: every law on published missions, beside lower bounds (``ffsm benchmark``)."""
+"""A benchmark that ranks control laws on published missions, next to lower bounds."""

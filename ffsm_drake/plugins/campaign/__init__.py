@@ -1,5 +1,4 @@
-"""Campaigns: thousands of runs of dispersed scenarios, stored in one database and evaluated in one
-report.
+"""Campaigns: thousands of runs with dispersed values, in one database, with one report.
 
 spec, dispersion -> cases -> evaluate (in workers, by common.workers) -> store -> statistics ->
 page; ``run`` drives.

@@ -1,1 +1,1 @@
-"""Capture of a moving target: approach, grasp, closing gripper, supervisor."""
+"""Capture of a moving target by approach, grasp and closing gripper; supervisor of a mission."""

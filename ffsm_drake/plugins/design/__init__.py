@@ -1,3 +1,1 @@
-"""Analysis and design before a run: stability of the sampled loop, gains, a first motion and
-scenario.
-"""
+"""Stability and margins of the sampled loop, the verdict before a run, design of gains."""

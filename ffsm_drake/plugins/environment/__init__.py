@@ -1,1 +1,1 @@
-"""Forces of the orbit."""
+"""Forces in orbit: gravity gradient, tide and solar pressure."""

@@ -1,1 +1,1 @@
-"""Estimators of time-delay laws, and filters of the commanded force."""
+"""Kalman and coupled estimators for time-delay laws, and filters of the commanded force."""

@@ -1,1 +1,1 @@
-"""A recorded run as files of other programs, or live in one of them; scenarios as FMUs."""
+"""Export of runs as CSV, MAT, MCAP, CCSDS or Parquet, and of scenarios as FMUs; live Foxglove."""

@@ -1,1 +1,1 @@
-"""Faults of units, and their detection."""
+"""Faults of sensors and actuators, and their detection."""

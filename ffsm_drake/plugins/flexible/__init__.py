@@ -1,4 +1,4 @@
-"""Flexible parts of the spacecraft: panels, beams, slosh, passive joints, gears."""
+"""Flexible parts of the spacecraft: panels, beams, slosh, passive joints and gears."""
 
 from ffsm_drake.plugins.flexible.bodies import (
     add_flexible,

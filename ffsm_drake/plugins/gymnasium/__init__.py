@@ -1,4 +1,4 @@
-"""Missions as environments of Gymnasium, one spacecraft or several.
+"""Missions as Gymnasium environments, for one spacecraft or several.
 
 Importing it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0`` and
 ``ffsm/FreeFloating-v0``; the first and the last also as environments of several spacecraft

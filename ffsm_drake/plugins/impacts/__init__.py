@@ -1,1 +1,1 @@
-"""A spinning target slowed by repeated impacts of two arms' tips, in a plane."""
+"""A planar example in which two arms slow a spinning target by repeated impacts."""

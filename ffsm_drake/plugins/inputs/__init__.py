@@ -1,1 +1,1 @@
-"""What a run was made from, kept in its folder: models, plans, policies, user-supplied modules."""
+"""Copies of the models, plans, policies and modules of a run in its folder, to repeat it."""

@@ -1,1 +1,1 @@
-"""Live in the browser: runs to watch or under an operator's panel, and the replay of a record."""
+"""Live runs, an operator's panel and replays in the browser."""

@@ -1,1 +1,1 @@
-"""A first scenario from a URDF: the command new."""
+"""A first scenario from your URDF (``ffsm new``)."""

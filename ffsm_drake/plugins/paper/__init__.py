@@ -1,4 +1,4 @@
-"""Reproduction of the paper: its table and figures recomputed, and a verdict on each claim."""
+"""Reproduction of the paper's table and figures, with a verdict on each claim."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

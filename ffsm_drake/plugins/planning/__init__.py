@@ -1,3 +1,1 @@
-"""Planning a motion to rest within every limit: the optimal control problem, its solution, and what
-it leaves.
-"""
+"""Optimal motions to rest within every limit, and the TVLQR law that tracks them."""

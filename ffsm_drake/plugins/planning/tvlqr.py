@@ -44,9 +44,10 @@ _UNKNOWN: np.ndarray = np.zeros((1, 0, 0))  # gains of a law without a plan
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tvlqr(ControlLaw):
-    """tau = tau_d + K_k [e; e'].
+    """Time-varying linear-quadratic regulator (TVLQR) about the plan.
 
-    The cost is the sum of squares of e, e' and tau - tau_d, each divided by its size.
+    tau = tau_d + K_k [e; e']. The cost is the sum of squares of e, e' and tau - tau_d, each divided
+    by its size.
     """
 
     wide: ClassVar[bool] = True

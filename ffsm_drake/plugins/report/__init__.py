@@ -1,6 +1,4 @@
-"""The run report: one self-contained HTML page about one or several runs, to open from disk and to
-send to others.
-"""
+"""The report of one or several runs, as one HTML page to open from disk or to send."""
 
 from ffsm_drake.plugins.report.page import write_report
 

@@ -1,1 +1,1 @@
-"""Laws and references for a frame, and for undriven coordinates."""
+"""Laws and motions for the pose of a frame, and motions with undriven coordinates."""

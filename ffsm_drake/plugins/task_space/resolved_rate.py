@@ -16,10 +16,12 @@ from ffsm_drake.systems.controllers.law import State, gain
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ResolvedRate(TaskSpaceLaw):
-    """v_r = z + [0; J+ (V_d + K e - V_0 - J* z)] with z = v_d + k_plan e_q, tau_a = H* k_v (v_r -
-    v_a) + C*.
+    """Resolved-rate control of a frame with the generalized Jacobian.
 
-    The rates v_r lag: the frame is behind its path by about A_d / (k_v K).
+    v_r = z + [0; J+ (V_d + K e - V_0 - J* z)] with z = v_d + k_plan e_q, and
+    tau_a = H* k_v (v_r - v_a) + C*.
+
+    The rates v_r are tracked with a lag, so the frame is behind its path by about A_d / (k_v K).
     """
 
     wide: ClassVar[bool] = True

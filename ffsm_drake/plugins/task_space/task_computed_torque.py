@@ -16,7 +16,11 @@ from ffsm_drake.systems.controllers.law import State, gain
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskComputedTorque(AccelerationLaw):
-    """tau_a = H* (z + [0; J+ (A_d + K_d e' + K_p e - A_0 - J* z)]) + C*, z being the plan's."""
+    """Computed torque for the pose of a frame, with the generalized Jacobian.
+
+    tau_a = H* (z + [0; J+ (A_d + K_d e' + K_p e - A_0 - J* z)]) + C*, where z is the acceleration
+    of the plan.
+    """
 
     wide: ClassVar[bool] = True
     k_p_rotation: float = gain(25.0, "1/s^2", "gain K_p on the frame's attitude error", scalar=True)

@@ -40,12 +40,13 @@ _PREFIX = "frame_"  # prefix of the memory that belongs to the frame
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskTimeDelay(AccelerationLaw):
-    """tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base
-    acceleration.
+    """Time-delay control for the pose of a frame.
 
-    f is the frame's acceleration from tau_a, u that of TDC, z the acceleration of the plan.
+    tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base
+    acceleration. f is the acceleration of the frame due to tau_a, u the acceleration that TDC
+    commands, and z the acceleration of the plan.
 
-    With an estimator of the coordinates tau_a = H* (z + [0; J+ (u - A_0 - J* z)] - base
+    With an estimator of the coordinates, tau_a = H* (z + [0; J+ (u - A_0 - J* z)] - base
     acceleration) + base force, at the estimated state.
     """
 

@@ -19,9 +19,9 @@ from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TorqueAgainstMomentum(ControlLaw):
-    """Base torque -tau_max H / |H|, proportional to H at the end; computed torque for the joints.
+    """Full base torque against the angular momentum H; computed torque holds the joints.
 
-    The base force is zero.
+    The base torque is -tau_max H / |H|, and proportional to H at the end. The base force is zero.
     """
 
     wide: ClassVar[bool] = True

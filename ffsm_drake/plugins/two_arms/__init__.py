@@ -1,1 +1,1 @@
-"""Two arms on one target: the closed chain, its internal force, and the laws in it."""
+"""Two arms that hold one target: the closed chain, laws in it, and its internal force."""

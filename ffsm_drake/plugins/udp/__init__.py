@@ -1,1 +1,1 @@
-"""An external controller over UDP: inputs go out at every sample, the force comes back."""
+"""An external controller over UDP: each sample sends the inputs and receives the force."""

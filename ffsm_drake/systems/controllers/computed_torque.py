@@ -13,7 +13,10 @@ from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ComputedTorque(ControlLaw):
-    """tau = Hhat (a_d + K_d e' + K_p e) + Chat."""
+    """Computed torque: feedback linearization with the nominal model.
+
+    tau = Hhat (a_d + K_d e' + K_p e) + Chat.
+    """
 
     wide: ClassVar[bool] = True
     model: PlantModel

@@ -13,7 +13,9 @@ from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PdPlus(ControlLaw):
-    """tau = Hhat a_d + Chat(q, v) v_d + K_d e' + K_p e.
+    """PD+ of Paden and Panja: feedforward along the plan, and PD feedback.
+
+    tau = Hhat a_d + Chat(q, v) v_d + K_d e' + K_p e.
 
     Chat(q, v) v_d is the symmetric bilinear form whose diagonal is Drake's bias term.
     """

@@ -16,12 +16,13 @@ _SMALLEST_SCALE = 1e-9  # 1/s^3, least K_s K_P to divide by
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Aismc(InjectedDynamics):
-    """u = a_d + K_D e' + K_P e + K_s s with s = e' + K_D e + K_P int e (equation (20)). Gains are
-    diagonals (nv).
+    """AISMC, adaptive integral sliding-mode control with time delay, equations (20) and (21).
 
-    The surface is the one that (7) needs; (3) prints it with the factors of e and e' exchanged. On
-    an exact plant the published K_s of 80, without a bound, adapts until the sampled loop is
-    unstable, hence the defaults of K_s.
+    u = a_d + K_D e' + K_P e + K_s s with s = e' + K_D e + K_P int e. Gains are diagonals (nv).
+
+    The surface is the one that equation (7) needs. Equation (3) prints it with the factors of e and
+    e' exchanged. The paper's K_s of 80 has no upper bound, and on an exact plant it adapts until
+    the sampled loop is unstable. The defaults here therefore bound K_s.
     """
 
     by_axis: ClassVar[bool] = True

@@ -32,8 +32,9 @@ def switching_gain_rate(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Asmc(InjectedDynamics):
-    """u = a_d + K_D e' + K_s s + G sgn s with s = e' + K_D e (equation (18)). Gains are diagonals
-    (nv).
+    """Adaptive sliding-mode control with time-delay estimation (ASMC), equations (18) and (19).
+
+    u = a_d + K_D e' + K_s s + G sgn s with s = e' + K_D e. Gains are diagonals (nv).
     """
 
     by_axis: ClassVar[bool] = True

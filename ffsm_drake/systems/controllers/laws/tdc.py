@@ -11,7 +11,10 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tdc(InjectedDynamics):
-    """u = a_d + K_D e' + K_P e (equation (17)); no memory. Gains are diagonals (nv)."""
+    """Time-delay control (TDC) with linear feedback, equation (17).
+
+    u = a_d + K_D e' + K_P e. Gains are diagonals (nv). The law has no state.
+    """
 
     by_axis: ClassVar[bool] = True
     wide: ClassVar[bool] = True

@@ -26,8 +26,10 @@ def switching_gain_rate(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TdeAismc(Aismc):
-    """u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e (equation (6)):
-    AISMC with a switching term, and another rate of K_s. Gains are diagonals (nv).
+    """TDE-AISMC, the paper's controller: AISMC with a switching term, equations (6), (9), (10).
+
+    u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e. K_s adapts at
+    another rate than in AISMC. Gains are diagonals (nv).
     """
 
     wide: ClassVar[bool] = True
