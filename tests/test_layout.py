@@ -28,7 +28,6 @@ PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
 NEEDS = {
     "benchmark": {"actuators", "campaign", "capture", "design"},
     "campaign": {"design"},
-    "capture": {"actuators"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
     "gymnasium": {"policy", "task_space"},

@@ -250,9 +250,8 @@ def plugin_table() -> str:
         name, code = folder.name, [path.read_text() for path in sorted(folder.rglob("*.py"))]
         brings = _first(ast.get_docstring(ast.parse((folder / "__init__.py").read_text())))
         link = _link(name)
-        others = {*re.findall(r"^\s*from ffsm_drake\.plugins\.(\w+)", "\n".join(code), re.M)} - {
-            name
-        }
+        imports = "\n".join(re.findall(r"^\s*(?:from|import) .*", "\n".join(code), re.M))
+        others = {*re.findall(r"ffsm_drake\.plugins(?: import |\.)(\w+)", imports)} - {name}
         lines.append(
             f"| `{name}` | {brings}{f' ({link})' if link else ''} | {_offers(name)} | "
             f"{', '.join(f'`{other}`' for other in sorted(others))} |"

@@ -157,8 +157,8 @@ def show_life(over: threading.Event, *, first: float | None = None, then: float 
     while not _LIVE.intersection(sys.argv) and not over.wait(0.2 * silence):
         now = time.monotonic()
         if now - getattr(stream, "written", now) >= silence:
-            at = current_step() or " ".join(["ffsm", *sys.argv[1:2]])
-            click.echo(f"{now - begun:4.0f} s: still at work: {at}", file=stream)
+            at = current_step() or f"running {' '.join(['ffsm', *sys.argv[1:2]])}"
+            click.echo(f"{now - begun:4.0f} s: {at}", file=stream)
             silence = then
 
 

@@ -369,7 +369,8 @@ def _finish(
             remedy_of = optional(SERVICES, "remedy") or (lambda record, directory: None)
             if file := remedy_of(record, directory):
                 click.echo(
-                    f"{record.scenario.controller}: what may help, as a scenario: ffsm run {file}",
+                    f"{record.scenario.controller}: a changed scenario is in {file}; run it with: "
+                    f"ffsm run {file}",
                     err=True,
                 )
         with trying("closest approach"):

@@ -19,5 +19,6 @@ def step(name: str | Callable[[], str]) -> Iterator[None]:
 
 
 def current_step() -> str:
-    """The steps, the outermost first, empty between steps."""
-    return ": ".join(name if isinstance(name, str) else name() for name in _steps)
+    """The outermost step with the steps within it in parentheses; empty between steps."""
+    first, *within = [name if isinstance(name, str) else name() for name in _steps] or [""]
+    return f"{first} ({': '.join(within)})" if within else first

@@ -48,8 +48,11 @@ def run_remarks(record: RunRecord) -> list[str]:
         if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
             found = [name for name in noticed if name.partition(" ")[0] == fault.unit]
             told = "".join(f", detected at {noticed.pop(name):.2f} s" for name in found[:1])
-            remarks.append(f"{fault.unit}: {fault.kind} from {fault.time[0]:.2f} s on{told}")
-    remarks += [f"{name}: detected at {at:.2f} s, but works" for name, at in noticed.items()]
+            remarks.append(f"{fault.unit}: {fault.kind} since {fault.time[0]:.2f} s{told}")
+    remarks += [
+        f"{name}: reported as faulty at {at:.2f} s, but it has no fault (false alarm)"
+        for name, at in noticed.items()
+    ]
     remarks += broken_limits(record.scenario, record.dataset)
     shares = [f"{name} in {percent(share)}" for name, share in saturation(record).items()]
     if shares:
@@ -152,8 +155,8 @@ def not_measured(scenario: Scenario) -> Iterator[str]:
     if names := shapes_of(scenario).unmeasured:
         shown = f"{', '.join(names[:3])}{f' and {len(names) - 3} more' if names[3:] else ''}"
         yield (
-            f"clearance is not known: no shape of {shown} to measure; give an .obj that is "
-            "there, or a <collision> of its link"
+            f"clearance cannot be computed: no shape of {shown} can be measured; give an existing "
+            ".obj file, or add <collision> to the link"
         )
 
 

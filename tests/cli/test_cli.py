@@ -328,10 +328,10 @@ def test_a_silent_command_names_its_steps(tmp_path):
     )
     command = [sys.executable, "-c", code, "run", scenario, "--out", tmp_path / "run"]
     done = finished(command, stdout=PIPE, stderr=PIPE, text=True)
-    steps = set(re.findall(r"still at work: (.*)", done.stderr))
+    steps = set(re.findall(r"^ *\d+ s: (.*)", done.stderr, re.MULTILINE))
     assert done.returncode == 3, done.stderr
-    assert "the linear verdict" in steps
-    assert "a search for changes that help: the linear verdict" in steps
+    assert "checking the linear loop" in steps
+    assert "searching for a change that helps (checking the linear loop)" in steps
     assert any(each.startswith("writing the report") for each in steps)
 
 
@@ -352,6 +352,6 @@ def test_a_silent_command_says_that_it_goes_on(first, least, named, capsys, monk
     watcher.join()
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == least
-    at = "the whole: a part" if named else "ffsm new"
-    assert all(line.endswith(f"s: still at work: {at}") for line in lines)
+    at = "the whole (a part)" if named else "running ffsm new"
+    assert all(line.endswith(f" s: {at}") for line in lines)
     assert current_step() == ""

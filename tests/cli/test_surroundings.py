@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 
 import pytest
@@ -41,7 +42,7 @@ def test_any_locale_will_do(env):
     assert found.returncode == 0, found.stderr
     assert b"planar_detumble: valid; " in found.stdout
     lines = found.stderr.splitlines()
-    assert all(b"s: still at work: " in line for line in lines), lines  # on a busy machine
+    assert all(re.match(rb" *\d+ s: ", line) for line in lines), lines  # on a busy machine
 
 
 @pytest.mark.parametrize("number", [4, 5, pytest.param(6, marks=pytest.mark.slow)])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["Analysis", "Finding", "analyze"]
 
 
-@step("the findings")
+@step("checking the theory")
 def analyze(record: "RunRecord") -> Analysis:
     """Evaluate every finding on a run, completed or not; inapplicable ones give their reason.
 

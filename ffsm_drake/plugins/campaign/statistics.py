@@ -213,7 +213,7 @@ class Sensitivity:
         return self.share > self.chance
 
 
-@step("influence of the values")
+@step("computing the influence of the values")
 def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
     """Every sampled value and controller; NaN if all runs have the same outcome."""
     return [
@@ -405,7 +405,7 @@ def find(
     )
 
 
-@step("the stability map")
+@step("computing the stability map")
 def _map(
     store: Store,
     axes: tuple[str, str],

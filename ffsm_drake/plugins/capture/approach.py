@@ -76,7 +76,7 @@ def given_approach(scenario: Scenario) -> Approach:
 
 
 @memoized(maxsize=128)  # a campaign asks for those of a batch before it runs them
-@step("a search for a clear start")
+@step("searching for a start without contact")
 def _clear_start(scenario: Scenario) -> Posture:
     approach = scenario.approach
     assert approach is not None

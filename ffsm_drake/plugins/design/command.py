@@ -89,7 +89,7 @@ def stability(
         click.echo(f"Written to {path}", err=as_json)
     if out is not None and (found.advice or found.remedies):
         file = write_remedied(scenario, found.advice, found.remedies, out)
-        click.echo(f"what may help, as a scenario: ffsm run {file}", err=as_json)
+        click.echo(f"a changed scenario is in {file}; run it with: ffsm run {file}", err=as_json)
     sys.exit(EXIT_UNSTABLE if found.is_alarm or found.is_linearly_unstable else 0)
 
 

@@ -66,7 +66,7 @@ class Limit:
         return float(1.0 / possible)
 
 
-@step("the LQG limit")
+@step("computing the LQG limit")
 def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     """The limit for a scenario and its controller's distance to it; takes less than a second.
 

@@ -39,7 +39,7 @@ _LIGHTER = "a lighter nominal payload"
 Changes = dict[str, Any]
 
 
-@step("a search for changes that help")
+@step("searching for a change that helps")
 def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
     """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
     seconds, but no time for a mission expected to go as planned, nor with a posture outside the
@@ -81,7 +81,7 @@ def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Adv
         ("a smaller K_s", _smaller(scenario, lambda name: name.startswith("k_s"))),
         ("smaller gains", _smaller(scenario, acts)),
         ("a shorter control period", _sooner(scenario)),
-        ("less delay, or a delay known to the estimator", _less_delay(scenario)),
+        ("less delay, or the right delay in the estimator", _less_delay(scenario)),
     ):
         lighter = reason.startswith(_LIGHTER)  # which may be too light in the end
         limit = None if lighter else may_help
@@ -148,7 +148,7 @@ def _first(
     if every and may_help is not None and not holds(may_help, every[-1]):
         return
     for k, changes in enumerate(every):
-        with step(f"{reason.partition(':')[0]}, {k + 1} of {len(every)}"):
+        with step(f"{reason.partition(':')[0]}, trial {k + 1} of {len(every)}"):
             is_enough = holds(helps, changes)
         if is_enough:
             yield Advice(changes=changes, reason=reason)

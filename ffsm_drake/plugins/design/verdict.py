@@ -71,14 +71,16 @@ class RehearsedRun:
     def sentence(self) -> str:
         """The run's ending and the first limit that it exceeded."""
         if self.broken:
-            return f"{self.ending.sentence} Beyond its limits: {'; '.join(self.broken)}."
+            return f"{self.ending.sentence} Limits exceeded: {'; '.join(self.broken)}."
         if not self.limits:
             return self.ending.sentence
+        return f"{self.ending.sentence} First limit exceeded: {self.first_limit}."
+
+    @property
+    def first_limit(self) -> str:
+        """The first limit that it exceeded, with the time."""
         first = min(self.limits, key=lambda name: self.limits[name])
-        return (
-            f"{self.ending.sentence} First beyond its limit: {first}, at t = "
-            f"{self.limits[first]:.2f} s."
-        )
+        return f"{first} at t = {self.limits[first]:.2f} s"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -158,30 +160,33 @@ class Verdict:
         elif self.not_linear:
             yield f"linear: cannot say: {self.not_linear}"
         if self.load is not None and math.isfinite(self.load):
-            saturates = ": it saturates" if self._overloaded else ""
+            saturates = ", so the force saturates" if self._overloaded else ""
             share = f"{number(100.0 * self.load, 3)} %"
-            yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
+            yield f"load after the grasp (no noise): {share} of the force limit{saturates}"
         if self.not_margins:
             yield f"margins: cannot say: {self.not_margins}"
         if self.margins is not None:
-            yield f"margins (from the grasp on): {self.margins.verdict}"
+            yield f"margins (after the grasp): {self.margins.verdict}"
         if self.noises is not None and not self._is_in_margins:
-            yield f"limits ({self.noises.noises} noises, linearised loop): {self.noises}"
+            yield f"limits (linearised loop, {self.noises.sequences}): {self.noises}"
         for each in self.planned:
             yield f"plan: {each}"
         if self.run is not None:
             yield f"rehearsed (one run, limits and noise, given seed): {self.run.sentence}"
             if self.is_linearly_unstable and self.run.ending.is_settled:
-                yield "they disagree: the linear loop is unstable, yet the run settles"
+                yield (
+                    "linear and rehearsed disagree: the linear loop is unstable, but the run "
+                    "settles"
+                )
             if self._noises_are_contradicted:
                 yield (
-                    "they disagree: under its limits the linearised loop diverges with every "
-                    "noise, yet the run settles"
+                    "limits and rehearsed disagree: the linearised loop diverges with every noise "
+                    "sequence, but the run settles"
                 )
             if self._linear_is_known and not self.is_linearly_unstable and self.run.fails:
                 yield (
-                    "they disagree: the linear loop is stable for small errors, so limits, noise, "
-                    "an error that lasts or the transient at the start is the cause"
+                    "linear and rehearsed disagree: small errors decay, so the run fails because "
+                    "of limits, noise, a lasting error, or the transient at the start"
                 )
         if self.advice:
             yield helps(self.advice)
@@ -194,18 +199,15 @@ class Verdict:
 
     @property
     def conclusion(self) -> str:
-        """One line: the expectation and its scope; how a mission ends is said of a run alone."""
+        """One line: the expectation and its scope. Only a run predicts how the mission ends."""
         covers = [
             name
             for name, part in (
-                (
-                    "small errors on every leg, moving, without limits",
-                    self._linear_is_known or None,
-                ),
-                ("the load after the grasp", self.load),
-                (f"{self.noises and self.noises.noises} noises under the limits", self.noises),
+                ("linear loop of every leg", self._linear_is_known or None),
+                ("load after the grasp", self.load),
+                (self.noises and self.noises.sequences, self.noises),
                 ("one run with limits and noise", self.run),
-                ("the plan's limits", self.planned or None),
+                ("limits of the plan", self.planned or None),
             )
             if part is not None
         ]
@@ -213,16 +215,35 @@ class Verdict:
         if self.is_alarm:
             return f"not expected to go as planned{scope}"
         if not covers:
-            return f"cannot say how the mission goes{scope}"
-        if self.is_linearly_unstable:
-            return f"the run settles, though the linear loop is unstable{scope}"
+            return f"no prediction; leave out --no-rehearsal{scope}"
         if self.run is None:
-            return f"no alarm; not rehearsed, so how it ends is not known{scope}"
+            return (
+                "no alarm, but the mission was not rehearsed; to predict how it ends, leave out "
+                f"--no-rehearsal{scope}"
+            )
+        if self.is_linearly_unstable:
+            return (
+                "expected to settle, but the linear loop is unstable: confirm it with other seeds "
+                f"(--seed N){scope}"
+            )
         if not self.run.ending.is_settled:
-            return f"expected to stay bounded, not to settle{scope}"
+            return f"not expected to settle: {self._unsettled}{scope}"
         if self.run.limits:
-            return f"expected to settle, not as planned: commands exceed the limits{scope}"
+            return (
+                "expected to settle, with commands beyond their limits, first "
+                f"{self.run.first_limit}; raise the limit or lengthen the motion{scope}"
+            )
         return f"expected to go as planned{scope}"
+
+    @property
+    def _unsettled(self) -> str:
+        ending: Ending = self.run.ending  # type: ignore[union-attr]
+        if ending.excess <= 1.0:
+            return "the run ends before the planned motion; lengthen duration"
+        return (
+            f"{ending.coordinate} ends at {number(ending.excess, 3)} tolerances; lengthen duration "
+            "or change the controller"
+        )
 
     @property
     def warnings(self) -> list[str]:
@@ -255,11 +276,11 @@ class Verdict:
             yield self.linear.sentence
         if self._overloaded:
             load = self.load or 0.0
-            asks = f"it requires {number(100.0 * load, 3)} % of the force limit"
-            grows = "its force grows without bound"
-            yield f"after the grasp {asks if math.isfinite(load) else grows}"
+            needs = f"the force reaches {number(100.0 * load, 3)} % of its limit"
+            grows = "the force grows without bound"
+            yield f"after the grasp {needs if math.isfinite(load) else grows}"
         if self.noises is not None and self._diverges_by_noise:
-            yield f"under its limits: {self.noises}"
+            yield f"under the limits: {self.noises}"
         if self.run is not None and self.run.is_alarm:
             yield f"rehearsed: {self.run.sentence}"
 
@@ -335,8 +356,8 @@ def helps(found: Iterable[Advice]) -> str:
 
 
 def helps_alone(found: Iterable[Advice]) -> str:
-    """Changes of which each may help alone, in one line."""
-    return f"what may help, each alone: {'; '.join(map(str, found))}"
+    """Changes that may help without the others, in one line."""
+    return f"what may help, each by itself: {'; '.join(map(str, found))}"
 
 
 def helpful_remarks(record: RunRecord) -> list[str]:
@@ -365,7 +386,7 @@ def _without_a_run(
         found["noises"] = rehearse(scenario)
 
 
-@step("a rehearsal of the mission")
+@step("rehearsing the mission")
 def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Scenario) -> RunLog:
     """Run the mission, and note how, and the shares of samples in which actuators saturated."""
     rollout = make_rollout(scenario)
@@ -382,7 +403,7 @@ def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Sce
     return log
 
 
-@step("rehearsals with other noise")
+@step("rehearsing with other noise sequences")
 def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
     """Rehearse more noise sequences if a successful run came so near to ``actuation.limit`` that
     other noise may exceed it.

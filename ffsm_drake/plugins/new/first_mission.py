@@ -120,7 +120,7 @@ class Draft:
         sections = {key: each for key, each in {**self.data, **changes}.items() if each != {}}
         return scenario_from_dict(sections, source=self.source)
 
-    @step("a search for postures free of contact")
+    @step("searching for postures without contact")
     def place(self, target: Target) -> None:
         """Thrusters, panels, postures, and the way to the grasp; where a second hand holds."""
         self._thrusters()
@@ -132,7 +132,7 @@ class Draft:
         if self.asked.has_approach:
             self._approach(_SHORTER[:1])
 
-    @step("wheels and durations")
+    @step("choosing wheels and durations")
     def pace(self) -> None:
         """Disturbance, durations and wheels, once all is placed."""
         self._disturb()
@@ -151,7 +151,7 @@ class Draft:
         """Faults of the plan that other postures may not have."""
         return [*filter(None, (self.touching, self._outside))]
 
-    @step("gains")
+    @step("choosing gains")
     def fill(self) -> None:
         """Steps for friction, then gains, once durations are known."""
         self._resolve_friction()
@@ -401,7 +401,7 @@ class Draft:
         while longer > reference["duration"]:
             if longer < math.inf:
                 reference["duration"] = longer
-            with step(f"a motion of {reference['duration']:g} s"):
+            with step(f"trying a motion of {reference['duration']:g} s"):
                 self.peaks = self._motion_peaks() + self._disturbance
             self._size_wheels()
             longer = self._longer(reference["duration"], self.peaks - self._disturbance)
@@ -568,7 +568,7 @@ class Draft:
         """
         if self.asked.is_paper:
             for name in BY_AXIS:
-                with step(f"the stability of {name}"):
+                with step(f"checking the stability of {name}"):
                     self.margins[name] = stability(self._scenario(controller=name), postures=9)
             stable = all(
                 each.verdict == "stable for small errors" for each in self.margins.values()

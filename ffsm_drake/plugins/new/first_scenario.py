@@ -70,7 +70,7 @@ class NewScenario:
 
     def judged(self) -> "NewScenario":
         """The same with a verdict on the mission in its file."""
-        with step("the verdict"):
+        with step("predicting the mission"):
             mission = verdict(load_scenario(str(self.scenario_file)), advises=False)
         return dataclasses.replace(self, mission=mission)
 
@@ -270,7 +270,7 @@ def _rehearsed(made: NewScenario, others: Mapping[str, Callable[[], NewScenario]
     if made.is_as_planned:
         return made
     for k, (words, make) in enumerate(others.items()):
-        with step(f"a remedy, {k + 1} of {len(others)}: {words}"), suppress(FfsmError):
+        with step(f"trying a change, {k + 1} of {len(others)}: {words}"), suppress(FfsmError):
             if make().judged().is_as_planned:
                 return dataclasses.replace(made, remedy=words)
     return dataclasses.replace(made, tried=tuple(others))
@@ -333,7 +333,7 @@ def _make(
         """The largest cube of half the side, a quarter, ... that touches nothing."""
         for each in sides:
             smaller = cube(given.mass, each, servicer, share=_PAYLOAD_SHARE)
-            with step(f"a target of {each:g} m"):
+            with step(f"trying a target of {each:g} m"):
                 is_clear = not placed(smaller, place)[1].touching
             if is_clear:
                 return smaller
@@ -362,7 +362,7 @@ def _make(
         draft.pace()
         again = range(1, _TRIES if asked.capture is not None and asked.tips is None else 1)
         for seed in again if draft.faults else ():
-            with step(f"other postures, {seed} of {len(again)}"):
+            with step(f"trying other postures, {seed} of {len(again)}"):
                 _, drawn = placed(given, folder, seed)
                 drawn.pace()
             if not drawn.faults:

@@ -74,7 +74,7 @@ class PlannedMotionReport:
         return [margin for margin in self.margins if not margin.kept]
 
 
-@step("the planned motion")
+@step("planning the motion")
 def plan_motion(
     scenario: Scenario,
     *,

@@ -227,7 +227,7 @@ def _remarks(result: Result, folder: Path) -> Json:
     lines = [*(told or ()), *(warned or ()), *(helps or ())]
     if helps and (remedy_of := optional(SERVICES, "remedy")) is not None:
         file, _ = attempt("remedy", result, functools.partial(remedy_of, record, folder))
-        lines.append(file and f"what may help, as a scenario: ffsm run {file}")
+        lines.append(file and f"a changed scenario is in {file}; run it with: ffsm run {file}")
     said = dict.fromkeys(line for line in lines if line and line not in (broken or ()))
     return {"broken": broken or [], "said": [f"{_begun(line)}." for line in said]}
 

@@ -564,4 +564,4 @@ def test_a_loop_that_diverges_at_once_is_told_so(tmp_path):
     found = linear_verdict(scenario)
     assert found.status == "unstable"
     assert "inf" not in found.sentence
-    assert "none, since it diverges within 5 samples of a start on the plan" in found.sentence
+    assert "the loop diverges from the plan within 5 samples" in found.sentence

@@ -23,7 +23,7 @@ def test_a_failed_run_leaves_a_scenario_that_settles(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, said = ffsm("run --set payload.nominal.mass=130 --out out/heavy --no-report")
     assert code == 3
-    told = re.search(r"what may help, as a scenario: ffsm (run (\S+))", said)
+    told = re.search(r"a changed scenario is in \S+; run it with: ffsm (run (\S+))", said)
     assert told[2] == f"out/heavy/{REMEDY_FILE}"
     assert ffsm(f"{told[1]} --require settled --no-report")[0] == 0
     before, after = (load_scenario(each) for each in ("out/heavy", "out/remedy"))

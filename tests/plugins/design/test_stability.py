@@ -345,7 +345,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
         (
             ["stability", "--set", "payload.nominal.mass=1e5"],
             3,
-            "spectral radius none, since it diverges",
+            "unstable at rest: at t = 20.00 s the loop diverges from the plan within 5 samples",
         ),
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
         (

@@ -44,7 +44,7 @@ class Boundaries:
     starting: "Boundaries | None" = None
 
 
-@step("stability limits")
+@step("computing stability limits")
 def find_boundaries(
     scenario: Scenario, *, time: float | Sequence[float], adapted: bool = True
 ) -> Boundaries:

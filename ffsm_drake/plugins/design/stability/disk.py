@@ -53,7 +53,7 @@ class DiskMargins:
         }
 
 
-@step("disk margins")
+@step("computing disk margins")
 def disk_margins(scenario: Scenario) -> DiskMargins:
     """Disk margins from the grasp on, at five postures of the planned motion.
 

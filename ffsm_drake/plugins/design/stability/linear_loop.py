@@ -24,10 +24,10 @@ def radius_digits(radius: float) -> str:
 
 
 def radius_told(radius: float) -> str:
-    """A spectral radius in words, which a loop without a finite one has too."""
+    """A spectral radius as a number, or why there is no finite one."""
     if math.isfinite(radius):
         return radius_digits(radius)
-    return f"none, since it diverges within {WARM_UP} samples of a start on the plan"
+    return f"none: the loop diverges from the plan within {WARM_UP} samples"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ from ffsm_drake.plugins.design.stability.one_axis import (
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
-from ffsm_drake.scenario import Scenario, checked
+from ffsm_drake.scenario import Scenario, checked, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
@@ -144,12 +144,12 @@ class Margins:
         if not self.starts_stable:
             worst = self.worst
             return (
-                f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
-                f"{radius_told(worst.spectral_radius)} at the posture of t = {worst.time:g} s"
+                f"unstable: the sampled loop of {self.scenario.controller} at the posture of t = "
+                f"{worst.time:g} s has spectral radius {radius_told(worst.spectral_radius)}"
             )
         if self._bounds_unstable:
             return (
-                "unstable with every K_s at its bound: the sampled loop has spectral radius "
+                "unstable with every K_s at its bound: the spectral radius of the sampled loop is "
                 f"{radius_told(self.radius_at_bounds)}"
             )
         if self.axes is None:
@@ -159,15 +159,14 @@ class Margins:
             limit = self.axes.k_s_limit[i]
             time = self.axes.forecast_times[int(np.argmax(self.axes.forecast_k_s[:, i] > limit))]
             return (
-                f"unstable: adaptation is expected to take K_s of {self.coordinates.names[i]} "
-                "past its limit of "
-                f"{limit:.1f} 1/s at t = {time:.1f} s"
+                f"unstable: K_s of {self.coordinates.names[i]} is expected to adapt beyond its "
+                f"stability limit of {limit:.1f} 1/s at t = {time:.1f} s; lower k_s_max"
             )
         if self.axes.may_leave.any():
             i = int(np.argmax(self.axes.may_leave))
             return (
-                f"stable for small errors, but nothing stops K_s before its limit "
-                f"({self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
+                "stable for small errors, but K_s may grow beyond its stability limit of "
+                f"{self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}; set k_s_max"
             )
         return self._with_actuators
 
@@ -197,7 +196,7 @@ class Margins:
             return f"linearised loop stable with its actuators: {found}"
         return (
             "linearised loop stable with its actuators, but not expected to settle: "
-            f"{names[i]} is off by up to {found.largest_error[i]:.2g} "
+            f"the error of {names[i]} reaches {found.largest_error[i]:.2g} "
             f"{found.coordinates.units[i]} at the end, beyond its tolerance of {tolerance[i]:g}; "
             f"{found}"
         )
@@ -336,5 +335,5 @@ def adaptation_remark(linearizer: Linearizer) -> str:
     bound = f"may grow to {largest:g} 1/s" if math.isfinite(largest) else "is not bounded"
     return (
         f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set "
-        f"k_s_max, or see 'ffsm stability' for the margins of {scenario.controller}"
+        f"controllers.{controller_key(scenario.controller)}.k_s_max below that"
     )

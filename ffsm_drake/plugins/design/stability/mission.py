@@ -16,7 +16,7 @@ from typing import Literal
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, radius_told
+from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, LinearLoop, radius_digits
 from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.plugins.design.stability.moving import (
     GROWN,
@@ -88,7 +88,7 @@ class LinearVerdict:
         return self.status == "unstable"
 
 
-@step("the linear verdict")
+@step("checking the linear loop")
 def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> LinearVerdict:
     """The linear verdict on all legs of a mission; a fraction of a second to a second.
 
@@ -146,8 +146,8 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
         instants=len(found.loops),
         rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
-        sentence=f"{leg}: {growing or _told(found, leg, status, start)}{gains}, at "
-        f"{len(found.loops)} instants, {_scope(linearizer.given, leg)}",
+        sentence=f"{leg}: {growing or _told(found, leg, status, start)}{gains} "
+        f"({len(found.loops)} instants, {_scope(linearizer.given, leg)})",
     )
 
 
@@ -181,7 +181,7 @@ def _at_larger_gains(
             break
     if found is None:
         if adapts(linearizer):
-            problem = "nothing stops the adaptation of K_s, and it is not forecast; set k_s_max"
+            problem = "the adaptation of K_s has no bound and no forecast; set k_s_max"
             raise NotLinear(problem)
         return starting, ""
     if _status(found, leg) == _status(starting, leg) and (
@@ -212,11 +212,16 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
     worst = found.worst
     modes = worst.modes(1)
     where = f", mostly {next(iter(modes[0].coordinates))}" if modes else ""
-    told = radius_told(worst.spectral_radius)
-    radius = f"spectral radius {told} at t = {start + worst.time:.2f} s"
+    at, rest = f"t = {start + worst.time:.2f} s", _resting_radius(found, leg) >= 1.0
+    if not math.isfinite(worst.spectral_radius):
+        at_rest = " at rest" if rest else ""
+        return (
+            f"unstable{at_rest}: at {at} the loop diverges from the plan within {WARM_UP} samples"
+        )
+    radius = f"spectral radius {radius_digits(worst.spectral_radius)} at {at}"
     if status == "stable":
         return f"stable for small errors, {radius}"
-    if _resting_radius(found, leg) >= 1.0:
+    if rest:
         return f"unstable at rest, {radius}{where}"
     if not math.isfinite(found.growth):
         return f"unstable, {radius}"

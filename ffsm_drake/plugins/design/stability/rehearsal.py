@@ -18,7 +18,7 @@ from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.common.numbers import percent, rounded_up
+from ffsm_drake.common.numbers import counted, percent, rounded_up
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.base import attitude_ahead
@@ -66,17 +66,20 @@ class Rehearsal:
     rms_error: np.ndarray
 
     def __str__(self) -> str:
-        """One line: the actuators' limits, the commanded forces, and the outcome."""
-        told = f"{self._asked}; {self._saturating}"
+        """One line: the outcome, the actuators' limits, and the commanded forces."""
         times = self.diverged[np.isfinite(self.diverged)]
-        if times.size:
-            return f"{told}, and {self.share}, at t = {np.median(times):.1f} s"
-        return f"{told}, and {self.share}" if self.noises > 1 else told
+        when = f" at t = {np.median(times):.1f} s" if times.size else ""
+        return f"{self.share}{when}; {self._asked}; {self._saturating}"
 
     @property
     def noises(self) -> int:
         """Number of noise sequences."""
         return self.diverged.size
+
+    @property
+    def sequences(self) -> str:
+        """Number of noise sequences, in words."""
+        return counted(self.noises, "noise sequence")
 
     @property
     def share(self) -> str:
@@ -85,11 +88,11 @@ class Rehearsal:
         """
         count = int(np.isfinite(self.diverged).sum())
         if self.noises == 1:
-            return "it diverges" if count else "it does not diverge"
+            return "diverges" if count else "does not diverge"
         if count:
-            return f"it diverges with {count} of {self.noises} noises"
+            return f"diverges with {count} of {self.sequences}"
         return (
-            f"it diverges with none of {self.noises} noises (chance below "
+            f"diverges with none of {self.sequences} (chance below "
             f"{percent(rounded_up(_CONFIDENCE / self.noises, 3))}, at 95 % confidence)"
         )
 
@@ -113,7 +116,7 @@ class Rehearsal:
             i = int(np.argmax((self.motion_force + 3.0 * self.noise_force) / limit))
             unit = {"rad": "N m", "m": "N"}[self.coordinates.units[i]]
             return (
-                f"{_LIMIT} leaves {limit[i]:.3g} {unit} to {self.coordinates.names[i]}; the motion "
+                f"{_LIMIT} allows {limit[i]:.3g} {unit} on {self.coordinates.names[i]}; the motion "
                 f"takes up to {self.motion_force[i]:.2g}, sensor noise {self.noise_force[i]:.2g} "
                 "(standard deviation)"
             )
@@ -134,7 +137,7 @@ class Rehearsal:
         return float(np.isfinite(self.diverged).mean())
 
 
-@step("the linear loop under limits and noise")
+@step("running the linear loop under limits and noise")
 def rehearse(
     scenario: Scenario,
     *,
