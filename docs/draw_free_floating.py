@@ -5,7 +5,7 @@ python docs/draw_free_floating.py
 
 With thrusters off the base reacts to the arm. Joints that would reach the goal on a fixed base miss
 it; those that the generalized Jacobian gives do not. Prints the table and draws the figure of
-docs/free_floating.md.
+docs/how_a_free_base_moves.md.
 """
 
 import argparse

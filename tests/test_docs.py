@@ -381,7 +381,7 @@ def test_the_tutorial_is_stored_without_outputs():
     ("controller", "coordinate"), [("computed_torque", "base_position_x"), ("pd_plus", "joint_2")]
 )
 def test_the_baselines_sampled_limit(controller, coordinate):
-    """controllers.md: near a held posture the largest eigenvalue of H^-1 K_d or H^-1 Hhat K_d must
+    """sampled_loop.md: near a held posture the largest eigenvalue of H^-1 K_d or H^-1 Hhat K_d must
     stay below 2/L.
     """
     scenario = load_scenario("postcapture")

@@ -6,9 +6,9 @@ position. Then
     H_uu v_u + H_ua v_a = p_u
 
 with the mass matrix H and the momentum p_u. This gives v_u, generalized Jacobians, H* and the
-reaction null space (``docs/free_floating.md``). World axes throughout; twists are [w; v], rad/s and
-m/s, as Drake has them. Momenta are [angular about the world's origin; linear], N m s and N s:
-constant without external forces.
+reaction null space (``docs/how_a_free_base_moves.md``). World axes throughout; twists are [w; v],
+rad/s and m/s, as Drake has them. Momenta are [angular about the world's origin; linear], N m s and
+N s: constant without external forces.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """Task space: the motion of a frame with the driven coordinates, for laws that track its pose.
 
-With J* the generalized Jacobian, H* and C* of the driven coordinates a (``docs/free_floating.md``),
-the frame's twist and acceleration are
+With J* the generalized Jacobian, H* and C* of the driven coordinates a
+(``docs/how_a_free_base_moves.md``), the frame's twist and acceleration are
 
     V = J* v_a + V_0,     A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
 

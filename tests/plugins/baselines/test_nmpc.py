@@ -117,7 +117,7 @@ def test_past_its_bound_it_goes_on_with_the_shifted_solution():
 
 @pytest.mark.long
 def test_from_far_off_it_is_as_good_as_the_linear_program():
-    """50 deg off in two joints; figures of docs/baselines.md."""
+    """50 deg off in two joints; figures of docs/validation/control.md."""
     start, found = np.concatenate([FIRST, np.zeros(11)]), {}
     start[7:9] -= np.deg2rad(50.0)
     for name in ("mpc", "nmpc"):
