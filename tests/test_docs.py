@@ -40,7 +40,7 @@ from ffsm_drake.scenario import (
     shipped_scenarios,
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import controller_names
+from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, controller_names
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import shipped_names
 
@@ -375,6 +375,29 @@ def test_the_tutorial_is_stored_without_outputs():
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
     # ipykernel's own, in any environment
     assert notebook["metadata"]["kernelspec"]["name"] == "python3"
+
+
+# the law itself, its fields, gains of the paper's laws, and a method of any block's factory
+NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s", "build_wide"}
+READ = re.compile(r"(?:getattr|hasattr|attribute_of)\(\s*(?:[\w.]+\.)?(?:law|factory)\b, \"(\w+)\"")
+
+
+def hooks_in_the_code() -> set[str]:
+    """Members of a law that a user may define: those of its base classes, and what else is read
+    from a law if it has it.
+    """
+    found = {name for kind in (ControlLaw, InjectedDynamics) for name in vars(kind)}
+    for file in sorted(Path(ffsm_drake.__file__).parent.rglob("*.py")):
+        found |= set(READ.findall(file.read_text(encoding="utf-8")))
+    return {name for name in found if not name.startswith("_")} - NO_HOOKS
+
+
+def test_every_hook_of_a_law_is_in_the_guide():
+    """The table of own_controller.md has the hooks that the code has, and no others."""
+    guide = (DOCS / "own_controller.md").read_text()
+    table = guide.split("| hook |")[1].split("\n\n")[0]
+    named = {re.match(r"\| `(\w+)", row)[1] for row in table.splitlines()[2:]}
+    assert named == hooks_in_the_code()
 
 
 @pytest.mark.parametrize(
