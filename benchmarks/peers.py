@@ -3,8 +3,8 @@
     python benchmarks/peers.py
     python benchmarks/peers.py --stored Casadi_SQP_data.mat
 
-The figures of ``docs/validation/control.md``. With --stored, a result of the first repository: its torques
-on this package's plant, and when its joints come within 2 % of the step.
+The figures of ``docs/validation/control.md``. With --stored, a result of the first repository: its
+torques on this package's plant, and when its joints come within 2 % of the step.
 """
 
 import argparse
