@@ -11,6 +11,7 @@ from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.workers import ONE_THREAD
 
 
@@ -33,7 +34,7 @@ def main() -> None:
     """
     if not (epoch := os.environ.get("SOURCE_DATE_EPOCH", "0")).isdecimal():  # NumPy reads it
         problem = f"must be whole seconds since 1970, not {epoch!r:.40}; unset it"
-        raise click.UsageError(f"SOURCE_DATE_EPOCH: {problem}")
+        raise FfsmError(f"SOURCE_DATE_EPOCH: {problem}")
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads
     # figures go to files, so no window system is needed

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
 
-def interrupted() -> int:
+def interrupted(how: str = "interrupted") -> int:
     """The exit code of an interrupted command, after its last line."""
-    click.echo(last_words(), err=True)
+    click.echo(last_words(how), err=True)
     return exit_code()
 
 
@@ -68,9 +68,7 @@ class CommandGroup(click.Group):
                 click.echo(f"error: {one_line(error)}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
             except KeyboardInterrupt as interruption:
-                if text := str(interruption):
-                    click.echo(text, err=True)
-                sys.exit(interrupted())
+                sys.exit(interrupted(str(interruption) or "interrupted"))
 
 
 class ExtensibleGroup(CommandGroup):

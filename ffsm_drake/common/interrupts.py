@@ -77,14 +77,14 @@ class Interrupts:
         _say(self.last_words())
         os._exit(128 + number)
 
-    def last_words(self) -> str:
+    def last_words(self, ended: str = "interrupted") -> str:
         """The line that names the command to type next."""
         import shlex
         import sys
 
         self.tell(b".", "")  # it shall be the last
         how, words = ("go on", self.words) if self.words else ("again", sys.argv[1:])
-        return f"interrupted; {how}: {shlex.join(['ffsm', *words])}"
+        return f"{ended}; {how}: {shlex.join(['ffsm', *words])}"
 
     def leave_none(self, paths: "Iterable[Path]", *, empty: bool = False) -> None:
         """Remove files and folders, or folders that are ``empty``, at a sudden end."""
@@ -272,9 +272,9 @@ def spare(pid: int) -> None:
         interrupts.tell(b"=", str(pid))
 
 
-def last_words() -> str:
+def last_words(how: str) -> str:
     """The last line of an interrupted process."""
-    return (current() or Interrupts()).last_words()
+    return (current() or Interrupts()).last_words(how)
 
 
 @contextlib.contextmanager

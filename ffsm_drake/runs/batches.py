@@ -23,6 +23,7 @@ from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.dynamics import DRAKE, Chosen, Dynamics, NotCovered, find_dynamics
+from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.side_by_side import NotAlike
 
 # Sections in which runs side by side may differ: they affect only computations before or after a
@@ -85,6 +86,11 @@ def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[
         groups.setdefault(key or str(index), []).append(index)
     parts = [np.array_split(group, -(-len(group) // most)) for group in groups.values()]
     return [part.tolist() for each in parts for part in each]
+
+
+def runs_alone(scenario: Scenario) -> bool:
+    """Whether a scenario cannot run side by side with others."""
+    return _group(timed(scenario)) is None
 
 
 def run_many(

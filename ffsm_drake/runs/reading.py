@@ -5,6 +5,7 @@ a run of their scenario. No other code checks a record again.
 import hashlib
 import json
 import re
+import shlex
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -101,10 +102,8 @@ def _read_record(directory: Path) -> tuple[str, dict[str, Any]]:
     try:
         check_regular(path, limit=_MAX_RECORD)
         digest = digest_of(path)
-    except FileNotFoundError as error:
-        raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+        raise _unread(path, error) from error
     if identifier != digest:
         raise RecordError(
             f"{path}: is not the record that {MANIFEST_FILE} belongs to, or was changed; run it "
@@ -135,9 +134,7 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
     except FfsmError as error:
         raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
     except OSError as error:
-        raise RecordError(
-            f"{path}: cannot be read: {one_line(error)}; give the folder of a run"
-        ) from error
+        raise _unread(path, error, remedy="give the folder of a run") from error
     except KeyError as error:
         raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
@@ -204,7 +201,7 @@ def _read_dataset(path: Path, fields: dict[str, Any]) -> "xr.Dataset":
                 raise OSError(f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario")
             dataset = stored.load()
     except Exception as error:  # xarray and HDF5 raise many types for a damaged file
-        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+        raise _unread(path, error) from error
     for problem in _problems(dataset, fields):
         raise RecordError(f"{path}: {problem}; run it again, and report this if it returns")
     return dataset
@@ -437,6 +434,14 @@ def _grasp_shape(names: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
+def _unread(path: Path, error: BaseException, *, remedy: str = "run it again") -> RecordError:
+    """The error of a file that cannot be read, with what helps."""
+    told = "no such file" if isinstance(error, FileNotFoundError) else one_line(error)
+    if isinstance(error, PermissionError):
+        told, remedy = "no permission", f"chmod u+r {shlex.quote(str(path))}"
+    return RecordError(f"{path}: cannot be read: {told}; {remedy}")
+
+
 def _read_json(path: Path) -> Any:
     check_regular(path, limit=_MAX_TEXT)
     return json.loads(path.read_text(encoding="utf-8"))
@@ -449,7 +454,7 @@ def _check_metrics(path: Path, digest: str) -> None:
     except FileNotFoundError:
         return  # nothing here reads them
     except (OSError, ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+        raise _unread(path, error) from error
     if not isinstance(metrics, dict) or metrics.get(IDENTIFIER) != digest:
         raise RecordError(f"{path}: does not belong to {DATASET_FILE} beside it; run it again")
 

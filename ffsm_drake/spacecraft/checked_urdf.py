@@ -100,10 +100,11 @@ def header_of(text: str) -> str:
 
 def read_xml(path: Path, what: str) -> tuple[Element, str]:
     """The root element and the text of an XML file. Raises ModelError: it is none."""
-    require(path.is_file(), f"no such file; give {what}")
     try:
         check_regular(path, limit=MAX_URDF)
         content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise ModelError(f"no such file; give {what}") from error
     except OSError as error:
         raise ModelError(f"cannot be read: {one_line(error)}") from error
     text = decoded(content)

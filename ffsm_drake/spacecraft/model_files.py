@@ -29,7 +29,7 @@ _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
 _PLACES = {  # texts that must be UTF-8, and what else is checked
     ".yaml": check_directives, ".yml": check_directives, ".sdf": check_poses, ".xml": str,
 }  # fmt: skip
-_MAX_SIZE = 500_000_000  # bytes
+MAX_SIZE = 500_000_000  # bytes
 _MAX_READ = 5_000_000  # characters searched for names of further files
 # A file name in XML, JSON or YAML, or at the end of a line of a Wavefront file.
 _NAMES = re.compile(
@@ -72,7 +72,7 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
     pending = [first]
     for path in pending:  # grows during the loop
         try:
-            check_regular(path, limit=_MAX_SIZE)
+            check_regular(path, limit=MAX_SIZE)
             if path.suffix.lower() in (".urdf", ".xacro"):
                 _parsed(path)
             if path.suffix.lower() in _TEXTS:

@@ -21,6 +21,7 @@ from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBo
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
+from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.plugins import SERVICES, optional, service
 from ffsm_drake.common.so3 import rpy_of
 from ffsm_drake.scenario import Model, Posture, Scenario
@@ -35,7 +36,14 @@ from ffsm_drake.spacecraft.coordinates import (
     StateSplit,
     joints_of,
 )
-from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of, mended, resolved
+from ffsm_drake.spacecraft.model_files import (
+    DRAWABLE,
+    MAX_SIZE,
+    check_collada,
+    files_of,
+    mended,
+    resolved,
+)
 
 # C++ exceptions as they arrive in Python; a violated condition arrives as SystemExit.
 DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)
@@ -317,13 +325,13 @@ def _add_models(
 ) -> list[ModelInstanceIndex]:
     """Parse a file or package:// address. Raises ModelError for anything rejected by Drake."""
     if "://" not in file:
+        remedy = "give a file or a package:// address"
         try:
-            found, folder = Path(file).is_file(), Path(file).is_dir()
-        except (OSError, ValueError) as error:  # too long, no permission, ...
-            raise ModelError(f"{place}: cannot be read: {one_line(error)}") from error
-        if not found:
-            fault = "is a folder" if folder else "no such file"
-            raise ModelError(f"{place}: {fault}; give a file or a package:// address")
+            check_regular(Path(file), limit=MAX_SIZE)
+        except FileNotFoundError as error:
+            raise ModelError(f"{place}: no such file; {remedy}") from error
+        except (OSError, ValueError) as error:  # too long, no permission, a folder, ...
+            raise ModelError(f"{place}: cannot be read: {one_line(error)}; {remedy}") from error
     files = files_of(file, place, packages)
     if (trial := optional(SERVICES, "model_trial")) is not None:
         trial(file, place, files, packages)

@@ -34,6 +34,7 @@ from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.common import files
 from ffsm_drake.common.plugins import VERBS, optional
+from ffsm_drake.runs import reading
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.show.figures import run as run_figures
 
@@ -825,6 +826,24 @@ def test_files_of_two_runs_are_refused(tmp_path, good_run, run, name):
     shutil.copyfile(good_run / name, other / name)
     with pytest.raises(RecordError, match="run it again"):
         RunRecord.load(other)
+
+
+@pytest.mark.parametrize("name", ["record.nc", "metrics.json", "manifest.json"])
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (PermissionError(13, "Permission denied"), r"no permission; chmod u\+r \S*{name}$"),
+        (OSError("is not a regular file"), "is not a regular file; (run it again|give the folder)"),
+    ],
+)
+def test_a_remedy_can_help(error, told, name, good_run, monkeypatch):
+    def check(path, *, limit):
+        if path.name == name:
+            raise error
+
+    monkeypatch.setattr(reading, "check_regular", check)
+    with pytest.raises(RecordError, match=told.format(name=re.escape(name))):
+        RunRecord.load(good_run)
 
 
 # Runs that end early keep their record.

@@ -34,7 +34,7 @@ from ffsm_drake.plugins.campaign.evaluate import (
 )
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
-from ffsm_drake.runs.batches import run_many, usual_batch
+from ffsm_drake.runs.batches import run_many, runs_alone, usual_batch
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
@@ -245,8 +245,12 @@ def _drive(
     report()
     # so small that the workers end at about the same time
     share = (total - before) // (_BATCHES_EACH * workers.in_flight())
+    first = itertools.islice(store.pending(), 1)
     usual = usual_batch(find_dynamics(store.spec.dynamics).dynamics)
     most = max(1, min(batch or usual, share))
+    with contextlib.suppress(FfsmError):  # an error becomes a row
+        if any(runs_alone(scenario_of(store.spec, *each)) for each in first):
+            most = 1  # each result is kept as soon as it is there
     results = run_tasks(
         evaluate,
         batches(store.pending(), size=most, controllers=store.spec.controllers),

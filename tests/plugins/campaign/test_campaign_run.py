@@ -17,7 +17,9 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 from campaign_tools import (
     HERE,
     count,
@@ -92,6 +94,23 @@ def test_rows_that_another_program_removes_are_missed(tmp_path):
         resume_campaign(path, workers=HERE)
         with open_store(path) as store:
             assert store.num_results() == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alone", [False, True])
+def test_runs_that_end_one_by_one_are_kept_one_by_one(alone, tmp_path):
+    """What an interruption ends is only the run under way."""
+    spec, seen = write_spec(tmp_path / "few.yaml", cases=8), list[int]()
+    data = yaml.safe_load(spec.read_text())
+    data["overrides"]["simulator_config.use_error_control"] = alone
+    spec.write_text(yaml.safe_dump(data, sort_keys=False))
+    start_campaign(
+        load_spec(spec), tmp_path / "few.db", workers=HERE,
+        progress=lambda progress: seen.append(progress.done),
+    )  # fmt: skip
+    sizes = np.diff(seen)
+    assert sizes.sum() == seen[-1]
+    assert (sizes.max() == 1) == alone
 
 
 @contextlib.contextmanager

@@ -265,6 +265,15 @@ def test_counts_are_bounded_before_mujoco_compiles(old, new, told, tmp_path):
     assert told in str(error.value)
 
 
+def test_a_fifo_is_none(tmp_path):
+    file = tmp_path / "a.urdf"
+    os.mkfifo(file)
+    model = Model(servicer=str(file), debris="package://ffsm_drake/urdf/debris.urdf")
+    for read in (read_urdf, read_target, lambda _: make_plant(model)):
+        with pytest.raises(ModelError, match=r"a\.urdf: cannot be read: is not a regular file"):
+            read(file)
+
+
 @pytest.mark.parametrize(
     ("limits", "found"),
     [
@@ -277,8 +286,10 @@ def test_huge_limits_are_none(limits, found, tmp_path):
         urdf().replace('lower="-1" upper="1"', limits, 1).replace('effort="10" velocity="1"', "", 1)
     )
     (tmp_path / "a.urdf").write_text(text)
-    first, *_ = read_urdf(tmp_path / "a.urdf").joints
+    servicer = read_urdf(tmp_path / "a.urdf")
+    first, *_ = servicer.joints
     assert (first.lower, first.upper) == found
+    assert "limits beyond 1e+16 do not limit: lower of j0" in servicer.remarks[0]
     assert first.effort == first.velocity == np.inf
 
 

@@ -10,7 +10,14 @@ import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, listed, name_of, read_joint, vector
+from ffsm_drake.plugins.new.urdf.elements import (
+    WORLD,
+    end_of,
+    listed,
+    name_of,
+    read_joint,
+    vector,
+)
 from ffsm_drake.spacecraft.checked_urdf import number, require
 from ffsm_drake.spacecraft.inertia import read_mass
 
@@ -146,7 +153,7 @@ def _check_leaders(joints: Mapping[str, Element]) -> None:
 def vague_limits(root: Element) -> Iterator[str]:
     """Remove ranges of 0 to 0; yields remarks on limits that say nothing, or are in degrees."""
     unknown: dict[str, list[str]] = {"effort": [], "velocity": [], "range": []}
-    degrees = list[str]()
+    degrees, beyond = list[str](), list[str]()
     for joint in root.findall("joint"):
         limit, name = joint.find("limit"), name_of(joint)
         if limit is None or joint.get("type") not in ("revolute", "continuous", "prismatic"):
@@ -157,6 +164,7 @@ def vague_limits(root: Element) -> Iterator[str]:
             if key in limit.attrib
         }
         huge = [key for key, value in given.items() if abs(value) >= _NO_LIMIT]
+        beyond += [f"{key} of {name}" for key in huge if abs(given[key]) > _NO_LIMIT]
         for key in huge:
             if key in ("lower", "upper") and not {"lower", "upper"} <= {*huge}:
                 given[key] = math.copysign(_FAR, given[key])
@@ -177,6 +185,8 @@ def vague_limits(root: Element) -> Iterator[str]:
     told = [f"{key} of {listed(names)}" for key, names in unknown.items() if names]
     if told:
         yield f"limits of 0 say nothing and do not limit: {'; '.join(told)}"
+    if beyond:
+        yield f"limits beyond {_NO_LIMIT:g} do not limit: {listed(beyond)}"
     if degrees:
         yield (
             f"limits of many turns, perhaps in degrees, where a URDF has radians: "
