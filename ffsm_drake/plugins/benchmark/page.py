@@ -18,8 +18,8 @@ _COLUMNS = {
     "propellant_over_least": "of the least",
     "final_drift_rotation": "drift [rad]",
     "spectral_radius": "radius",
-    "payload_factor": "payload, linear",
-    "delay_margin": "delay, linear [s]",
+    "payload_factor": "payload, starting K_s",
+    "delay_margin": "delay, starting K_s [s]",
     "error_over_lqg": "of LQG's error",
     "law_time": "a sample [µs]",
 }

@@ -265,7 +265,8 @@ def design_table(found: Design) -> str:
     if scenario.estimator.kind != "one_sample" and scenario.controller in PAPER_LAWS:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
     estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
-    margins = [["margin", "chosen", "given"]]
+    where = ", at the starting K_s" if found.adapts else ""
+    margins = [[f"margin{where}", "chosen", "given"]]
     for name, (was, now) in found.margins.items():
         margins.append([name, f"{now:.4g}", f"{was:.4g}"])
     masses = [["true payload", "spectral radius", ""]]
@@ -333,5 +334,6 @@ def design_data(found: Design) -> dict[str, Any]:
             name: {"before": before, "chosen": after}
             for name, (before, after) in found.margins.items()
         },
+        "margins_are_at_starting_k_s": found.adapts,
         "found": {kind: figures(point) for kind, point in found.found.items()},
     }

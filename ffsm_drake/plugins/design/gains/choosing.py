@@ -46,7 +46,7 @@ from ffsm_drake.plugins.design.gains.requirement import (
 )
 from ffsm_drake.plugins.design.gains.variation import vary
 from ffsm_drake.plugins.design.limit import Limit, find_limit
-from ffsm_drake.plugins.design.stability.adaptation import axis_law, expected_gains
+from ffsm_drake.plugins.design.stability.adaptation import adapts, axis_law, expected_gains
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries, find_boundaries
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer, NotLinear
 from ffsm_drake.plugins.design.stability.planned_dynamics import Demand, make_demand
@@ -90,6 +90,7 @@ class Design:
     requirement: Requirement
     # name -> (given, chosen); empty if not evaluated
     margins: Mapping[str, tuple[float, float]]
+    adapts: bool  # whether adaptation can change K_s, at whose start the margins hold
     ended_by: str = ""  # reason for an early end of the search
 
     @functools.cached_property
@@ -456,6 +457,7 @@ class _Search:
             raise self._too_little(chosen)
         with Linearizer(chosen.scenario) as linearizer:
             radius_by_mass = _radius_by_mass(linearizer, self._masses)
+            can_adapt = adapts(linearizer)
         kinds = dict.fromkeys(kind for kind, _ in self._tried)
         found = {
             kind: min((p for k, p in self._tried if k == kind), key=self.requirement.rank)
@@ -475,6 +477,7 @@ class _Search:
             ideal_isv=self._demand.ideal_isv,
             requirement=self.requirement,
             margins={} if baseline is None else baseline.margins(self._margins.get(id(chosen))),
+            adapts=can_adapt,
             ended_by=self.ended_by,
         )
 
