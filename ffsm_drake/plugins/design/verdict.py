@@ -32,6 +32,7 @@ from ffsm_drake.plugins.design.stability.mission import LinearVerdict, linear_ve
 from ffsm_drake.plugins.design.stability.rehearsal import (
     MANY,
     Rehearsal,
+    expected_rehearsal,
     is_near_limits,
     rehearse,
 )
@@ -383,7 +384,7 @@ def _without_a_run(
         found["margins"] = stability(scenario, linearizer=linearizer)
         found["noises"] = found["margins"].rehearsal
     elif is_rehearsed(scenario) and not linear.is_alarm:
-        found["noises"] = rehearse(scenario)
+        found["noises"] = expected_rehearsal(linearizer)
 
 
 @step("rehearsing the mission")

@@ -219,3 +219,14 @@ def test_cases_side_by_side_have_the_results_that_they_have_alone():
     alone = [rehearse(each.scenario, seeds=2).share_diverged for each in cases]
     assert len(set(alone)) > 1
     assert shares_diverged(cases, seeds=2) == alone
+
+
+@pytest.mark.slow
+def test_a_check_and_its_report_rehearse_once():
+    """And at other values again."""
+    scenario = load_scenario("tumbling_capture", ["capture.approach.duration=20"])
+    checked = verdict(scenario, rehearsal=False).noises
+    shown = stability(scenario).rehearsal
+    assert np.shares_memory(checked.largest_error, shown.largest_error)
+    other = override_scenario(scenario, ["sensing.position_noise.all=1e-5"])
+    assert not np.shares_memory(stability(other).rehearsal.largest_error, shown.largest_error)

@@ -29,7 +29,7 @@ from ffsm_drake.plugins.design.stability.one_axis import (
     tolerated_eta,
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
-from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
+from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, expected_rehearsal
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
 from ffsm_drake.scenario import Scenario, checked, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -258,7 +258,7 @@ def stability(
         at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius
     radius = max(loop.spectral_radius for loop in (*loops, *expected))
     if is_rehearsed(scenario) and radius < 1.0:
-        rehearsal = rehearse(scenario, held=held, mean=linearizer.follow(held=held))
+        rehearsal = expected_rehearsal(linearizer)
     return Margins(
         scenario=scenario,
         coordinates=planned.coordinates,

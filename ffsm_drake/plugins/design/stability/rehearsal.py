@@ -9,6 +9,7 @@ saturation.
 import dataclasses
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,21 +18,24 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
-from ffsm_drake.common.memo import content_of
+from ffsm_drake.common.memo import content_of, memoized
 from ffsm_drake.common.numbers import counted, percent, rounded_up
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.base import attitude_ahead
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_actuation, make_base_actuators
+from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import (
     PlannedDynamics,
     make_demand,
 )
+from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.registry import section_parts
@@ -172,6 +176,25 @@ def rehearse(
         largest_error=np.median(largest, axis=0),
         rms_error=np.sqrt(square.mean(axis=0)),
     )
+
+
+def expected_rehearsal(linearizer: Linearizer) -> Rehearsal:
+    """The rehearsal of a linearizer's scenario at the gains that adaptation is expected to reach,
+    about the run without noise and limits. A run's check and its report share it.
+
+    Raises: as ``rehearse``.
+    """
+    scenario = linearizer.given
+    make = _expected.__wrapped__ if user_supplied(scenario) else _expected
+    found: Rehearsal = make(scenario, files_read(scenario), linearizer=linearizer)
+    return found
+
+
+@memoized(maxsize=4, besides="linearizer")
+def _expected(scenario: Scenario, files: tuple[Path, ...], *, linearizer: Linearizer) -> Rehearsal:
+    """``expected_rehearsal``; ``files`` are part of the key."""
+    held = expected_gains(linearizer)
+    return rehearse(scenario, held=held, mean=linearizer.follow(held=held))
 
 
 def is_near_limits(scenario: Scenario, coordinates: Coordinates, force: np.ndarray) -> bool:
