@@ -1,6 +1,4 @@
-"""Commands around scenarios and the installation: scenarios, validate, schema, doctor,
-completion.
-"""
+"""Commands around scenarios: scenarios, validate, schema, completion."""
 
 import os
 import sys
@@ -157,25 +155,6 @@ def schema() -> None:
     data = scenario_schema()
     data["properties"]["controllers"]["properties"] = gains_schema()
     print_json(data)
-
-
-@click.command()
-@json_option
-def doctor(as_json: bool) -> None:
-    """Check the installation: versions, models, controllers, a short run, the browser, Graphviz.
-
-    Exits with 2 when something required is missing.
-
-    \b
-    Example:
-      ffsm doctor
-    """
-    from ffsm_drake.cli.doctor import examine
-
-    checks = examine()
-    lines = [f"[{check['status']:^7}] {check['name']}: {check['detail']}" for check in checks]
-    print_result(as_json, checks, "\n".join(lines))
-    sys.exit(EXIT_BAD_INPUT if any(check["status"] == "missing" for check in checks) else 0)
 
 
 @click.command()

@@ -1,12 +1,16 @@
-"""Check the installation by trying each part."""
+"""The command ``ffsm doctor``: the installation is checked by trying each part."""
 
 import platform
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
+import click
+
+from ffsm_drake.cli.common import EXIT_BAD_INPUT, json_option, print_result
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import (
     COMMANDS,
@@ -18,6 +22,23 @@ from ffsm_drake.common.plugins import (
     offered,
 )
 from ffsm_drake.scenario import load_scenario, override_scenario
+
+
+@click.command()
+@json_option
+def doctor(as_json: bool) -> None:
+    """Check the installation: versions, models, controllers, a short run, the browser, Graphviz.
+
+    Exits with 2 when something required is missing.
+
+    \b
+    Example:
+      ffsm doctor
+    """
+    checks = examine()
+    lines = [f"[{check['status']:^7}] {check['name']}: {check['detail']}" for check in checks]
+    print_result(as_json, checks, "\n".join(lines))
+    sys.exit(EXIT_BAD_INPUT if any(check["status"] == "missing" for check in checks) else 0)
 
 
 def examine() -> list[dict[str, str]]:
