@@ -131,18 +131,13 @@ def _try(file: str, packages: Mapping[str, str]) -> None:
     """Parse a file by Drake; its errors are left to those who parse it again. Raises ModelError
     for a file of which Drake drops a part that changes the motion.
     """
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import MultibodyPlant
+    from ffsm_drake.plugins.new.urdf.formats.direct import check_direct, plant_of
 
-    from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
-
-    plant = MultibodyPlant(time_step=0.0)
-    parser = Parser(plant)  # does not keep the plant
-    for name, folder in packages.items():
-        if not parser.package_map().Contains(name):
-            parser.package_map().Add(name, folder)
     with contextlib.suppress(RuntimeError, ValueError, SystemExit):
-        parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+        plant_of(
+            packages,
+            lambda parser: parser.AddModels(url=file) if "://" in file else parser.AddModels(file),
+        )
         check_direct(file, packages)
 
 

@@ -27,7 +27,8 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.hands import Hands
-from ffsm_drake.plugins.new.urdf import Servicer, Target
+from ffsm_drake.plugins.new.urdf.servicer import Servicer
+from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, scenario_from_dict
 from ffsm_drake.scenario.actuation import Thrusters, Wheel, thrusters_of

@@ -28,18 +28,11 @@ from ffsm_drake.plugins.design.stability import Margins
 from ffsm_drake.plugins.design.verdict import Verdict, verdict
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_mission import Draft
-from ffsm_drake.plugins.new.urdf import (
-    SECOND,
-    Joint,
-    Servicer,
-    Target,
-    cube,
-    make_bus,
-    read_target,
-    read_urdf,
-    write_urdf,
-)
-from ffsm_drake.plugins.new.urdf.elements import listed
+from ffsm_drake.plugins.new.urdf.elements import Joint, listed
+from ffsm_drake.plugins.new.urdf.mounting import make_bus
+from ffsm_drake.plugins.new.urdf.servicer import Servicer, read_urdf
+from ffsm_drake.plugins.new.urdf.target import SECOND, Target, cube, read_target
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, write_yaml
 from ffsm_drake.spacecraft.plant import check_pictures
 

@@ -20,8 +20,8 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import cross, rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.remarks import plan_clearance
-from ffsm_drake.plugins.new.urdf import SECOND, Target
 from ffsm_drake.plugins.new.urdf.formats.building import text
+from ffsm_drake.plugins.new.urdf.target import SECOND, Target
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.plant import base_body, find_frame

@@ -13,6 +13,7 @@ def ffsm(*words):
     return CliRunner().invoke(main, words)
 
 
+@pytest.mark.smoke
 def test_doctor(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = ffsm("doctor", "--json")

@@ -18,7 +18,10 @@ from ffsm_drake.plugins.new import first_mission
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
-from ffsm_drake.plugins.new.urdf import make_bus, read_target, read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf.mounting import make_bus
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
+from ffsm_drake.plugins.new.urdf.target import read_target
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.nominal import make_true_plant

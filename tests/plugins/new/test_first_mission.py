@@ -22,7 +22,7 @@ from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_mission import _Arm
 from ffsm_drake.plugins.new.first_scenario import new_scenario
-from ffsm_drake.plugins.new.urdf import read_urdf
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance

@@ -29,7 +29,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.first_scenario import new_scenario
-from ffsm_drake.plugins.new.urdf import make_bus, read_urdf
+from ffsm_drake.plugins.new.urdf.mounting import make_bus
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import base_body

@@ -12,7 +12,9 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.plugins.new.urdf import Servicer, read_target, read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf.servicer import Servicer, read_urdf
+from ffsm_drake.plugins.new.urdf.target import read_target
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 
 SDF = """<sdf version="1.9"><model name="craft">{extra}
   <link name="bus"><inertial><mass>200</mass><inertia><ixx>60</ixx><iyy>50</iyy><izz>40</izz>

@@ -27,9 +27,11 @@ from drawn_models import (
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.new import apart
-from ffsm_drake.plugins.new.urdf import formats, read_target, read_urdf
+from ffsm_drake.plugins.new.urdf import formats
 from ffsm_drake.plugins.new.urdf.formats.located import keep_lines, read_located
 from ffsm_drake.plugins.new.urdf.formats.xacro import expand
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
+from ffsm_drake.plugins.new.urdf.target import read_target
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import make_plant
 

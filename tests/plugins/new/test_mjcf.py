@@ -8,7 +8,9 @@ import pytest
 from pydrake.geometry import Mesh
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.plugins.new.urdf import read_target, read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
+from ffsm_drake.plugins.new.urdf.target import read_target
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, joints_of
 from ffsm_drake.spacecraft.plant import make_plant

@@ -13,8 +13,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
 from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.inertia import MOMENTS, SIX
 from ffsm_drake.spacecraft.limits import urdf_limits

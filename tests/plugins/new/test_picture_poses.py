@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 
 import ffsm_drake.plugins.new.urdf.formats as formats
 from ffsm_drake.cli import main
-from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
 from ffsm_drake.plugins.new.urdf.formats.converting import convert
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.runs.limits import not_measured
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.clearance import Clearance

@@ -12,7 +12,8 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.plugins.new.urdf import read_urdf, write_urdf
+from ffsm_drake.plugins.new.urdf.servicer import read_urdf
+from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import add_combined_plant
 

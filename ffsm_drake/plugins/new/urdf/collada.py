@@ -1,24 +1,25 @@
 """COLLADA meshes as Wavefront ones, which can be drawn and measured."""
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.files import check_regular
 
 _MOST = 200_000_000  # bytes
 _DEPTH = 50  # of nodes within nodes
 _MAX_FACES = 5_000_000
-_FACES = ("triangles", "trifans", "tristrips", "polylist", "polygons")
 _UNREAD = ("instance_controller", "lookat", "skew")
-
-
-class _NotRead(Exception):
-    """The file has what is not read here."""
+_CORNERS = {  # primitive -> the corners of its k-th triangle
+    "triangles": lambda k: (3 * k, 3 * k + 1, 3 * k + 2),
+    "trifans": lambda k: (0, k + 1, k + 2),
+    "tristrips": lambda k: (k, k + 1, k + 2),
+}
+Part = tuple[np.ndarray, list[list[int]]]  # points (n, 3), and the corners of each polygon
 
 
 def as_wavefront(file: Path) -> str | None:
@@ -33,120 +34,85 @@ def as_wavefront(file: Path) -> str | None:
         root = ElementTree.fromstring(file.read_bytes())
         for each in root.iter():
             each.tag = each.tag.rpartition("}")[2]
-        if root.findtext("asset/up_axis", "").strip() != "Z_UP":
-            return None
         unit = root.find("asset/unit")
         scale = 1.0 if unit is None else float(unit.get("meter", "1"))
-        parts = [*_Scene(root).parts()]
-    except (_NotRead, ElementTree.ParseError, ValueError, LookupError, TypeError):
-        return None
-    if not parts or not all(np.isfinite(points).all() for points, _ in parts) or scale <= 0.0:
+        _require(root.findtext("asset/up_axis", "").strip() == "Z_UP" and scale > 0.0)
+        named = {f"#{each.get('id')}": each for each in root.iter()}
+        (shown,) = root.findall("scene/instance_visual_scene")
+        parts = [*_parts(named[shown.get("url", "")], named, np.diag([scale, scale, scale, 1.0]))]
+        _require(parts and all(np.isfinite(points).all() for points, _ in parts))
+    except (ElementTree.ParseError, ValueError, LookupError, TypeError):
         return None
     lines, first = list[str](), 1
     for points, faces in parts:
-        lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in (scale * points).tolist()]
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points.tolist()]
         lines += [f"f {' '.join(str(first + k) for k in face)}\n" for face in faces]
         first += len(points)
     return "".join(lines)
 
 
-class _Scene:
-    """The scene of a file."""
-
-    def __init__(self, root: Element) -> None:
-        self._named = {f"#{each.get('id')}": each for each in root.iter() if each.get("id")}
-        self._root = root
-
-    def parts(self) -> Iterator[tuple[np.ndarray, list[list[int]]]]:
-        """The points (n, 3) and faces of each mesh in the scene."""
-        shown = self._root.find("scene/instance_visual_scene")
-        if shown is None:
-            raise _NotRead
-        yield from self._node(self._of(shown), np.eye(4), 0)
-
-    def _of(self, element: Element) -> Element:
-        """What an element names by its url."""
-        return self._named[element.get("url", "")]
-
-    def _node(
-        self, node: Element, pose: np.ndarray, depth: int
-    ) -> Iterator[tuple[np.ndarray, list[list[int]]]]:
-        if depth > _DEPTH:
-            raise _NotRead
-        for each in node:
-            if each.tag in _UNREAD:
-                raise _NotRead
-            pose = pose @ _transform(each)
-        for each in node:
-            if each.tag == "node":
-                yield from self._node(each, pose, depth + 1)
-            elif each.tag == "instance_node":
-                yield from self._node(self._of(each), pose, depth + 1)
-            elif each.tag == "instance_geometry":
-                points, faces = self._mesh(self._of(each))
-                yield points @ pose[:3, :3].T + pose[:3, 3], faces
-
-    def _mesh(self, geometry: Element) -> tuple[np.ndarray, list[list[int]]]:
-        mesh = geometry.find("mesh")
-        if mesh is None:
-            raise _NotRead
-        places = dict[str, np.ndarray]()
-        for vertices in mesh.findall("vertices"):
-            source = next(
-                each.get("source", "")
-                for each in vertices.findall("input")
-                if each.get("semantic") == "POSITION"
-            )
-            places[f"#{vertices.get('id')}"] = self._points(source)
-        if len(places) != 1:
-            raise _NotRead
-        points, faces = next(iter(places.values())), list[list[int]]()
-        for each in mesh:
-            if each.tag in _FACES:
-                faces += _faces(each)
-        if not faces or len(faces) > _MAX_FACES or max(map(max, faces)) >= len(points):
-            raise _NotRead
-        return points, faces
-
-    def _points(self, source: str) -> np.ndarray:
-        element = self._named[source]
-        values = np.array((element.findtext("float_array") or "").split(), dtype=float)
-        accessor = element.find("technique_common/accessor")
-        if accessor is None or accessor.get("source", "#") not in self._named:
-            raise _NotRead
-        stride, start = int(accessor.get("stride", "1")), int(accessor.get("offset", "0"))
-        names = [each.get("name") for each in accessor.findall("param")]
-        if stride < 3 or names[:3] not in (["X", "Y", "Z"], [None] * 3):
-            raise _NotRead
-        count = int(accessor.get("count", "0"))
-        return values[start : start + count * stride].reshape(count, stride)[:, :3]
+def _require(condition: object) -> None:
+    """Raise ValueError for what is not read here."""
+    if not condition:
+        raise ValueError
 
 
-def _faces(element: Element) -> list[list[int]]:
-    """The corners of each polygon of a primitive."""
-    inputs = element.findall("input")
-    at = next(int(e.get("offset", "0")) for e in inputs if e.get("semantic") == "VERTEX")
-    step = 1 + max(int(each.get("offset", "0")) for each in inputs)
-    if element.find("ph") is not None:
-        raise _NotRead
-    found = list[list[int]]()
-    sizes = [int(word) for word in element.findtext("vcount", "").split()]
-    for p in element.findall("p"):
-        corners = [int(word) for word in (p.text or "").split()][at::step]
-        if element.tag == "triangles":
-            found += [corners[k : k + 3] for k in range(0, len(corners) - 2, 3)]
-        elif element.tag == "polylist":
+def _parts(
+    node: Element, named: Mapping[str, Element], pose: np.ndarray, depth: int = 0
+) -> Iterator[Part]:
+    """The meshes in a node at a pose (4, 4)."""
+    _require(depth <= _DEPTH and not any(each.tag in _UNREAD for each in node))
+    for each in node:
+        pose = pose @ _transform(each)
+    for each in node:
+        if each.tag in ("node", "instance_node"):
+            inner = each if each.tag == "node" else named[each.get("url", "")]
+            yield from _parts(inner, named, pose, depth + 1)
+        elif each.tag == "instance_geometry":
+            points, faces = _mesh(named[each.get("url", "")], named)
+            yield points @ pose[:3, :3].T + pose[:3, 3], faces
+
+
+def _mesh(geometry: Element, named: Mapping[str, Element]) -> Part:
+    """The only mesh of a geometry."""
+    (source,) = geometry.findall("mesh/vertices/input[@semantic='POSITION']")
+    points = _points(named[source.get("source", "")], named)
+    faces = [face for each in geometry.iterfind("mesh/*") for face in _faces(each)]
+    _require(0 < len(faces) <= _MAX_FACES)
+    _require(all(len(face) > 2 and 0 <= min(face) <= max(face) < len(points) for face in faces))
+    return points, faces
+
+
+def _points(source: Element, named: Mapping[str, Element]) -> np.ndarray:
+    values = np.array((source.findtext("float_array") or "").split(), dtype=float)
+    (accessor,) = source.findall("technique_common/accessor")
+    stride, start, count = (int(accessor.get(k, d)) for k, d in
+                            (("stride", "1"), ("offset", "0"), ("count", "0")))  # fmt: skip
+    names = [each.get("name") for each in accessor.findall("param")]
+    _require(accessor.get("source") in named and stride > 2)
+    _require(names[:3] in (["X", "Y", "Z"], [None] * 3))
+    return values[start : start + count * stride].reshape(count, stride)[:, :3]
+
+
+def _faces(primitive: Element) -> Iterator[list[int]]:
+    """The corners of each polygon of a child of a mesh."""
+    if primitive.tag not in (*_CORNERS, "polylist", "polygons"):
+        return
+    inputs = {each.get("semantic"): int(each.get("offset", "0"))
+              for each in primitive.findall("input")}  # fmt: skip
+    _require(primitive.find("ph") is None)
+    sizes = [int(word) for word in primitive.findtext("vcount", "").split()]
+    for p in primitive.findall("p"):
+        corners = [int(word) for word in (p.text or "").split()]
+        corners = corners[inputs["VERTEX"] :: 1 + max(inputs.values())]
+        if primitive.tag == "polylist":
             ends = np.cumsum(sizes).tolist()
-            found += [corners[end - n : end] for n, end in zip(sizes, ends, strict=True)]
-        elif element.tag == "polygons":
-            found.append(corners)
-        elif element.tag == "tristrips":
-            found += [corners[k : k + 3] for k in range(len(corners) - 2)]
+            yield from (corners[end - n : end] for n, end in zip(sizes, ends, strict=True))
+        elif primitive.tag == "polygons":
+            yield corners
         else:
-            found += [[corners[0], *corners[k : k + 2]] for k in range(1, len(corners) - 1)]
-    if any(min(face, default=-1) < 0 or len(face) < 3 for face in found):
-        raise _NotRead
-    return found
+            count = len(corners) // 3 if primitive.tag == "triangles" else len(corners) - 2
+            yield from ([corners[i] for i in _CORNERS[primitive.tag](k)] for k in range(count))
 
 
 def _transform(element: Element) -> np.ndarray:
@@ -162,8 +128,7 @@ def _transform(element: Element) -> np.ndarray:
     elif element.tag == "scale":
         found[:3, :3] = np.diag(values.reshape(3))
     else:
-        x, y, z = values[:3] / np.linalg.norm(values[:3])
-        angle = math.radians(values.reshape(4)[3])
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        found[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+        x, y, z, angle = values
+        axis = np.array([x, y, z]) / np.linalg.norm([x, y, z])
+        found[:3, :3] = Rotation.from_rotvec(angle * axis, degrees=True).as_matrix()
     return found

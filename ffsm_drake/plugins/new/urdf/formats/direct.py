@@ -66,9 +66,9 @@ def _check(model: Path, packages: Mapping[str, str]) -> None:
         raise ModelError(f"{model.name}: {error}") from error
     root = ElementTree.fromstring(found["urdf"])
     urdf = without_pictures(root)
-    ours = _plant(packages, lambda parser: parser.AddModelsFromString(urdf, "urdf"))
+    ours = plant_of(packages, lambda parser: parser.AddModelsFromString(urdf, "urdf"))
     try:
-        theirs = _plant(packages, lambda parser: parser.AddModels(str(model)), strict=True)
+        theirs = plant_of(packages, lambda parser: parser.AddModels(str(model)), strict=True)
     except (RuntimeError, ValueError, SystemExit) as error:
         place = re.escape(str(model.absolute()))
         told = re.sub(rf"{place}:(\d+): error: ", r"line \1: ", one_line(error))
@@ -77,9 +77,10 @@ def _check(model: Path, packages: Mapping[str, str]) -> None:
         raise ModelError(f"{model.name}: Drake's parser reads {difference}{remedy}")
 
 
-def _plant(
+def plant_of(
     packages: Mapping[str, str], add: Callable[[Parser], object], *, strict: bool = False
 ) -> MultibodyPlant:
+    """The plant with the models that a function adds."""
     plant = MultibodyPlant(time_step=0.0)
     parser, log = Parser(plant), logging.getLogger("drake")
     for name, folder in packages.items():
