@@ -185,16 +185,20 @@ def expected_rehearsal(linearizer: Linearizer) -> Rehearsal:
     Raises: as ``rehearse``.
     """
     scenario = linearizer.given
-    make = _expected.__wrapped__ if user_supplied(scenario) else _expected
-    found: Rehearsal = make(scenario, files_read(scenario), linearizer=linearizer)
-    return found
+    if user_supplied(scenario):  # whose code may change
+        return _expected(linearizer)
+    return _shared(scenario, files_read(scenario), linearizer=linearizer)
 
 
 @memoized(maxsize=4, besides="linearizer")
-def _expected(scenario: Scenario, files: tuple[Path, ...], *, linearizer: Linearizer) -> Rehearsal:
+def _shared(scenario: Scenario, files: tuple[Path, ...], *, linearizer: Linearizer) -> Rehearsal:
     """``expected_rehearsal``; ``files`` are part of the key."""
+    return _expected(linearizer)
+
+
+def _expected(linearizer: Linearizer) -> Rehearsal:
     held = expected_gains(linearizer)
-    return rehearse(scenario, held=held, mean=linearizer.follow(held=held))
+    return rehearse(linearizer.given, held=held, mean=linearizer.follow(held=held))
 
 
 def is_near_limits(scenario: Scenario, coordinates: Coordinates, force: np.ndarray) -> bool:
