@@ -26,7 +26,7 @@ from ffsm_drake.spacecraft.inertia import mend, read_mass
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
-_PLACES: dict[str, Callable[[str], object]] = {  # texts that must be UTF-8, and what else is checked
+_PLACES: dict[str, Callable[[str], object]] = {  # texts in UTF-8, and further checks
     ".yaml": check_directives, ".yml": check_directives, ".sdf": check_poses, ".xml": str,
 }  # fmt: skip
 MAX_SIZE = 500_000_000  # bytes
