@@ -21,6 +21,7 @@ DRAKE = "{http://drake.mit.edu}"
 MAX_URDF = 50_000_000  # bytes
 MAX_LINKS = 300
 MAX_SHAPES = 5_000
+MOST_FAR = 1e4  # m, rad, deg
 _MAX_NAME = 200  # characters
 # strtod's decimal numbers, as Drake reads them; Python's float reads more
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)", re.ASCII)
@@ -39,8 +40,8 @@ class _Numbers:
     positive: bool = False
 
 
-_LENGTH = _Numbers(1e4, unit="m")
-_SIDE = _Numbers(1e4, least=1e-6, unit="m", positive=True)
+_LENGTH = _Numbers(MOST_FAR, unit="m")
+_SIDE = _Numbers(MOST_FAR, least=1e-6, unit="m", positive=True)
 _ANGLES = _Numbers(1e3, unit="rad", count=(3,))
 _PLACE = dataclasses.replace(_LENGTH, count=(3,))
 _MOMENT = _Numbers(1e15, unit="kg m^2")
@@ -183,22 +184,12 @@ def check_directives(text: str) -> None:
     with contextlib.suppress(yaml.YAMLError):  # which Drake reports
         for token in yaml.scan(text):
             if isinstance(token, yaml.ScalarToken) and token.plain:
-                _check_place(token.value.replace(".inf", "inf"), token.start_mark.line + 1)
-
-
-def check_poses(text: str) -> None:
-    """Raise ModelError for the first number of an SDF's poses that cannot be used."""
-    for found in re.finditer(r"<pose\b[^>]*>([^<]*)<", text):
-        for word in found[1].split():
-            _check_place(word, text.count("\n", 0, found.start()) + 1)
-
-
-def _check_place(word: str, line: int) -> None:
-    if _NUMBER.fullmatch(word) and not abs(float(word)) <= _LENGTH.most:
-        raise ModelError(
-            f"line {line}: a place or angle must be at most {_LENGTH.most:g} m, rad or deg in "
-            f"size, not {word[:60]}"
-        )
+                word = token.value.replace(".inf", "inf")
+                if _NUMBER.fullmatch(word) and not abs(float(word)) <= MOST_FAR:
+                    raise ModelError(
+                        f"line {token.start_mark.line + 1}: a place or angle must be at most "
+                        f"{MOST_FAR:g} m, rad or deg in size, not {word[:60]}"
+                    )
 
 
 def check(root: Element) -> None:

@@ -131,7 +131,7 @@ def test_places_of_directives_and_sdf(tmp_path_factory, number, sdf):
         text = text.replace("package://ffsm_drake/urdf/debris.urdf", debris.as_uri())
     file.write_text(text)
     model = load_scenario("postcapture", [f"model.directives={file}"]).model
-    with pytest.raises(ModelError, match=r"line \d+: a place or angle must be at most 10000 m"):
+    with pytest.raises(ModelError, match=r"line \d+: .* must be (at most 10000 m|finite)"):
         make_plant(model)
     file.write_text(DIRECTIVES + FRAME.format("1.5"))
     make_plant(model)

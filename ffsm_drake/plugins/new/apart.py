@@ -133,12 +133,14 @@ def _try(file: str, packages: Mapping[str, str]) -> None:
     """
     from ffsm_drake.plugins.new.urdf.formats.direct import check_direct, plant_of
 
-    with contextlib.suppress(RuntimeError, ValueError, SystemExit):
+    failures = RuntimeError, ValueError, SystemExit
+    with contextlib.suppress(*failures):  # first, as Drake aborts on some numbers
+        check_direct(file, packages)
+    with contextlib.suppress(*failures):
         plant_of(
             packages,
             lambda parser: parser.AddModels(url=file) if "://" in file else parser.AddModels(file),
         )
-        check_direct(file, packages)
 
 
 def check_by_trial(

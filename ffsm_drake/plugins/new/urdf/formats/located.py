@@ -9,7 +9,7 @@ from xml.parsers import expat
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.spacecraft.checked_urdf import decoded
+from ffsm_drake.spacecraft.checked_urdf import MOST_FAR, decoded
 
 Lines = Mapping[Element, int]
 _COUNTS = {  # element of SDFormat -> how many numbers its text holds
@@ -79,6 +79,8 @@ def number_faults(elements: Iterable[Element], lines: Lines) -> Iterator[str]:
                 yield f"{place} must be {count}, not '{text[:60]}'"
             elif element.tag not in _INFINITE and not all(map(math.isfinite, values)):
                 yield f"{place} must be finite, not '{text[:60]}'"
+            elif element.tag == "pose" and max(map(abs, values), default=0.0) > MOST_FAR:
+                yield f"{place} must be at most {MOST_FAR:g} m, rad or deg, not '{text[:60]}'"
 
 
 def _number(word: str) -> float:
