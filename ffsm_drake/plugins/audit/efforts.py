@@ -124,7 +124,7 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
     faults = [check for check, _ in checks if check.verdict == "does not hold"]
     if not faults:
         return [max(zip(wrong, checks, strict=True), key=lambda each: joints[each[0]].share)[1][0]]
-    if {each.cause for each in faults} == {UNEXPLAINED} and not log.chain.any():
+    if UNEXPLAINED in {each.cause for each in faults} and not log.chain.any():
         explained = found.mistake  # of a change of momentum within the tolerance
         if explained and explained.left < SURE * swing(found.missed):
             said = (

@@ -169,22 +169,32 @@ def named(
     sure: float = SURE,
 ) -> Estimate | None:
     """The mistake with the fewest sizes among those about as good as the best; None if none
-    explains the residual up to a share of it, or nearly all of a residual within the doubt.
+    explains the residual up to a share of it, or nearly all of a residual within the doubt. Sizes
+    are no surer than that share.
     """
     before = estimate(missed, _NONE, lag).left
     tried = [estimate(missed, each, lag) for each in mistakes]
     tried = [each for each in tried if each.is_possible]
     best = min((each.left for each in tried), default=math.inf)
-    if best > (max(share * before, doubt) if before > doubt else min(share, sure) * before):
+    most = max(share * before, doubt) if before > doubt else min(share, sure) * before
+    if best > most:
         return None
-    enough = max(2.0 * best, 0.5 * doubt, _CLEAR * before)
-    found, *others = sorted(
+    enough = min(max(2.0 * best, 0.5 * doubt, _CLEAR * before), most)
+    tried = [
+        dataclasses.replace(
+            each, errors=np.maximum(each.errors, np.abs(each.sizes) * each.left / before)
+        )
+        for each in tried
+        if each.left <= most
+    ]
+    found = min(
         (each for each in tried if each.left <= enough), key=lambda each: (each.count, each.left)
     )
     alike = [
-        each for each in others if each.count == found.count and each.left < _ALIKE * found.left
-    ]
-    return dataclasses.replace(found, others=alike)
+        each for each in tried
+        if each is not found and each.count == found.count and each.left < _ALIKE * found.left
+    ]  # fmt: skip
+    return dataclasses.replace(found, others=sorted(alike, key=lambda each: each.left))
 
 
 def noise(values: Array, parts: Array | None = None) -> float:

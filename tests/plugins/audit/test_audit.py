@@ -548,8 +548,8 @@ def test_sixty_drawn_logs(seed, tmp_path):
 
 
 def outcome(kind, seed, folder):
-    """Whether an audit names a drawn mistake within 5 % of its size: right, undecided or wrong; and
-    the audit.
+    """Whether an audit names a drawn mistake within 5 % of its size, or 15 % where it says so:
+    right, undecided or wrong; and the audit.
     """
     made, log, sizes = drawn_logs.mistaken(kind, seed)
     (folder / "craft.urdf").write_text(made.urdf)
@@ -561,8 +561,24 @@ def outcome(kind, seed, folder):
     said = " ".join(check.statement for check in found.checks if check.cause)
     numbers = np.array([float(x) for x in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", said)])
     off = [np.abs(np.abs(numbers) - abs(x)).min() for x in sizes]
-    is_right = named & set(drawn_logs.MISTAKES[kind]) and max(off) < 0.05 * np.abs(sizes).max()
+    errors = [float(x) for x in re.findall(r"± (\S+)", said)]
+    largest = np.abs(sizes).max()
+    allowed = max(0.05 * largest, min(2.0 * max(errors, default=0.0), 0.15 * largest))
+    is_right = named & set(drawn_logs.MISTAKES[kind]) and max(off) < allowed
     return ("right" if is_right else "wrong"), found
+
+
+# Logs in which many explanations are nearly as good: mistakes of a joint whose motion is of one
+# frequency or in one direction, or whose friction MuJoCo turns around earlier than its rate.
+HARD = {"spring": (14, 26, 30, 31, 33, 56), "dry friction": (15, 32, 40), "zero shift": (23,)}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", HARD)
+def test_a_mistake_that_others_nearly_explain_is_named(kind, tmp_path):
+    for seed in HARD[kind]:
+        how, found = outcome(kind, seed, tmp_path)
+        assert how == "right", (seed, str(found))
 
 
 QUICK = {"zero shift", "spring", "center"}
