@@ -2,6 +2,7 @@
 
 import atexit
 import functools
+import io
 import math
 import os
 import re
@@ -21,6 +22,7 @@ from ffsm_drake.common.errors import (
     ModelError,
     ScenarioError,
     one_line,
+    placed,
     warnings_as_lines,
 )
 from ffsm_drake.common.guard import guarded, user_code_is_loaded
@@ -40,11 +42,27 @@ def interrupted(how: str = "interrupted") -> int:
     return exit_code()
 
 
+@contextmanager
+def _usage_errors() -> Iterator[None]:
+    """Begin the text of an unusable option with "error:", as all other errors do."""
+    try:
+        yield
+    except click.ClickException as error:
+        text = io.StringIO()
+        error.show(text)
+        click.echo(text.getvalue().replace("Error: ", "error: ", 1), err=True, nl=False)
+        sys.exit(error.exit_code)
+
+
 class CommandGroup(click.Group):
     """Commands in the order of use; errors of the package become one line and exit code 2."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
+
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        with _usage_errors():
+            return super().make_context(*args, **extra)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         for text in args:
@@ -59,7 +77,7 @@ class CommandGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         with warnings_as_lines():
             try:
-                with guarded:
+                with guarded, _usage_errors():
                     return super().invoke(ctx)
             except BrokenPipeError:  # the pipe was closed, as by ``| head``
                 sys.stderr.close()
@@ -273,7 +291,7 @@ def _table_file(context: click.Context, option: click.Parameter, path: Path | No
     from ffsm_drake.show.table_files import FORMATS
 
     if path is not None and path.suffix not in FORMATS:
-        raise click.BadParameter(f"'{path}' ends in neither {' nor '.join(FORMATS)}")
+        raise click.BadParameter(f"must end in {' or '.join(FORMATS)}, not '{path}'")
     return path
 
 
@@ -369,11 +387,12 @@ def located_errors(
     except ScenarioError as error:
         if re.split(r"[.\[]", error.key)[0] not in (schema_fields(Scenario) or {}):
             raise
-        place = controller if error.key == "controller" else ""
-        raise error.located(place or place_of(error.key, scenario, overrides)) from error
+        if controller and error.key == "controller":
+            raise ScenarioError(controller, error.problem) from error
+        raise error.located(place_of(error.key, scenario, overrides)) from error
     except ModelError as error:
         place = place_of(str(error).partition(":")[0], scenario, overrides)
-        raise ModelError(f"{place}: {error}") from error
+        raise ModelError(placed(place, str(error))) from error
 
 
 def scenario_stem() -> str:

@@ -162,13 +162,17 @@ def compare(
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
 
-    if any(text.partition("=")[0].strip() == "controller" for text in overrides):
-        raise click.UsageError("--set controller: give each controller with --controller")
+    for key, _, value in (text.partition("=") for text in overrides):
+        if key.strip() == "controller":
+            raise click.UsageError(
+                f"--set controller={value}: ffsm compare does not accept it; write --controller "
+                f"{value}"
+            )
     names = controllers or PAPER_LAWS
     folders = [controller_key(name) for name in names]
     repeated = sorted({folder for folder in folders if folders.count(folder) > 1})
     if repeated:
-        raise click.UsageError(f"--controller: {', '.join(repeated)} is given more than once")
+        raise click.UsageError(f"--controller {repeated[0]}: is given more than once; give it once")
     base = load_scenario(scenario, overrides)
     directory = out or Path("out") / f"compare_{scenario_stem()}"
     check_saving(directory)
@@ -288,7 +292,7 @@ def _saved(record: "RunRecord", directory: Path, before: Any) -> Path:
     with writing():
         place = record.save(directory, replacing=before)
     if place != directory:
-        line = f"{directory} holds another run by now, which stays; this one is in {place}"
+        line = f"another run was written to {directory} meanwhile; this run is in {place}"
         click.echo(f"warning: {line}", err=True)
     return place
 
@@ -410,7 +414,7 @@ def _finish(
             unsettled = bool(beyond) or not record.ending.is_settled
             bad |= record.ending.is_failure or (require is not None and unsettled)
     if failed:
-        click.echo(f"error: {'; '.join(failed)}; what was run is kept in {directory}", err=True)
+        click.echo(f"error: {'; '.join(failed)}; the record is kept in {directory}", err=True)
     if stopped:
         return interrupted()
     return EXIT_BAD_INPUT if failed else EXIT_UNSTABLE if bad else EXIT_GOOD

@@ -54,7 +54,7 @@ def scenarios(name: str | None, full: bool, as_json: bool) -> None:
             click.echo(find_scenario(name).read_text(encoding="utf-8"), nl=False)
         return
     if full:
-        raise click.UsageError("--full: name the scenario")
+        raise click.UsageError("--full: needs a scenario; write ffsm scenarios NAME --full")
     found = {name: load_scenario(name).description for name in shipped_scenarios()}
     width = max(map(len, found)) + 2
     lines = [f"{name:<{width}}{description}" for name, description in found.items()]

@@ -58,10 +58,14 @@ def plot(runs: tuple[Path, ...], formats: str, width: float | None, out: Path | 
         files = [*run.glob(MANIFEST_FILE)] or sorted(run.glob(f"*/{MANIFEST_FILE}"))
         found += [file.parent for file in files]
         if not files and len(runs) > 1:
-            click.echo(f"{run}: is not the folder of a run; skipped", err=True)
+            click.echo(f"{run}: contains no run; skipped", err=True)
     found = found or [runs[0]]
     if out is None and len({run.parent for run in found}) > 1:
-        raise click.UsageError("--out: give a folder; the runs are not in one")
+        raise click.UsageError(
+            "--out: is missing, and the runs are in different folders; give "
+            "the folder for the "
+            "figures"
+        )
     directory = out or (found[0] if len(found) == 1 else found[0].parent)
     check_writable(directory)
     records = [RunRecord.load(run) for run in found]
@@ -70,7 +74,7 @@ def plot(runs: tuple[Path, ...], formats: str, width: float | None, out: Path | 
             record.dataset.coordinate.values.tolist()
             != records[0].dataset.coordinate.values.tolist()
         ):
-            raise RecordError(f"{run}: has other joints than {found[0]}; draw them separately")
+            raise RecordError(f"{run}: has other joints than {found[0]}; plot them separately")
     written = save_figures(records, directory, kinds, width=width)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
 
@@ -92,9 +96,7 @@ def diagram(scenario: "Scenario", logged: bool, out: Path | None) -> None:
 
     if out is not None:
         if not out.name:
-            raise click.UsageError(
-                f"--out: '{out}' is not a file's name; give one, such as loop.svg"
-            )
+            raise click.UsageError(f"--out: '{out}' is not a file name; give one, such as loop.svg")
         check_writable(out.parent)
     dot = closed_loop_dot(scenario, logged=logged)
     if out is None:

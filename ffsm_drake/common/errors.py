@@ -48,7 +48,7 @@ class ScenarioError(FfsmError):
         self.key = key
         self.problem = problem
         self.source = source
-        super().__init__(": ".join(part for part in (source, key, problem) if part))
+        super().__init__(": ".join(filter(None, (placed(source, key), problem))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return functools.partial(ScenarioError, source=self.source), (self.key, self.problem)
@@ -56,6 +56,11 @@ class ScenarioError(FfsmError):
     def located(self, source: str) -> "ScenarioError":
         """The same error, with its file named first."""
         return self if self.source else ScenarioError(self.key, self.problem, source=source)
+
+
+def placed(source: str, text: str) -> str:
+    """A text after its source: a file, or an option such as ``--set``."""
+    return (" " if source.startswith("--") else ": ").join(filter(None, (source, text)))
 
 
 class LimitError(ScenarioError):

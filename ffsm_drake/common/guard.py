@@ -69,7 +69,7 @@ class Guard(ContextDecorator):
             raise failure(error, f"user-supplied '{_owner(error)}'") from error
         if (name := _suspect(error)) is not None:
             said = f"{type(error).__name__}: {one_line(error)}{where(error)}"
-            problem = f"user-supplied '{name}' gives what cannot be used: {said}"
+            problem = f"user-supplied '{name}' returns an unusable result: {said}"
             raise BlockError(problem) from error
 
 

@@ -154,7 +154,10 @@ class Interrupts:
                 return
             elif not said:
                 said = True
-                _say(f"ending: what is under way has {GRACE:.0f} s; a second signal ends it now")
+                _say(
+                    f"ending: the present step has {GRACE:.0f} s to finish; a second signal "
+                    "ends it at once"
+                )
             elif not repeated:
                 said = repeated = True
                 end = time.monotonic() + _AT_ONCE

@@ -180,7 +180,7 @@ def slurm_workers(*, patience: float = 60.0) -> Iterator[Workers]:
     }  # fmt: skip
     if number["NTASKS"] in ("", "1", "2") or not (number["PROCID"] and number["JOB_ID"]):
         raise WorkersError(
-            "--slurm: is for a step of three tasks or more: srun --ntasks=9 ffsm campaign ..."
+            "--slurm: needs a step of at least three tasks; write srun --ntasks=9 ffsm campaign ..."
         )
     for name, text in number.items():
         if not re.fullmatch("[0-9]{1,10}", text):

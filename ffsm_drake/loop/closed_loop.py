@@ -76,7 +76,8 @@ SIGNALS = (
 _force = functools.partial(Signal, unit=EFFORT, dimension="coordinate")
 FORCES = (
     _force(name="generalized_force", meaning="control tau, held from this sample to the next"),
-    _force(name="applied_force", meaning="force applied by the actuators, held likewise"),
+    _force(name="applied_force", meaning="force applied by the actuators, held from this sample "
+                                         "to the next"),
     _force(
         name="disturbance_force", held=False,
         meaning="external forces tau_d at this instant, summed",

@@ -143,7 +143,7 @@ def ending_of_completed(
         status, sentence = (
             GROWING,
             (
-                f"Completed {end:g} s, but errors grow at the end: that of {tracked.names[i]} to "
+                f"Completed {end:g} s, but errors grow at the end: {tracked.names[i]} reaches "
                 f"{reached}, tolerance {tolerance[i]:g}."
             ),
         )

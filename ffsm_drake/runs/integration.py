@@ -28,11 +28,11 @@ def integration_remarks(record: RunRecord) -> Iterator[str]:
     data, config = record.dataset, record.scenario.simulator_config
     better = " or runge_kutta3" if config.integration_scheme in FIXED_STEP_SCHEMES else ""
     key = "accuracy" if config.use_error_control else "max_step_size"
-    remedy = f"take a smaller simulator_config.{key}{better}"
+    remedy = f"set a smaller simulator_config.{key}{better}"
     norm = np.linalg.norm(data["position"].values[:, :4], axis=1)
     off = np.abs(norm[np.isfinite(norm)] - 1.0).max(initial=0.0)
     if off > NORM_TOLERANCE:
-        yield f"the base's quaternion has a norm off by {off:.2g} from 1: {remedy}"
+        yield f"the norm of the base quaternion differs from 1 by {off:.2g}; {remedy}"
     energy = data["kinetic_energy"].values
     largest = float(energy[np.isfinite(energy)].max(initial=0.0))
     if not largest > 0.0:
@@ -49,6 +49,6 @@ def integration_remarks(record: RunRecord) -> Iterator[str]:
         share = residual / np.sqrt(2.0 * largest * weight)
         if share > MOMENTUM_TOLERANCE:
             yield (
-                f"{name} momentum is off by {residual:.3g} {unit}, {number(100.0 * share, 2)} % of "
-                f"the moving momentum: the integrator is too coarse for this motion; {remedy}"
+                f"the integrator is too coarse: it changes the {name} momentum by {residual:.3g} "
+                f"{unit}, {number(100.0 * share, 2)} % of the momentum in motion; {remedy}"
             )

@@ -106,8 +106,9 @@ def _read_record(directory: Path) -> tuple[str, dict[str, Any]]:
         raise _unread(path, error) from error
     if identifier != digest:
         raise RecordError(
-            f"{path}: is not the record that {MANIFEST_FILE} belongs to, or was changed; run it "
-            "again"
+            f"{path}: was changed after the run, or belongs to another run than "
+            f"{MANIFEST_FILE}; run "
+            "it again"
         )
     fields["dataset"] = _read_dataset(path, fields)
     _check_metrics(directory / METRICS_FILE, digest)
@@ -133,6 +134,11 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
             raise RecordError("was changed after the run; run it again")
     except FfsmError as error:
         raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise RecordError(
+            f"{path.parent}: contains no run ({path.name} is missing); give a folder that ffsm run "
+            "wrote"
+        ) from error
     except OSError as error:
         raise _unread(path, error, remedy="give the folder of a run") from error
     except KeyError as error:

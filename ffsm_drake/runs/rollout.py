@@ -366,8 +366,8 @@ class Rollout:
             raise error
         raise ScenarioError(
             "simulator_config",
-            f"the simulation cannot go on at t = {context.get_time():.2f} s: {cause_of(error)} "
-            "Take another integration_scheme or accuracy",
+            f"the simulation cannot continue at t = {context.get_time():.2f} s; set another "
+            f"integration_scheme or accuracy ({cause_of(error)})",
         ) from error
 
     def _num_logged(self) -> int:

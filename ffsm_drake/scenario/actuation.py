@@ -136,7 +136,7 @@ class Thrusters:
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that the thrusters exist and can give the required pulses."""
         if self.layout is not None and self.units:
-            yield f"{key}.units", "has no effect beside a layout; set layout: null"
+            yield f"{key}.units", "has no effect with a layout; set layout: null"
         names = thrusters_of(self)
         if not names:
             yield (
@@ -327,8 +327,8 @@ class Actuation:
             if getattr(self, kind) is not None and group in undriven:
                 yield (
                     key,
-                    f"leaves out {', '.join(undriven)}: {kind} cannot act; leave actuation.{kind} "
-                    f"out, or have {group} driven",
+                    f"{kind} act on {group}, which is not driven; remove actuation.{kind}, or add "
+                    f"{group} to actuation.driven",
                 )
         first, last = scenario.initial_posture, scenario.target_posture
         for group, field in (("base_rotation", "base_rpy"), ("base_position", "base_position")):
@@ -336,8 +336,8 @@ class Actuation:
             if moved and scenario.reference.goal != "stop":
                 yield (
                     f"target_posture.{field}",
-                    f"{group} is not driven (actuation.driven) and cannot be commanded: give the "
-                    "initial posture's",
+                    f"must be as in initial_posture, because {group} is not driven; change it, or "
+                    f"add {group} to actuation.driven",
                 )
 
 

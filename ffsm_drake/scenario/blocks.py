@@ -14,8 +14,9 @@ from ffsm_drake.scenario.fields import (
 
 @dataclass
 class Block:
-    """A user-supplied system for a block of the closed loop; a text stands for ``{system:
-    text}``.
+    """A user-supplied system for a block of the closed loop.
+
+    A text is short for ``{system: text}``.
     """
 
     SHORTHAND: ClassVar[str] = "system"  # the field that a text alone gives
@@ -24,9 +25,10 @@ class Block:
 
     system: str = unitless(
         "",
-        "factory (BlockSetup -> Drake system): module:attribute, or the name of an installed one",
+        "factory of the block, from BlockSetup to a Drake system: module:attribute, or the name of "
+        "an installed one",
     )
-    settings: dict[str, Any] = unitless({}, "passed to the factory unchanged")
+    settings: dict[str, Any] = unitless({}, "settings that are passed to the factory unchanged")
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that the name can be looked up."""
@@ -35,44 +37,51 @@ class Block:
 
 @dataclass
 class OwnPhase(Block):
-    """A phase of a mission before its approach; a text stands for ``{system: text}``."""
+    """A phase of a mission before its approach. A text is short for ``{system: text}``."""
 
     system: str = unitless(
         "",
-        "factory (BlockSetup -> Phase): module:attribute, or the name of an installed one",
+        "factory of the phase, from BlockSetup to Phase: module:attribute, or the name of an "
+        "installed one",
     )
-    duration: float = setting(10.0, "s", "duration; a whole number of control samples", above=0)
+    duration: float = setting(
+        10.0, "s", "duration of the phase, a whole number of control samples", above=0
+    )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check the name, for whole samples, and for an approach."""
         yield from super().check(key, scenario)
         yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
         if scenario.approach is None:
-            yield key, "comes before an approach; give capture.approach"
+            yield key, "must come before an approach; add capture.approach"
 
 
 @dataclass
 class Blocks:
-    """User-supplied blocks, which replace the scenario's sections of the same names or add to
-    them.
-    """
+    """User-supplied blocks, which replace sections of the scenario or add to them."""
 
-    reference: Block | None = unitless(None, "the planned motion")
+    reference: Block | None = unitless(
+        None, "block for the planned motion; null: the section ``reference``"
+    )
     sensing: dict[str, Block] = unitless(
         {},
-        "by name: further stages from the state to the controller's measurement, in series after "
-        "the section ``sensing``; one named ``sensing`` replaces that section; a single block "
-        "stands for {own: block}",
+        "stages between the section ``sensing`` and the controller by name, in series; a stage "
+        "named "
+        "``sensing`` replaces the section; a single block is short for {own: block}",
     )
-    actuation: Block | None = unitless(None, "system from the commanded to the applied force")
+    actuation: Block | None = unitless(
+        None,
+        "block from the commanded to the applied force; null: the section ``actuation``",
+    )
     forces: dict[str, Block] = unitless(
         {},
-        "external forces by name, summed; ``disturbance`` and ``environment`` replace the "
-        "scenario's sections of those names, any other name adds a force",
+        "external forces by name, which are summed; ``disturbance`` and ``environment`` replace "
+        "the "
+        "sections with these names, and any other name adds a force",
     )
 
     phases: dict[str, OwnPhase] = unitless(
-        {}, "phases of the mission by name, in turn before the approach"
+        {}, "phases of the mission before the approach by name, one after another"
     )
 
     def choices(self) -> dict[str, Block]:

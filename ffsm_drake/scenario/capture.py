@@ -54,19 +54,19 @@ class Approach:
             if part.kind not in ("joint", "gear") and part.body == scenario.payload.body:
                 yield (
                     f"model.flexible.{name}.body",
-                    f"'{part.body}' is the target, which cannot be flexible before it is held; "
-                    f"leave {key} out",
+                    f"'{part.body}' is the target, which must be rigid before the grasp; remove "
+                    f"{key}",
                 )
         if scenario.undriven:
-            yield key, "needs every coordinate driven (actuation.driven); leave it out"
+            yield key, "needs all coordinates driven; set actuation.driven: [all], or remove it"
         if scenario.reference.frame is not None:
-            yield key, "needs reference.frame: null; leave one of them out"
+            yield key, "is not compatible with reference.frame; set one of them to null"
         yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
         if scenario.grasp_time > scenario.duration - scenario.sample_time:
             yield (
                 f"{key}.duration",
-                f"must leave time for the stop: the run ends at {scenario.duration:g} s; lengthen "
-                "duration",
+                f"must leave time for the stop before the run ends at {scenario.duration:g} s; "
+                "lengthen duration",
             )
 
 
@@ -275,17 +275,18 @@ class Capture:
         a measured target.
         """
         if self.retreat is not None and self.closing is None:
-            yield f"{key}.retreat", "has no effect without capture.closing; give that too"
+            yield f"{key}.retreat", "has no effect without capture.closing; add capture.closing"
         if self.measured is not None:
             if self.closing is None:
                 yield (
                     f"{key}.measured",
-                    f"needs {key}.closing: the gripper meets a target that is elsewhere",
+                    f"needs {key}.closing, because the gripper meets the target off the plan; "
+                    "add it",
                 )
             if scenario.blocks.reference is not None:
                 yield (
                     f"{key}.measured",
-                    "has no effect with blocks.reference; leave one of them out",
+                    "has no effect with blocks.reference; remove one of them",
                 )
             lasts = self.measured.last + (0.0 if self.closing is None else self.closing.duration)
             if self.closing and self.approach and lasts >= self.approach.duration:
@@ -301,13 +302,13 @@ class Capture:
         if self.servicer != "given" and any(self.servicer_velocity.values()):
             yield (
                 f"{key}.servicer_velocity",
-                f"has no effect with servicer: {self.servicer}; take servicer: given",
+                f"has no effect with servicer: {self.servicer}; set servicer: given",
             )
         if scenario.reference.base_rotation != "eigenaxis":
             yield (
                 "reference.base_rotation",
-                f"must be eigenaxis with capture, not {scenario.reference.base_rotation}: the base "
-                "may turn at the start",
+                f"must be eigenaxis with capture, not {scenario.reference.base_rotation}, because "
+                "the base may turn at the start",
             )
         for group, number in (self.accepted_drift or {}).items():
             place = f"{key}.accepted_drift.{group}"

@@ -127,19 +127,19 @@ def _contact_problems(scenario: Any) -> Problems:
         if contact.effector in seen:
             yield (
                 f"{key}.effector",
-                f"'{contact.effector}' is the hand of '{seen[contact.effector]}' too; name "
-                "another one",
+                f"'{contact.effector}' is also the hand of '{seen[contact.effector]}'; name "
+                "another hand",
             )
         seen.setdefault(contact.effector, name)
     carrying = seen.get(scenario.model.end_effector)
     if carrying is None:
         yield (
             "contacts",
-            f"none has the effector {scenario.model.end_effector} (model.end_effector), whose hand "
-            "is welded to the target; add it",
+            f"no contact has model.end_effector, {scenario.model.end_effector}, as its effector; "
+            "add one",
         )
     elif contacts[carrying].kind != "rigid":
-        yield f"contacts.{carrying}.kind", "must be rigid: it is the weld of the model"
+        yield f"contacts.{carrying}.kind", "must be rigid, because the model welds this hand"
     elif scenario.model.servicer and contacts[carrying].frame != scenario.model.grasp:
         yield f"contacts.{carrying}.frame", f"must be model.grasp ({scenario.model.grasp})"
     late = [each for each in contacts.items() if each[1].closes]
@@ -147,24 +147,24 @@ def _contact_problems(scenario: Any) -> Problems:
         for error in ("position_error", "rotation_error"):
             if any(getattr(contact, error)):
                 key = f"contacts.{name}.{error}"
-                yield key, "follows from where the hand grasps; leave it out"
+                yield key, "has no effect on a hand that grasps during the run; remove it"
     for name, contact in late:
         key = f"contacts.{name}"
         yield from sample_problems(contact.closes, scenario.sample_time, f"{key}.closes")
         if name == carrying:
-            yield f"{key}.closes", "must be 0: it is the weld of the model"
+            yield f"{key}.closes", "must be 0, because the model welds this hand"
         if scenario.grasp_time + contact.closes > scenario.duration - scenario.sample_time:
             yield (
                 f"{key}.closes",
                 f"must be within the duration of the run, {scenario.duration:g} s",
             )
     for key, problem, change in (
-        ("blocks.reference", scenario.blocks.reference, "leave it out"),
+        ("blocks.reference", scenario.blocks.reference, "remove it"),
         ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),
         ("reference.duration", scenario.reference.duration is None, "give seconds"),
     ):
         if late and problem:
-            yield key, f"does not go with contacts.{late[0][0]}.closes; {change}"
+            yield key, f"is not compatible with contacts.{late[0][0]}.closes; {change}"
     for key, problem in (
         ("capture.closing", scenario.closing is not None),
         ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
@@ -175,7 +175,7 @@ def _contact_problems(scenario: Any) -> Problems:
         ("faults", scenario.faults is not None),
     ):
         if problem and len(contacts) > 1:
-            yield key, "is not supported with more than one contact; leave it out"
+            yield key, "is not supported with more than one contact; remove it"
 
 
 def closing_times(scenario: Any) -> list[float]:

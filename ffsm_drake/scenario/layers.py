@@ -24,7 +24,7 @@ from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 MANIFEST_FILE = "manifest.json"  # in a run's folder; holds the run's scenario
 MAX_FILE_SIZE = 1_000_000  # bytes
 EXTENDS = "extends"  # key of the scenario that a file extends
-OVERRIDE = "override"  # the source of an override
+OVERRIDE = "--set"  # the source of an override
 
 Override = str | Mapping[str, Any]  # "key=value", or a mapping as in a file with extends
 
@@ -137,7 +137,7 @@ def file_layers(data: Any, source: str) -> list[Layer]:
         seen.append(path.resolve())
         if seen[-1] in seen[:-1]:
             names = " -> ".join(each.name for each in seen)
-            raise ScenarioError(EXTENDS, f"goes in a circle: {names}", source=source)
+            raise ScenarioError(EXTENDS, f"leads back to itself: {names}", source=source)
         source = str(path)
         data = parsed(read_text(path), source)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario.layers import (
+    OVERRIDE,
     Override,
     assembled,
     file_layers,
@@ -64,14 +65,14 @@ def scenario_from_dict(
 
 
 def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] = ()) -> str:
-    """Source of a key of a scenario that loads: "override", a base file, or else
+    """Source of a key of a scenario that loads: "--set", a base file, or else
     ``name_or_path``.
     """
     path = find_scenario(str(name_or_path))
     files = file_layers(parsed(read_text(path), str(path)), str(path))
     layers = [*files[:-1], *override_layers(overrides)]
     places = [layer.source for layer in layers if layer.gives(key)]
-    own = files[-1].gives(key) and "override" not in places[-1:]
+    own = files[-1].gives(key) and OVERRIDE not in places[-1:]
     return str(name_or_path) if own or not places else places[-1]
 
 

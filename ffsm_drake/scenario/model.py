@@ -22,19 +22,19 @@ from ffsm_drake.scenario.fields import (
 
 @dataclass
 class Flexible:
-    """A flexible part of the true spacecraft; the controller's model treats it as rigid.
+    """A flexible part of the true spacecraft. The controller's model treats it as rigid.
 
-    The carrying body's mass includes that of a panel, beam, sloshing mass or pendulum.
+    The mass of the carrying body includes the mass of a panel, beam, sloshing mass or pendulum.
     """
 
     KIND: ClassVar[str] = "kind"  # another one drops the inherited settings
 
     kind: str = choice_of(
         "panel",
-        '"panel": plates on hinges; "beam": bending modes of a uniform cantilever; "mass": a point '
-        'mass on a spring, such as slosh; "pendulum": a point mass on a rod; "joint": a joint of '
-        'the model that a spring holds and no drive moves; "gear": a spring between the rotor of a '
-        "joint's drive (actuation.drives.rotor_inertia) and its link",
+        'kind of part: "panel": plates on hinges; "beam": bending modes of a uniform cantilever; '
+        '"mass": a point mass on a spring, such as slosh; "pendulum": a point mass on a rod; '
+        '"joint": a joint of the model with a spring and without a drive; "gear": a spring between '
+        "the rotor of a joint drive (actuation.drives.rotor_inertia) and the link",
         "panel",
         "beam",
         "mass",
@@ -45,61 +45,59 @@ class Flexible:
     body: str = unitless(
         "servicer::base", "scoped name of the body that carries a panel, beam, mass or pendulum"
     )
-    joint: str | None = unitless(None, "the model's joint, for joint and gear")
+    joint: str | None = unitless(None, "name of the joint in the model; only for joint and gear")
     position: list[float] = vector_in(
         ORIGIN,
         "m",
-        "position of the hinge, the root, the pendulum's pivot, or the mass at rest, in the body's "
-        "frame",
+        "position of the hinge, root, pivot or resting point mass in the frame of the body",
     )
     direction: list[float] = vector_in(
         [0.0, 1.0, 0.0],
         "",
-        "direction from the hinge, root or pivot outwards, or of the motion of the mass, in the "
-        "body's frame; any length",
+        "direction from the hinge, root or pivot to the part, or direction in which a point mass "
+        "moves, in the frame of the body; any length",
         nonzero=True,
     )
     axis: list[float] = vector_in(
         X_AXIS,
         "",
-        "axis of the hinge or of bending, across ``direction``, in the body's frame; any length",
+        "axis of the hinges or of bending, perpendicular to ``direction``, in the frame of the "
+        "body; any length",
         nonzero=True,
     )
-    mass: float = setting(
-        2.0, "kg", "mass of the panel, the beam, the sloshing mass or the pendulum", above=0
-    )
+    mass: float = setting(2.0, "kg", "mass of the panel, beam, point mass or pendulum", above=0)
     length: float = setting(
-        3.0, "m", "length of the panel, the beam or the pendulum's rod", above=0
+        3.0, "m", "length of the panel, of the beam, or of the rod of the pendulum", above=0
     )
-    width: float = setting(1.0, "m", "width of the panel, along the axis", above=0)
+    width: float = setting(1.0, "m", "width of the panel along ``axis``", above=0)
     plates: int = unitless(
         1,
-        "number of plates of a panel, in a row, of equal length, each on a hinge",
+        "number of plates of a panel; equal plates in a row, each on a hinge",
         least=1,
         most=10,
     )
     frequency: float | None = setting(
         None,
         "Hz",
-        "natural frequency with the body held: the lowest of a panel; in the zero posture for a "
-        "joint or gear; null with stiffness",
+        "natural frequency with the body fixed; for a panel, the lowest one; for a joint or gear, "
+        "in the zero posture; null if ``stiffness`` is given",
         above=0,
     )
     frequencies: list[float] = setting(
         [],
         "Hz",
-        "natural frequencies of a beam's first modes, its root held",
+        "natural frequencies of the first modes of a beam with a fixed root",
         above=0,
         size=(0, 5),
     )
     stiffness: float | None = setting(
         None,
         "N m/rad or N/m",
-        "stiffness of each hinge, or of the mass's spring; null with frequency",
+        "stiffness of each hinge or of the spring; null if ``frequency`` is given",
         above=0,
     )
     damping_ratio: float = unitless(
-        0.005, "damping ratio at the frequency, or of each mode of a beam", least=0, below=1
+        0.005, "damping ratio at ``frequency``, or of each mode of a beam", least=0, below=1
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
@@ -109,17 +107,17 @@ class Flexible:
         if not of_joint and self.kind != "mass" and abs(along @ axis) >= 1e-6:
             yield f"{key}.axis", f"must be across direction {self.direction}, not {self.axis}"
         if of_joint != (self.joint is not None):
-            unused = f"has no effect on a {self.kind}; leave it out"
-            yield f"{key}.joint", "name the joint of the model" if of_joint else unused
+            unused = f"has no effect on a {self.kind}; remove it"
+            yield f"{key}.joint", "give the name of a joint of the model" if of_joint else unused
         given = (self.frequency is not None) + (self.stiffness is not None)
         if self.kind == "beam":
             if given:
-                yield f"{key}.frequency", "a beam takes frequencies, of its modes; leave it out"
+                yield f"{key}.frequency", "has no effect on a beam; remove it, and set frequencies"
             if not self.frequencies:
                 yield f"{key}.frequencies", "give the frequencies of 1 to 5 modes, Hz"
         else:
             if self.frequencies:
-                yield f"{key}.frequencies", f"are of a beam; a {self.kind} takes frequency"
+                yield f"{key}.frequencies", f"have no effect on a {self.kind}; set frequency"
             if given != 1:
                 yield f"{key}.frequency", "give either frequency (Hz) or stiffness"
         drives = scenario.actuation.drives
@@ -128,56 +126,69 @@ class Flexible:
         if self.kind == "gear" and rotor == 0:
             yield (
                 "actuation.drives.rotor_inertia",
-                f"give that of {self.joint}, > 0 kg m^2: the drive turns it against the spring of "
-                f"'{key.rpartition('.')[2]}'",
+                f"must be > 0 kg m^2 for {self.joint}, because '{key.rpartition('.')[2]}' is a "
+                "gear "
+                "between its rotor and its link",
             )
 
 
 @dataclass
 class Model:
-    """The models of servicer and target, and the frames that reports refer to.
+    """The models of servicer and target, and the frames in reports.
 
-    Files are package:// addresses or paths; relative paths start at the scenario file's folder.
+    Files are package:// addresses or paths. Relative paths start at the folder of the scenario
+    file.
     """
 
     directives: str | None = unitless(
-        "package://ffsm_drake/postcapture.dmd.yaml", "model directives; null with servicer"
+        "package://ffsm_drake/postcapture.dmd.yaml",
+        "file of model directives; null if ``servicer`` is given",
     )
     servicer: str | None = unitless(
-        None, 'URDF of base and arm, model instance "servicer", in place of directives'
+        None,
+        'URDF of base and arm, which becomes the model instance "servicer"; null if ``directives`` '
+        "is given",
     )
     debris: str = unitless(
         "package://ffsm_drake/urdf/debris.urdf",
-        'with servicer: URDF of the target, model instance "debris"',
+        'URDF of the target, which becomes the model instance "debris"; used with ``servicer``',
     )
     end_effector: str = unitless(
-        "servicer::end_effector", "frame that holds the target; reports give its origin"
+        "servicer::end_effector",
+        "scoped name of the frame that holds the target; reports show its origin",
     )
     grasp: str = unitless(
-        "debris::grasp", "with servicer: frame of the target, welded to end_effector"
+        "debris::grasp",
+        "scoped name of the target frame that is welded to ``end_effector``; used with "
+        "``servicer``",
     )
-    packages: dict[str, str] = unitless({}, "package:// name -> folder, for meshes")
+    packages: dict[str, str] = unitless(
+        {}, "folder of each package:// name in the models, such as {mine: meshes}"
+    )
     flexible: dict[str, Flexible] = unitless(
-        {}, "flexible parts by name; the controller's model treats them as rigid"
+        {}, "flexible parts by any name; the controller's model treats them as rigid"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that one source of the model is given."""
         if (self.servicer is None) == (self.directives is None):
-            yield key, "give either directives or servicer (a URDF), not both and not neither"
+            yield key, "needs exactly one of directives and servicer (a URDF)"
         yield from identifier_problems(f"{key}.flexible", self.flexible, "a part's")
 
 
 @dataclass
 class MassProperties:
-    """Mass properties of the payload body, in its own frame P."""
+    """Mass properties of the payload body in its frame P."""
 
-    mass: float = setting(100.0, "kg", "mass", above=0)
-    center_of_mass: list[float] = vector_in(ORIGIN, "m", "position p_PScm_P of the centre of mass")
+    mass: float = setting(100.0, "kg", "mass of the payload body", above=0)
+    center_of_mass: list[float] = vector_in(
+        ORIGIN, "m", "position p_PScm_P of the centre of mass in the frame of the body"
+    )
     inertia: list[float] = setting(
         [16.7, 16.7, 16.7],
         "kg m^2",
-        "about the centre of mass, axes of P: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]",
+        "inertia about the centre of mass in the axes of the body: [Ixx, Iyy, Izz] or [Ixx, Iyy, "
+        "Izz, Ixy, Ixz, Iyz]",
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
@@ -212,7 +223,7 @@ NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, b
 
 @dataclass
 class Payload:
-    """The captured body: its true mass properties, and the nominal ones, used by the controller."""
+    """The captured body: its true mass properties, and the nominal ones that the controller uses."""
 
     body: str = unitless("debris::debris", "scoped name of the captured body in the model")
     truth: MassProperties = setting(MassProperties())
@@ -223,13 +234,16 @@ class Payload:
 class Posture:
     """A configuration of base and arm."""
 
-    base_position: list[float] = vector_in(ORIGIN, "m", "position p_WB")
+    base_position: list[float] = vector_in(
+        ORIGIN, "m", "position p_WB of the base in the world frame"
+    )
     base_rpy: list[float] = vector_in(
         ORIGIN,
         "rad",
-        "roll, pitch, yaw of R_WB: rotations about the world's x, y, z axes in that order",
+        "roll, pitch, yaw of the base attitude R_WB: rotations about the world's x, y, z axes in "
+        "that order",
     )
-    joints: PerCoordinate = setting(ZERO, "rad or m", "positions, by joint name")
+    joints: PerCoordinate = setting(ZERO, "rad or m", "joint positions, by joint name")
 
 
 def inertia_matrix(body: MassProperties) -> np.ndarray:

@@ -249,7 +249,7 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
     key, equals, text = override.partition("=")
     key = key.strip()
     if not equals or not key:
-        raise ScenarioError(f"'{override}'", "must have the form key=value")
+        raise ScenarioError(key or override, f"has no value; write --set {key or 'KEY'}=VALUE")
     try:
         value = read_yaml(text)
     except StrictYamlError as error:
@@ -265,7 +265,8 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
     schema = _child_schema(schema, last, ".".join(parents))
     fields = schema_fields(schema)
     if fields is not None and not isinstance(value, Mapping) and not hasattr(schema, "SHORTHAND"):
-        raise ScenarioError(key, f"is a group of settings; set one of them: {', '.join(fields)}")
+        keys = ", ".join(f"{key}.{name}" for name in fields)
+        raise ScenarioError(key, f"is a section, not a value; set one of its keys: {keys}")
     default = target.get(last) or as_dict(schema()) if fields is not None else None
     target[last] = resolve(schema, default, value, key)
     if key in ("model.directives", "model.servicer") and value is not None:

@@ -159,7 +159,11 @@ class Scenario:
                 "shorten duration or lengthen sample_time",
             )
         elif self.num_control_periods < 1:
-            yield "sample_time", f"must be at most duration ({self.duration} s)"
+            yield (
+                "sample_time",
+                f"{self.sample_time:g} s is longer than duration, {self.duration:g} s; shorten "
+                "sample_time or lengthen duration",
+            )
         if (self.reference.duration or 0.0) > (most := 100 * MAX_SAMPLES * self.sample_time):
             yield "reference.duration", f"must be at most {most:g} s"
         if config.use_error_control and config.integration_scheme in FIXED_STEP_SCHEMES:
@@ -171,7 +175,7 @@ class Scenario:
         if config.start_time != 0:
             yield (
                 "simulator_config.start_time",
-                "must be 0: every run starts there; leave it out",
+                "must be 0, because every run starts at 0; remove it",
             )
         steps = self.duration / config.max_step_size
         if steps > MAX_STEPS:

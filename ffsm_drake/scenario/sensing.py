@@ -17,68 +17,74 @@ ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 @dataclass
 class Estimator:
-    """Estimator of the lumped uncertainty N of equation (2)."""
+    """Estimator of the lumped uncertainty N in equation (2)."""
 
     KIND: ClassVar[str] = "kind"  # another one drops the inherited settings
 
     kind: str = choice_of(
         "one_sample",
-        '"one_sample", the paper\'s (5); "kalman", a filter for each coordinate; or "coupled", '
-        "the same with one filter for attitude and joints",
+        'kind of estimator: "one_sample", equation (5) of the paper; "kalman", one Kalman filter '
+        'for each coordinate; "coupled", one filter for attitude and joints together',
         *ESTIMATOR_KINDS,
     )
     walk: PerCoordinate = setting(
         {"base_position": 1e-3, "base_rotation": 1e-3, "joints": 1e-2},
         "rad/s^2 or m/s^2 per sqrt(s)",
-        "kalman, and coupled for the base's position: random walk of N, its standard deviation "
-        "after one second; values that differ between the base's three axes refer to the base's "
-        "axes, here and for the noises below",
+        "standard deviation of the random walk of N after one second, for kalman, and for the base "
+        "position with coupled; values that differ between base axes are along the axes of the "
+        "base",
         above=0,
     )
     force_walk: PerCoordinate = setting(
         {"all": 0.2},
         "N m or N per sqrt(s)",
-        "coupled only: random walk of the generalized force equivalent to N in attitude and joints",
+        "standard deviation after one second of the random walk of the force equivalent to N in "
+        "attitude and joints; only for coupled",
         above=0,
     )
     position_noise: PerCoordinate | None = setting(
         None,
         "rad or m",
-        "kalman and coupled: assumed standard deviation of the positions; null: as in ``sensing``",
+        "assumed standard deviation of measured positions; only for kalman and coupled; null: "
+        "as in "
+        "``sensing``",
         least=0,
     )
     velocity_noise: PerCoordinate | None = setting(
         None,
         "rad/s or m/s",
-        "kalman and coupled: assumed standard deviation of the velocities; null: as in ``sensing``",
+        "assumed standard deviation of measured velocities; only for kalman and coupled; null: as "
+        "in ``sensing``",
         least=0,
     )
     velocity_bias_walk: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s per sqrt(s)",
-        "kalman and coupled: random walk of a velocity bias estimated with N (base: in its own "
-        "axes), its standard deviation after one second; 0: none is estimated",
+        "standard deviation after one second of the random walk of a velocity bias, which kalman "
+        "and coupled estimate together with N; for the base in its axes; 0: no bias is estimated",
         least=0,
     )
     delay: int | None = in_samples(
-        None, "kalman only: assumed age of the measurements; null: ``sensing.delay``"
+        None,
+        "assumed age of the measurements, from which kalman predicts the present state; null: "
+        "``sensing.delay``",
     )
 
 
 @dataclass
 class CommandFilter:
-    """Filters of the control law's commanded force, before any actuator. Stability and noise
+    """Filters of the force that the control law commands, before any actuator. Stability and noise
     analyses include them.
     """
 
     low_pass: PerCoordinate = setting(
-        ZERO, "Hz", "cut-off of a first-order low-pass filter; 0: none", least=0
+        ZERO, "Hz", "cut-off frequency of a first-order low-pass filter; 0: no filter", least=0
     )
     notch: PerCoordinate = setting(
-        ZERO, "Hz", "centre frequency of a notch filter; 0: none", least=0
+        ZERO, "Hz", "centre frequency of a notch filter; 0: no filter", least=0
     )
     notch_width: PerCoordinate = unitless(
-        {"all": 0.5}, "the notch's width at half power, as a share of its frequency", above=0
+        {"all": 0.5}, "width of the notch at half power, divided by its centre frequency", above=0
     )
 
 
@@ -86,97 +92,109 @@ def _density(of: str, unit: str) -> Any:
     return setting(
         None,
         f"{unit} per sqrt(Hz)",
-        f"density of the white noise, in place of ``{of}_noise`` for its coordinates: the standard "
-        "deviation of a sample is the density / sqrt(sample_time); null: none",
+        f"density of the white {of} noise, which sets ``{of}_noise`` for its coordinates to "
+        f"density / sqrt(sample_time); null: ``{of}_noise`` is used",
         least=0,
     )
 
 
 def _time(of: str) -> Any:
-    meaning = f"in place of ``{of}``, a whole number of control samples; null: none"
+    meaning = (
+        f"time that replaces ``{of}``, a whole number of control samples; null: ``{of}`` is used"
+    )
     return setting(None, "s", meaning, least=0)
 
 
 @dataclass
 class Sensing:
-    """The sensors' errors, in this order: bias, noise, quantisation, sampling and delay.
+    """The errors of the sensors, in this order: bias, noise, quantisation, sampling and delay.
 
-    Errors of the base's sensors are in the base's axes and turn with them.
+    Errors of the base sensors are along the axes of the base and turn with them.
     """
 
     velocity_noise: PerCoordinate = setting(
         {"all": 1e-6},
         "rad/s or m/s",
-        "standard deviation of the velocities' noise, independent for each coordinate and control "
-        "sample; errors of the base's sensors are in the base's axes, here and below",
+        "standard deviation of the white noise on measured velocities, independent for each "
+        "coordinate and control sample; for the base along its axes",
         least=0,
     )
     position_noise: PerCoordinate = setting(
         ZERO,
         "rad or m",
-        "standard deviation of the positions' noise, likewise; the same for the three base "
-        "rotations",
+        "standard deviation of the white noise on measured positions, independent for each "
+        "coordinate and control sample; one value for all three base rotations",
         least=0,
     )
     velocity_bias: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s",
-        "constant error of the velocities; of the base's in the base's axes: base_rotation_z is "
+        "constant error of measured velocities; for the base along its axes, so base_rotation_z is "
         "the bias of the gyro about z",
     )
     position_bias: PerCoordinate = setting(
         ZERO,
         "rad or m",
-        "constant error of the positions; of the base's in the base's axes, base rotations: a "
-        "rotation vector",
+        "constant error of measured positions; for the base along its axes; the base rotations are "
+        "a rotation vector",
     )
     velocity_bias_walk: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s per sqrt(s)",
-        "random walk of the velocities' bias (a gyro's rate random walk; of the base in its axes), "
-        "its standard deviation after one second",
+        "standard deviation after one second of the random walk of the velocity bias (rate random "
+        "walk of a gyro); for the base along its axes",
         least=0,
     )
     velocity_correlated_noise: PerCoordinate = setting(
         ZERO,
         "rad/s or m/s",
-        "standard deviation of the velocities' noise that is correlated in time, beside the white "
-        "noise (of the base in its axes)",
+        "standard deviation of noise on measured velocities that is correlated in time, in "
+        "addition "
+        "to the white noise; for the base along its axes",
         least=0,
     )
     position_correlated_noise: PerCoordinate = setting(
         ZERO,
         "rad or m",
-        "the same for the positions; equal for the three base rotations",
+        "standard deviation of noise on measured positions that is correlated in time, in addition "
+        "to the white noise; one value for all three base rotations",
         least=0,
     )
     correlation_time: PerCoordinate = setting(
-        {"all": 1.0}, "s", "time constant of the correlated noise, first order", above=0
+        {"all": 1.0}, "s", "time constant of the correlated noise of first order", above=0
     )
     velocity_quantization: PerCoordinate = setting(
-        ZERO, "rad/s or m/s", "step of the velocities (of the base in its axes); 0: none", least=0
+        ZERO,
+        "rad/s or m/s",
+        "quantisation step of measured velocities; for the base along its axes; 0: none",
+        least=0,
     )
     position_quantization: PerCoordinate = setting(
         ZERO,
         "rad or m",
-        "step of the positions (of the base in its axes), not for base rotations; 0: none",
+        "quantisation step of measured positions, except base rotations; for the base along its "
+        "axes; 0: none",
         least=0,
     )
     velocity_period: dict[str, int] = in_samples(
         {"all": 1},
-        "period of the velocity measurements; equal for the base's three rotations, and for its "
-        "three positions, also in the three keys below",
+        "period of the velocity measurements; one value for the three base rotations, and one for "
+        "the three base positions",
         least=1,
     )
     position_period: dict[str, int] = in_samples(
-        {"all": 1}, "period of the position measurements", least=1
+        {"all": 1},
+        "period of the position measurements; one value for the three base "
+        "rotations, and "
+        "one for the three base positions",
+        least=1,
     )
-    delay: int = in_samples(0, "age of a measurement when the controller first reads it")
+    delay: int = in_samples(0, "age of every measurement when the controller first reads it")
     velocity_delay: dict[str, int] = in_samples(
-        {"all": 0}, "additional age of the velocities, beyond delay"
+        {"all": 0}, "age of measured velocities in addition to ``delay``"
     )
     position_delay: dict[str, int] = in_samples(
-        {"all": 0}, "additional age of the positions, beyond delay"
+        {"all": 0}, "age of measured positions in addition to ``delay``"
     )
     velocity_noise_density: PerCoordinate | None = _density("velocity", "rad/s or m/s")
     position_noise_density: PerCoordinate | None = _density("position", "rad or m")
@@ -217,5 +235,5 @@ class Sensing:
                 below = math.floor(time / step + 1e-6)
                 if abs(time / step - below) > 1e-6:
                     near = f"the nearest are {below * step:.6g} and {(below + 1) * step:.6g} s"
-                    problem = f"{time:g} s are no whole number of samples of {step:g} s; {near}"
+                    problem = f"{time:g} s are not a whole number of samples of {step:g} s; {near}"
                     yield f"{place}.{inner}".rstrip("."), problem

@@ -11,41 +11,52 @@ _STEP = 0.5  # largest product of damping and sample time; see the page on the s
 
 @dataclass
 class Supervisor:
-    """Rate damping, replanning or a retreat if the plan cannot be followed."""
+    """Rate damping, then a new plan or a retreat, if the plan cannot be followed."""
 
     saturated_time: float = setting(
         0.5,
         "s",
-        "damping begins when the time with a command beyond a limit, less the time without, "
-        "exceeds this",
+        "damping begins when a saturation timer exceeds this. The timer counts up while a command "
+        "is beyond a limit, and down to 0 otherwise.",
         above=0,
     )
     error: PerCoordinate | None = setting(
-        None, "rad or m", "damping begins when a measured error exceeds this; null: never", above=0
+        None, "rad or m", "measured error above which damping begins; null: no limit", above=0
     )
     rate: PerCoordinate | None = setting(
         None,
         "rad/s or m/s",
-        "damping begins when the rate of a measured error exceeds this; null: never",
+        "rate of a measured error above which damping begins; null: no limit",
         above=0,
     )
-    damping: float = setting(2.0, "1/s", "kappa of tau = -sigma kappa Hhat v", above=0)
+    damping: float = setting(
+        2.0, "1/s", "rate kappa of the damping force tau = -sigma kappa Hhat v", above=0
+    )
     filter_time: float = setting(
-        0.5, "s", "time constant of the low-pass filter for the end of damping", above=0
+        0.5,
+        "s",
+        "time constant of the low-pass filter of the damping force, for the end of damping",
+        above=0,
     )
     end_share: float = unitless(
         0.1,
-        "damping ends when the filtered kappa Hhat v stays within this share of every limit; must "
-        "exceed the disturbance's share",
+        "share of every force limit within which the filtered damping force must stay at the end "
+        "of damping; it must be larger than the disturbance as a share of the limit",
         above=0,
         most=1,
     )
-    end_time: float = setting(0.3, "s", "for so long", above=0)
+    end_time: float = setting(
+        0.3,
+        "s",
+        "damping ends when the filtered damping force has stayed within ``end_share`` of every "
+        "limit for this time",
+        above=0,
+    )
     plan_share: float = unitless(
-        0.4, "largest share of every limit that the new plan uses", above=0, most=1
+        0.4, "largest share of every force limit that a new plan uses", above=0, most=1
     )
     retry_factor: float = unitless(
-        0.8, "factor on plan_share at each further plan of a run", above=0, most=1
+        0.8, "factor on ``plan_share`` for each further plan of a run", above=0, most=1
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
@@ -54,6 +65,6 @@ class Supervisor:
             most = _STEP / scenario.sample_time
             yield f"{key}.damping", f"must be at most {most:g} 1/s at this sample_time"
         if scenario.undriven:
-            yield key, "needs actuators of all coordinates (actuation.driven: all)"
+            yield key, "needs all coordinates driven; set actuation.driven: [all]"
         if scenario.reference.frame is not None:
-            yield key, "plans postures, and cannot go with reference.frame"
+            yield key, "is not compatible with reference.frame; set one of them to null"

@@ -146,9 +146,8 @@ class Blend:
         if self._own <= 0.0:
             raise ScenarioError(
                 "reference.shaper",
-                f"takes {impulses.length:.4g} s, and the motion {duration:g} s; lengthen "
-                "reference.duration or shape "
-                "fewer or higher frequencies",
+                f"needs {impulses.length:.4g} s of a motion of {duration:g} s; lengthen "
+                "reference.duration, or shape fewer or higher frequencies",
             )
 
     @property

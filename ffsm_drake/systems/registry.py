@@ -189,9 +189,13 @@ def find_factory(
         if plugin := plugins.deleted_plugin(error):
             missing = f"the plug-in '{plugin}' is not installed: {one_line(error)}"
             raise BlockError(f"{place}: {missing}") from error
+        if (right := name.replace(".py:", ":")) != name:
+            raise BlockError(
+                f"{place}: must be module:attribute, without .py; write {right}"
+            ) from error
         raise BlockError(
-            f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or "
-            "name that folder in python_path or PYTHONPATH"
+            f"{place} cannot be loaded: run from the folder of the module, or add that folder to "
+            f"python_path or PYTHONPATH ({one_line(error)})"
         ) from error
     except BaseException as error:  # a user's module may raise anything on import
         if passes(error):
@@ -248,8 +252,8 @@ def _policy_file(name: str, file: str, place: str, python_path: Sequence[str]) -
         if (found := folder / file).is_file():
             _POLICIES[name] = folder, found
             return found
-    where = "beside the scenario, in the current folder or in python_path"
-    raise BlockError(f"{place}: there is no such file {where}")
+    where = "next to the scenario, in the current folder or in python_path"
+    raise BlockError(f"{place}: no such file {where}")
 
 
 def module_file(address: str) -> Path | None:

@@ -71,7 +71,7 @@ def scenario(id: str, text: str | bytes, *expected: str, command: str = "validat
 
 
 def override(id: str, text: str, *expected: str) -> Row:
-    return Row(id, f"validate postcapture --set {shlex.quote(text)}", ("override: ", *expected))
+    return Row(id, f"validate postcapture --set {shlex.quote(text)}", ("--set ", *expected))
 
 
 def model(id: str, text: str, *expected: str, **files: str | bytes) -> Row:
@@ -375,12 +375,12 @@ TABLE = [
     record(
         "no-manifest",
         lambda run: (run / "manifest.json").unlink(),
-        "run/manifest.json: cannot be read",
+        "run: contains no run (manifest.json is missing)",
     ),
     record(
         "truncated",
         lambda run: truncate(run / "record.nc"),
-        "run/record.nc: is not the record that manifest.json belongs to, or was changed",
+        "run/record.nc: was changed after the run, or belongs to another run than",
         "run it again",
     ),
     record(
@@ -421,7 +421,7 @@ TABLE = [
     dataset(
         "other-record",
         lambda data: data.assign(error=2.0 * data["error"]),
-        "run/record.nc: is not the record that manifest.json belongs to, or was changed",
+        "run/record.nc: was changed after the run, or belongs to another run than",
         fits=False,
     ),
     *(
@@ -619,7 +619,7 @@ def _files(folder: Path) -> set[Path]:
 def check_line(stderr: str, expected: tuple[str, ...]) -> None:
     lines = stderr.splitlines()
     if stderr.startswith("Usage:"):  # click's own
-        found = [line for line in lines if line.startswith("Error: ")]
+        found = [line for line in lines if line.startswith("error: ")]
     else:
         found = [line for line in lines if line.startswith("error: ")]
         others = [line for line in lines if line not in found and not line.startswith("warning: ")]
@@ -1018,7 +1018,7 @@ TOLD = (
     "payload.truth.mass: 166 kg replaces the 100 kg of debris::debris in the URDF",
     "initial_posture.joints: outside the URDF's position limits: shoulder 1.5 (limits -1 to 1 rad)",
     "the planned motion: beyond the URDF's velocity limits: shoulder",
-    "tracking the planned motion perfectly takes: beyond the URDF's effort limits: shoulder",
+    "perfect tracking of the planned motion needs: beyond the URDF's effort limits: shoulder",
 )
 
 
@@ -1065,7 +1065,7 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
 def test_a_duration_between_samples_is_told():
     result = CliRunner().invoke(main, ["validate", "postcapture", "--set", "duration=0.0149"])
     assert (
-        "duration: 0.0149 s are not a whole number of samples of 0.01 s; the run ends at 0.01 s"
+        "duration: the run ends at 0.01 s, because 0.0149 s is not a whole number of samples"
         in result.stderr
     )
 
@@ -1194,7 +1194,7 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     # draws nothing
     result = CliRunner().invoke(main, ["plot", *names, "--out", str(tmp_path / "report.html")])
     assert result.stderr.splitlines()[:2] == [
-        f"{names[k]}: is not the folder of a run; skipped" for k in (0, 2)
+        f"{names[k]}: contains no run; skipped" for k in (0, 2)
     ]
     assert f"{names[0]}: cannot be written" in result.stderr.splitlines()[2]
     monkeypatch.setattr(
@@ -1247,7 +1247,7 @@ def test_signals_at_the_start(tmp_path, number, delay):
         process.send_signal(number)
         _, stderr = process.communicate(timeout=60)
     assert process.returncode == 128 + number, stderr
-    said = ("tde_aismc:", "interrupted; again: ffsm run --out new", "ending: what is under way")
+    said = ("tde_aismc:", "interrupted; again: ffsm run --out new", "ending: the present step")
     assert all(any(each in line for each in said) for line in stderr.splitlines()), stderr
     assert not list(tmp_path.rglob("*partial*"))
     for kept in tmp_path.rglob("manifest.json"):

@@ -134,7 +134,7 @@ def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
 def test_a_table_of_no_known_format_is_refused_before_the_runs():
     result = ffsm("compare", "--table", "laws.xlsx")
     assert result.exit_code == 2
-    assert "'laws.xlsx' ends in neither .tex nor .csv" in result.output
+    assert "must end in .tex or .csv, not 'laws.xlsx'" in result.output
 
 
 @pytest.mark.smoke
@@ -148,7 +148,7 @@ def test_plot_refuses_an_unknown_format():
 def test_compare_refuses_the_same_twice():
     result = ffsm("compare", "-c", "tdc", "-c", "tdc")
     assert result.exit_code == 2
-    assert "tdc is given more than once" in result.output
+    assert "--controller tdc: is given more than once" in result.output
 
 
 @pytest.mark.long
@@ -173,7 +173,7 @@ def test_plot_overlays_runs(run, tmp_path):
     shutil.move(tmp_path / "two", tmp_path / "figures")
     result = ffsm("plot", tmp_path / "one", tmp_path / "figures")
     assert result.exit_code == 2
-    assert "--out: give a folder; the runs are not in one" in result.output
+    assert "--out: is missing, and the runs are in different folders" in result.output
     for folder in ("vectors", "again"):
         words = ("plot", tmp_path / "one", "--format", "pdf,svg", "--out", tmp_path / folder)
         assert ffsm(*words).exit_code == 0

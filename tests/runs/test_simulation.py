@@ -226,9 +226,9 @@ def test_the_netcdf_file_is_plain_enough_for_matlab(run, tmp_path):
         (lambda d: (d / "record.nc").unlink(), "record.nc: cannot be read"),
         (
             lambda d: (d / "record.nc").write_bytes((d / "record.nc").read_bytes()[:5000]),
-            "record.nc: is not the record that manifest.json belongs to",
+            "record.nc: was changed after the run, or belongs to another run",
         ),
-        (lambda d: (d / "manifest.json").unlink(), "manifest.json: cannot be read"),
+        (lambda d: (d / "manifest.json").unlink(), "contains no run"),
         (lambda d: (d / "manifest.json").write_text("{"), "manifest.json: is not a run's manifest"),
         (
             lambda d: (d / "manifest.json").write_text("{}"),

@@ -81,7 +81,7 @@ def test_a_run_that_finds_another_says_where_it_is(runs, tmp_path, monkeypatch):
     result = CliRunner().invoke(main, [*line, "--no-report"])
     assert result.exit_code == 0, result.output
     assert (
-        "warning: out holds another run by now, which stays; this one is in out_2" in result.stderr
+        "warning: another run was written to out meanwhile; this run is in out_2" in result.stderr
     )
     assert "Written to out_2" in result.stdout
     assert seeds_in(tmp_path) == {Path("out"): 2, Path("out_2"): 1, Path("other"): 2}

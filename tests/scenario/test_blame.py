@@ -22,6 +22,7 @@ from ffsm_drake import (
     simulate_many,
 )
 from ffsm_drake.cli import main
+from ffsm_drake.common.errors import placed
 from ffsm_drake.common.plugins import SERVICES, VERBS, optional
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import Scenario, checked
@@ -141,7 +142,7 @@ def check_blamed(place, source, load, *args, **kwargs):
         with pytest.raises(ScenarioError) as caught:
             load(*args, **kwargs)
     said = str(caught.value)
-    start = f"{source}: {place.key}"
+    start = placed(source, place.key)
     assert said.startswith((f"{start}: ", f"{start}[")), said
     assert len(said.splitlines()) == 1
 
@@ -169,8 +170,8 @@ def test_of_an_override(case):
     place, value = case
     given = [("description", "another"), *besides(place), (place.key, value)]
     words = [f"{key}={as_text(value)}" for key, value in given]
-    check_blamed(place, "override", load_scenario, "postcapture", words)
-    check_blamed(place, "override", override_scenario, Scenario(), words)
+    check_blamed(place, "--set", load_scenario, "postcapture", words)
+    check_blamed(place, "--set", override_scenario, Scenario(), words)
 
 
 ENTRIES = {
@@ -228,11 +229,11 @@ def test_a_part_that_the_model_cannot_have(tmp_path, monkeypatch, key, way):
         )
         words = ["validate", "mine.yaml"]
     said = CliRunner().invoke(main, words).stderr
-    source = "mine.yaml" if way == "file" else "override"
+    source = "mine.yaml: " if way == "file" else "--set "
     place = (
         f"model.flexible.p.{key}: no " if key else "model.flexible: 'p' moves a negligible inertia"
     )
-    assert said.startswith(f"error: {source}: {place}"), said
+    assert said.startswith(f"error: {source}{place}"), said
     assert len(said.splitlines()) == 1
 
 

@@ -184,7 +184,7 @@ def test_a_value_that_a_later_file_makes_wrong_is_that_files(tmp_path):
     file = written(tmp_path, {"sample_time": 1.0}, {"duration": 0.5})
     with pytest.raises(ScenarioError, match=r"layer_1\.yaml: sample_time"):
         load_scenario(file)
-    with pytest.raises(ScenarioError, match=r"^override: sample_time"):
+    with pytest.raises(ScenarioError, match=r"^--set sample_time"):
         load_scenario(written(tmp_path, {"sample_time": 1.0}, {}), ["duration=0.5"])
 
 
@@ -194,7 +194,9 @@ def test_a_circle_is_refused_in_one_line(folder, length, before):
     for k in range(before + length):
         following = k + 1 if k + 1 < before + length else before
         (folder / f"ring_{k}.yaml").write_text(f"extends: ring_{following}.yaml\n")
-    with pytest.raises(ScenarioError, match=r"extends: goes in a circle: .* -> ring_") as caught:
+    with pytest.raises(
+        ScenarioError, match=r"extends: leads back to itself: .* -> ring_"
+    ) as caught:
         load_scenario(folder / "ring_0.yaml")
     assert "\n" not in str(caught.value)
 
@@ -244,5 +246,5 @@ def test_dotted_keys_in_mappings():
     scenario = load_scenario("postcapture", [{"payload.truth.mass": 70, "reference.duration": 9}])
     assert (scenario.payload.truth.mass, scenario.reference.duration) == (70.0, 9.0)
     assert scenario.payload.nominal.mass == 80.0
-    with pytest.raises(ScenarioError, match=r"^override: payload\.truth\.mas: unknown key"):
+    with pytest.raises(ScenarioError, match=r"^--set payload\.truth\.mas: unknown key"):
         scenario.replace(payload={"truth": {"mas": 1}})

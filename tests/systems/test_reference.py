@@ -211,5 +211,5 @@ def test_roll_pitch_and_yaw_cannot_begin_with_a_velocity():
 def test_a_stop_of_nothing_is_said():
     plan_remarks = service("plan_remarks", "the test")
     (line,) = (of for of in plan_remarks(stopping({"joints": 0})) if of.startswith("reference"))
-    assert "has no velocity to stop" in line
+    assert "because nothing moves" in line
     assert not [of for of in plan_remarks(stopping({"joint_1": 1e-3})) if "to stop" in of]

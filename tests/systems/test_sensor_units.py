@@ -83,7 +83,7 @@ def test_validate_names_what_was_given_for_another_sample_time(overrides, named)
     words = [word for each in overrides for word in ("--set", each)]
     shown = CliRunner().invoke(main, ["validate", "flight_sensors", "--no-rehearsal", *words])
     assert shown.exit_code == 0
-    lines = [line for line in shown.stderr.splitlines() if "given per sample of 0.01 s" in line]
+    lines = [line for line in shown.stderr.splitlines() if "given in samples of 0.01 s" in line]
     assert len(lines) == bool(named)
     for name in ("velocity_noise", "position_noise"):
         assert any(f"{name}," in line or f"{name} were" in line for line in lines) == (

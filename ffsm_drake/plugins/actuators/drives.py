@@ -105,8 +105,8 @@ class DriveSet:
         for name, rate, force in zip(self.names, self.rate_limit, self.force_limit, strict=True):
             if np.isfinite(rate) and not np.isfinite(force):
                 problem = (
-                    f"{name} has no actuation.limit, from which its force would fall to "
-                    "nothing; give it one"
+                    f"{name} has no actuation.limit, below which its force would fall with the "
+                    f"rate; set actuation.limit.{name}"
                 )
                 raise ScenarioError(f"{_KEY}.rate_limit", problem)
 
@@ -290,8 +290,9 @@ class JointDrives(Part):
             raise ScenarioError(
                 "simulator_config.max_step_size",
                 f"{config.max_step_size:g} s exceeds the time constants of friction near rest "
-                f"({', '.join(found)}): take at most {0.9 * least:.2g} s, or "
-                f"{1.1 * config.max_step_size / least:.2g} times actuation.drives.smoothing_rate",
+                f"({', '.join(found)}); set at most {0.9 * least:.2g} s, or "
+                "multiply actuation.drives.smoothing_rate by "
+                f"{1.1 * config.max_step_size / least:.2g}",
             )
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:

@@ -85,7 +85,7 @@ class Plumes(Part):
         if not most:
             return None
         named = ", ".join(f"{name} {percent(shares[name])}" for name in most)
-        return f"plumes return thrust: {named}; actuation.thrusters.plume.ban leaves such out"
+        return f"plumes return thrust: {named}; set actuation.thrusters.plume.ban to exclude them"
 
 
 class _PlumeForce(LeafSystem):

@@ -337,7 +337,7 @@ def _locate(source: str, database: Path | None) -> Path:
     is_spec = source in shipped_campaigns() or Path(source).suffix in (".yaml", ".yml")
     if not is_spec:
         if database is not None:
-            raise CampaignError("--database: given twice; leave one of them out")
+            raise CampaignError("--database: is given twice; give it once")
         return Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
@@ -370,7 +370,7 @@ def _drive(
 
     if sum((workers is not None, scheduler is not None, slurm)) > 1:
         raise CampaignError(
-            "--workers, --scheduler and --slurm each say who does the work; give one of them"
+            "--workers, --scheduler and --slurm exclude each other; give one of them"
         )
     with ExitStack() as stack:
         if slurm:  # most tasks of the step end here

@@ -303,7 +303,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     if sampling == "grid":
         data = {"cases": _grid_size({**parameters, **factors}), **data}
     if "cases" not in data:
-        raise CampaignError("cases: is missing; say how many")
+        raise CampaignError("cases: is missing; give the number of cases")
     cases = _whole(data["cases"], place="cases", least=1, most=_MOST_CASES)
     spec = Spec(
         data=data,
@@ -407,7 +407,7 @@ def _grid_size(distributions: Mapping[str, Distribution]) -> int:
     """The number of combinations of the values of lists."""
     for name, distribution in distributions.items():
         if not distribution.levels:
-            raise CampaignError(f"{name}: must be a list, since sampling is grid")
+            raise CampaignError(f"{name}: must be a list, because sampling is grid")
     return math.prod(len(distribution.levels) for distribution in distributions.values())
 
 

@@ -109,8 +109,8 @@ def _clear_start(scenario: Scenario) -> Posture:
     if best < needed:
         raise LimitError(
             "capture.approach.start",
-            f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target at "
-            f"{100.0 * _MOST:g} % of the limits of force; change capture.approach.duration, margin "
+            f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target with "
+            f"{100.0 * _MOST:g} % of the force limits; change capture.approach.duration, margin "
             "or posture.joints",
             limit="clearance",
         )

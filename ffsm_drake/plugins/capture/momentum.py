@@ -369,10 +369,10 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
             lines.append(f"{what} on the base removes the {_MOMENTA[group]} momentum{within}")
     if storage is not None:
         lines.append(
-            f"{storage['name']}: the {number(storage['momentum'])} N m s of angular momentum, "
-            "added to "
-            f"their own, fill {storage['fullest']} to "
-            f"{percent(storage['share'])}, to {percent(storage['peak_share'])} on the way, in at "
+            f"{storage['name']}: with the angular momentum of {number(storage['momentum'])} N m s, "
+            f"{storage['fullest']} ends at {percent(storage['share'])} of its capacity, after "
+            "up to "
+            f"{percent(storage['peak_share'])} on the way, in at "
             f"least {number(storage['least_time'], 3)} s; the capacity is "
             f"{number(storage['capacity'], 3)} N m s in this direction and "
             f"{number(storage['least_capacity'], 3)} in the worst direction"
@@ -385,8 +385,7 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
         if arm["capacity"] is not None:
             rates = f"; its rate limits allow {number(arm['capacity'], 3)} N m s"
         lines.append(
-            "arm: it can hold the angular momentum, with the base's attitude held, for "
-            f"{until}{rates}"
+            f"arm: it can hold the angular momentum, at constant base attitude, for {until}{rates}"
         )
         lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
     if budget["drift"] is not None:
@@ -409,8 +408,7 @@ def storage_remark(budget: MomentumBudget) -> str:
         return ""
     left = number(storage.momentum, 3)
     return (
-        f"{storage.name}: to hold the attitude after the grasp {storage.fullest} would be filled "
-        f"to {percent(storage.peak_share)}; {left} N m s are left in the stack, and the capacity "
-        "in "
-        f"this direction is {number(storage.capacity, 3)}"
+        f"{storage.name}: cannot hold the attitude after the grasp, which fills {storage.fullest} "
+        f"to {percent(storage.peak_share)}; the stack has {left} N m s, the capacity in this "
+        f"direction is {number(storage.capacity, 3)} N m s"
     )

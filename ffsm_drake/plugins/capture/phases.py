@@ -148,7 +148,7 @@ def given_up(approach: RunLog) -> str:
     if modes[-1] == Mode.APPROACH:
         return ""
     since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
-    return f"the approach is given up at t = {since:g} s"
+    return f"the supervisor abandoned the approach at t = {since:g} s"
 
 
 def _without_contact(log: RunLog) -> RunLog:

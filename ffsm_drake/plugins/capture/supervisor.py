@@ -153,7 +153,7 @@ class SupervisorPart(Part):
         last = Mode(int(modes[-1])) if modes.size else Mode.HOLD
         if last not in (Mode.RATE_DAMPING, Mode.RETREAT):
             return ""
-        return f"its supervisor ended in {last.words}, the plan given up"
+        return f"its supervisor abandoned the plan and ended in {last.words}"
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """The modes with their times."""
@@ -238,7 +238,11 @@ class _Supervisor(LeafSystem):
             for helped in (False, True)
         )
         if not np.isfinite(self._limit).any():
-            raise ScenarioError("supervisor", "needs limits: give actuation.limit, or actuators")
+            raise ScenarioError(
+                "supervisor",
+                "cannot detect saturation, because no force has a limit; set actuation.limit, "
+                "actuation.thrusters or actuation.wheels",
+            )
         self._bounds = [
             coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
             for name, given in (("error", self._settings.error), ("rate", self._settings.rate))

@@ -23,9 +23,8 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
     brakes = max(map(abs, grasp["brake_impulse"].values()), default=0.0)
     miss, compliant = grasp["miss"], grasp["compliant"]
     gripper = (
-        f"; the gripper bears at most {compliant['peak_force']:.3g} N and "
-        f"{compliant['peak_torque']:.3g} N m, over in "
-        f"{1e3 * compliant['time']:.3g} ms"
+        f"; largest load of the gripper {compliant['peak_force']:.3g} N and "
+        f"{compliant['peak_torque']:.3g} N m, within {1e3 * compliant['time']:.3g} ms"
         if compliant
         else ""
     )
@@ -33,8 +32,8 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
         f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and "
         f"{size['angular_impulse']:.3g} N m s"
         + (f", of a brake at most {brakes:.3g} N m s" if brakes else "")
-        + f", kinetic energy {before:.4g} to {after:.4g} J; missed by "
+        + f", kinetic energy {before:.4g} to {after:.4g} J; error at the grasp "
         f"{1e3 * miss['position']:.2g} mm and "
-        f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
+        f"{1e3 * miss['angle']:.2g} mrad, at {1e3 * miss['velocity']:.2g} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
     )

@@ -208,7 +208,7 @@ def design(
 def _told(mission: "Verdict | None") -> str:
     """Expectations for a mission; None: not evaluated."""
     if mission is None:
-        return "no time was left to look at its mission: see 'ffsm stability'"
+        return "the time limit left no time to check the mission; run ffsm stability"
     return "\n".join([*mission.lines, mission.conclusion])
 
 

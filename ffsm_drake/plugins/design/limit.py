@@ -89,7 +89,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     with Linearizer(scenario) as linearizer:
         if linearizer.loop.tracks_frame:
             raise BlockError(
-                f"{scenario.controller} tracks a frame; the limit is one of coordinates"
+                f"{scenario.controller} tracks a frame, and the limit is defined for coordinates"
             )
         loop = linearizer.at(time, held=expected_gains(linearizer))
     response = loop.with_random_walk(walk, mass).noise_response(count)

@@ -131,8 +131,8 @@ def _stops_nothing(scenario: Scenario) -> Iterator[str]:
     """A line if the reference is to stop a spacecraft that does not move."""
     if scenario.stops_from_start and not any(scenario.initial_velocity.values()):
         yield (
-            "reference.goal: stop has no velocity to stop, so that initial_posture is held; give "
-            "initial_velocity, or a capture"
+            "reference.goal: stop holds initial_posture, because nothing moves; set "
+            "initial_velocity, or add a capture"
         )
 
 
@@ -163,7 +163,7 @@ def _motion_remarks(
         limits,
         motion,
         lambda sample: f" at t = {times[sample]:.3g} s",
-        who=("the planned motion", "tracking the planned motion perfectly takes"),
+        who=("the planned motion", "perfect tracking of the planned motion needs"),
     )
 
 
@@ -174,7 +174,7 @@ def _at_rate(limit: Limit, drives: DriveSet, v: np.ndarray, force: np.ndarray) -
     most, joints = np.tile(limit.upper, (len(v), 1)), slice(NUM_BASE_VELOCITIES, None)
     forward = force[:, joints] * v[:, joints] > 0.0
     most[:, joints] = np.where(forward, drives.available(v[:, joints]), most[:, joints])
-    further = " or what drives give at their rate" if drives.has_rate_limit else ""
+    further = " or the force of drives at their rate" if drives.has_rate_limit else ""
     return dataclasses.replace(limit, source=limit.source + further, upper=most, lower=-most)
 
 
@@ -243,9 +243,8 @@ def _starts_elsewhere(
         worst = int(np.argmax(np.abs(difference)))
         if abs(difference[worst]) > _SAME_START:
             yield (
-                f"{what}: reference.plan starts {abs(difference[worst]):.3g} off in "
-                f"{names[worst]}; 'ffsm plan' makes "
-                "one for this scenario"
+                f"{what}: {names[worst]} differs by {abs(difference[worst]):.3g} from the start of "
+                "reference.plan; make a plan for this scenario with 'ffsm plan'"
             )
 
 
@@ -254,9 +253,8 @@ def _cut_short(scenario: Scenario) -> Iterator[str]:
     end = scenario.num_control_periods * scenario.sample_time
     if end < scenario.duration * (1.0 - SLACK):
         yield (
-            f"duration: {scenario.duration:g} s are not a whole number of samples of "
-            f"{scenario.sample_time:g} s; the "
-            f"run ends at {end:g} s"
+            f"duration: the run ends at {end:g} s, because {scenario.duration:g} s is not a whole "
+            f"number of samples of {scenario.sample_time:g} s"
         )
 
 
@@ -285,7 +283,7 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
         yield (
             f"simulator_config.max_step_size: steps of {step:g} s change the damping of the "
             "flexible mode at "
-            f"{mode.frequency:.3g} Hz by {added:.2g}, its own is {mode.damping_ratio:.2g}; take "
+            f"{mode.frequency:.3g} Hz by {added:.2g}, from {mode.damping_ratio:.2g}; set "
             f"{finer:g} s or less"
         )
 
@@ -310,7 +308,7 @@ def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
         yield (
             f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s advances by "
             f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is aliased by the "
-            f"integrator; take simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
+            f"integrator; set simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
         )
 
 

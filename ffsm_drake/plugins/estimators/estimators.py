@@ -301,8 +301,8 @@ class CoupledEstimator(Estimator):
         if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
             raise ScenarioError(
                 "estimator.kind",
-                "coupled takes no slow or late sensors, and the same noise and walk about the "
-                "base's three axes; use kalman",
+                "coupled needs sensors without delay or longer periods, and one noise and walk for "
+                "the base's three axes; set kalman",
             )
         axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
         position, velocity = assumed_noise(scenario, coordinates)

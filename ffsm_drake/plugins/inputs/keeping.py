@@ -56,8 +56,9 @@ def keep_inputs(scenario: Scenario, folder: Path) -> dict[str, Any]:
     sizes = {file: file.stat().st_size for file in files}
     if sum(size for size in sizes.values() if size < _LINKED) > _LARGEST:
         warnings.warn(
-            f"the run's files of {sum(sizes.values()):.2g} bytes are not kept beside its record: "
-            f"at most {_LARGEST:.0g}; elsewhere the folder needs them at their places",
+            f"the model files of {sum(sizes.values()):.2g} bytes are not copied to the run's "
+            "folder "
+            f"(at most {_LARGEST:.0g}); to repeat the run elsewhere, copy them to the same paths",
             stacklevel=2,
         )
         return {}
@@ -91,9 +92,9 @@ def changed_inputs(directory: Path, inputs: Any) -> Iterator[str]:
         try:
             check_regular(path, limit=_LARGEST)
             if digest_of(path) != digest:
-                yield f"{path}: was changed after the run, which it may no longer repeat"
+                yield f"{path}: was changed after the run, so the folder may not repeat its run"
         except (OSError, ValueError):
-            yield f"{path}: is missing, so that the folder does not repeat its run"
+            yield f"{path}: is missing, so the folder does not repeat its run"
 
 
 def _copy(file: Path, copy: Path, *, linked: bool) -> None:

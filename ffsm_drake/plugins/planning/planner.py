@@ -108,7 +108,9 @@ class _Planner:
         self._time_limit = time_limit
         self._scenario, self._progress = scenario, progress
         if len(scenario.contacts) > 1:
-            raise ScenarioError("contacts", "a plan is for one hand on the target; name only one")
+            raise ScenarioError(
+                "contacts", "a plan is for one hand on the target; give one contact"
+            )
         model = self._model = make_nominal_plant(scenario)
         self._limits = motion_limits(scenario, model)
         self._clearance = Clearance(scenario.model)
@@ -119,11 +121,11 @@ class _Planner:
         self._dynamics = InverseDynamics(model, RotationMatrix(Quaternion(self._start[:4])))
         if scenario.reference.frame is not None:
             raise ScenarioError(
-                "reference.frame", "has no effect on a plan, which ends at a posture; leave it out"
+                "reference.frame", "has no effect on a plan, which ends at a posture; remove it"
             )
         if scenario.reference.duration is None:
             raise ScenarioError(
-                "reference.duration", "is auto; a plan needs its longest duration, s"
+                "reference.duration", "is auto; give the longest duration of the plan in s"
             )
         self._longest = scenario.reference.duration
         self._momentum = self._momentum_of(self._start, self._rate)
@@ -143,9 +145,8 @@ class _Planner:
         if "base_rotation" in self._scenario.undriven and self._momentum > _AT_REST:
             raise ScenarioError(
                 "actuation.driven",
-                f"joints alone cannot take out the angular momentum of {self._momentum:.3g} N m s, "
-                "and this planner cannot handle it; have base_rotation driven, or take "
-                "reference.kind quintic",
+                f"joints cannot remove the angular momentum of {self._momentum:.3g} N m s; add "
+                "base_rotation to actuation.driven, or set reference.kind: quintic",
             )
 
     def check_ends(self) -> None:

@@ -357,7 +357,12 @@ _DEFAULT: Any = object()
 
 def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) -> np.ndarray | float:
     if given is None and not declared.bound:
-        raise ScenarioError(key, "must be a number or numbers by coordinate, not null")
+        name = key.rpartition(".")[2]
+        raise ScenarioError(
+            key,
+            f"null removes an upper bound, and {name} is not one; give a number, or numbers by "
+            "coordinate",
+        )
     values = complete_gain(declared, given)
     if values is None:
         return np.full(len(coordinates.names), np.inf)

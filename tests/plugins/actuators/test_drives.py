@@ -318,8 +318,8 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
         simulate(coarse)
     assert str(error.value) == (
         "simulator_config.max_step_size: 0.0326861 s exceeds the time constants of friction near "
-        "rest (hinge 0.032 s in initial_posture and target_posture): take at most 0.029 s, or 1.1 "
-        "times actuation.drives.smoothing_rate"
+        "rest (hinge 0.032 s in initial_posture and target_posture); set at most 0.029 s, or "
+        "multiply actuation.drives.smoothing_rate by 1.1"
     )
     coarse.simulator_config.integration_scheme = "radau3"
     make_closed_loop(coarse).diagram.CreateDefaultContext()
@@ -354,7 +354,7 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
         ("smoothing_rate: 0", "actuation.drives.smoothing_rate.all: must be > 0, not 0"),
         (
             "rate_limit: {joint_3: 0.1}",
-            "actuation.drives.rate_limit: joint_3 has no actuation.limit, from which its force",
+            "actuation.drives.rate_limit: joint_3 has no actuation.limit, below which its force",
         ),
     ],
 )

@@ -502,7 +502,7 @@ def test_a_comparison_shows_and_ranks_propellant(run):
         ),
         (
             ("actuation.thrusters.units={a: {force: 1}}",),
-            "units: has no effect beside a layout; set layout: null",
+            "units: has no effect with a layout; set layout: null",
         ),
         (
             ("actuation.thrusters={layout: null, units: {a: {force: 1}}}",),

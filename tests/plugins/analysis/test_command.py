@@ -38,5 +38,5 @@ def test_analyze(run, tmp_path, monkeypatch):
 def test_analyze_needs_a_record(tmp_path):
     result = ffsm("analyze", tmp_path / "nothing")
     assert result.exit_code == 2
-    assert "manifest.json: cannot be read" in result.output
+    assert "contains no run (manifest.json is missing)" in result.output
     assert result.output.count("\n") == 1

@@ -76,7 +76,9 @@ def test_further_cases_repeat_the_grid_with_other_seeds(tmp_path):
 
 def test_a_grid_takes_lists_only(tmp_path):
     drawn = {"sample_time": {"distribution": "choice", "values": [0.005, 0.01]}}
-    with pytest.raises(CampaignError, match="sample_time: must be a list, since sampling is grid"):
+    with pytest.raises(
+        CampaignError, match="sample_time: must be a list, because sampling is grid"
+    ):
         load_spec(noise(tmp_path / "bad.yaml", parameters=drawn, derive={}))
 
 

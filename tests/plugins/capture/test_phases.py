@@ -146,7 +146,7 @@ def test_a_motion_with_a_fault_is_named(fault, words):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ("capture.approach=null", r"blocks\.phases\.wait: comes before an approach"),
+        ("capture.approach=null", r"blocks\.phases\.wait: must come before an approach"),
         ("blocks.phases.wait.duration=0.123", r"wait\.duration: must be a whole number of control"),
         ("blocks.phases.wait.system=''", r"wait\.system: '' must be a name"),
         ("duration=3", r"capture\.approach\.duration: must leave time for the stop"),

@@ -142,7 +142,7 @@ def test_a_block_asks_during_the_approach_and_the_servicer_retreats():
     assert changes(log)[1][0] == pytest.approx(0.5)
     assert log.series["mode_cause"].max() == Cause.REQUEST
     assert log.outcome.status == "missed"
-    assert "given up at t = 0.5 s" in log.outcome.message
+    assert "abandoned the approach at t = 0.5 s" in log.outcome.message
     start = log.series["state"][0]
     assert np.abs(log.series["state"][-1] - start)[7:12].max() < 1e-3  # the joints are back
 
@@ -175,5 +175,5 @@ def test_what_it_cannot_damp_is_refused():
 
 
 def test_it_needs_limits():
-    with pytest.raises(ScenarioError, match="limits"):
+    with pytest.raises(ScenarioError, match="no force has a limit"):
         make_rollout(load_scenario("postcapture", ["supervisor={}", "actuation={}"]))

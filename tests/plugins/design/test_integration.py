@@ -68,7 +68,7 @@ def test_a_period_of_one_step_is_a_constant_force():
                 "simulator_config.integration_scheme=explicit_euler",
                 "initial_velocity={base_rotation_x: 5}",
             ],
-            ("quaternion has a norm off by", "angular momentum is off by"),
+            ("norm of the base quaternion differs", "it changes the angular momentum by"),
         ),
     ],
 )

@@ -443,7 +443,7 @@ def test_the_linear_loop_takes_it():
         ("altitude: -1", "environment.altitude: must be > 0, at most 1000000000 m, not -1"),
         (
             "mean_motion: 1e-3",
-            "environment.altitude: has no effect beside a mean_motion; set altitude: null",
+            "environment.altitude: has no effect with mean_motion; set altitude: null",
         ),
         (
             "mean_motion: 1, altitude: null",

@@ -757,7 +757,7 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
         (
             "estimator={kind: coupled, delay: 2}",
-            "estimator.kind: coupled takes no slow or late sensors, and the same noise",
+            "estimator.kind: coupled needs sensors without delay or longer periods",
         ),
         ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),
     ],
@@ -809,7 +809,7 @@ def test_a_loop_with_exact_positions_is_stable(kind):
     [
         (
             "estimator.position_noise=-1",
-            "override: estimator.position_noise.all: must be >= 0",
+            "--set estimator.position_noise.all: must be >= 0",
         ),
         (
             "estimator.velocity_noise.joint_1=-1",

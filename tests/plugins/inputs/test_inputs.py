@@ -170,7 +170,7 @@ def test_a_changed_or_missing_file_is_named(tmp_path, monkeypatch):
     assert "different record" in said.output
     law.unlink()
     shown = CliRunner().invoke(main, ["plot", "out"])
-    assert "is missing, so that the folder does not repeat its run" in shown.stderr
+    assert "is missing, so the folder does not repeat its run" in shown.stderr
     # a later run without such files leaves none behind
     ffsm("run", "postcapture", "--set", "duration=0.02", "--no-report", "--out", "out")
     assert not (project / "out/record.inputs").exists()

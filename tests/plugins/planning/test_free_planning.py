@@ -187,7 +187,7 @@ def test_wheels_take_a_tumble_out_while_the_position_drifts():
             "planning.impulse_limit={base_rotation_y: 1}",
             "planning.impulse_limit.base_rotation_y: is undriven",
         ),
-        ("initial_velocity.base_rotation_y=0.01", "actuation.driven: joints alone cannot take out"),
+        ("initial_velocity.base_rotation_y=0.01", "actuation.driven: joints cannot remove"),
     ],
 )
 def test_what_cannot_be_planned_is_named(override, said):

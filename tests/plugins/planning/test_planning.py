@@ -305,7 +305,7 @@ def test_a_file_that_is_no_plan_gets_one_line(tmp_path, text, said):
 
 def test_a_plan_from_elsewhere_is_warned_of():
     with pytest.warns(
-        LimitWarning, match="initial_posture: reference.plan starts 0.1 off in joint_2"
+        LimitWarning, match="initial_posture: joint_2 differs by 0.1 from the start of"
     ):
         prepare(load_scenario("planar_detumble", ["initial_posture.joints.joint_2=1.3"])).release()
 
@@ -381,6 +381,6 @@ def test_a_motion_beyond_the_actuators_is_told_before_the_run():
         if "actuation.limit" in line
     ]
     assert line.startswith(
-        "tracking the planned motion perfectly takes: beyond actuation.limit: base_rotation_x"
+        "perfect tracking of the planned motion needs: beyond actuation.limit: base_rotation_x"
     )
     assert "(limit 10)" in line

@@ -173,7 +173,7 @@ def test_momentum_through_a_minute_of_control():
         ),
         ([*JOINTS, "actuation.wheels={units: {x: {}}}"], "wheels cannot act"),
         ([*JOINTS, "target_posture.base_rpy=[0,0,0.1]"], "base_rotation is not driven"),
-        ([*JOINTS, *TUMBLING, "capture.approach={duration: 5}"], "needs every coordinate driven"),
+        ([*JOINTS, *TUMBLING, "capture.approach={duration: 5}"], "needs all coordinates driven"),
     ],
 )
 def test_bad_input(overrides, problem):

@@ -194,7 +194,7 @@ def test_the_second_hand_may_miss() -> None:
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("contacts.right.position_error=[1e-3, 0, 0]", "follows from where the hand grasps"),
+        ("contacts.right.position_error=[1e-3, 0, 0]", "has no effect on a hand that grasps"),
         ("capture.closing={time: 0.5}", "capture.closing: is not supported with more than one"),
         ("capture.joints=braked", "capture.joints: is not supported with more than one"),
     ],

@@ -242,11 +242,11 @@ def test_a_rollout_that_is_kept_gives_the_same_bits_again() -> None:
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["contacts.left.closes=1"], "contacts.left.closes: must be 0: it is the weld"),
+        (["contacts.left.closes=1"], "contacts.left.closes: must be 0, because the model welds"),
         (["contacts.right.closes=1.005"], "whole number of control samples"),
         (["contacts.right.closes=5"], "must be within the duration of the run"),
-        (["contacts.right.position_error=[1e-3, 0, 0]"], "follows from where the hand grasps"),
-        (["reference.duration=null"], "does not go with contacts.right.closes; give seconds"),
+        (["contacts.right.position_error=[1e-3, 0, 0]"], "has no effect on a hand that grasps"),
+        (["reference.duration=null"], "is not compatible with contacts.right.closes; give seconds"),
         (["initial_posture.joints.left_1=3.0"], "its hand does not reach"),
         (["contacts.right.closes=-1"], "contacts.right.closes"),
     ],

@@ -60,14 +60,14 @@ def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario)
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["contacts.right.effector=servicer::left_hand"], "is the hand of 'left' too"),
+        (["contacts.right.effector=servicer::left_hand"], "is also the hand of 'left'"),
         (["contacts.right.effector=servicer::base"], "effector: 'servicer::base' is on no arm"),
         (["contacts.right.frame=servicer::base"], "frame: .* is not fixed to the target"),
         (["contacts.right.frame=servicer::right_hand"], "frame: .* is not fixed to the target"),
         (["contacts.right.frame=servicer::left_link_4"], "frame: .* is not fixed to the target"),
         (["contacts.right.frame=debris::left_grasp"], "its hand does not reach"),
         (["contacts.left.kind=compliant"], "must be rigid"),
-        (["contacts.left.effector=servicer::right_link_6"], "none has the effector"),
+        (["contacts.left.effector=servicer::right_link_6"], "no contact has model.end_effector"),
         (["initial_posture.joints.left_2=-1.2"], "its hand does not reach"),
         (["target_posture.joints.left_1=3.0"], "at .* % of the path its hand does not reach"),
         (["target_posture.joints.left_5=0.0"], "at .* % of the path the arm of .* is singular"),

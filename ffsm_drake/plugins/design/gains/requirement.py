@@ -170,7 +170,7 @@ class Requirement:
             name = prediction.coordinates.names[i]
             return f"{name} needs {peak:.3g}, more than its actuation.limit of {limit:g}"
         if point.rehearsal is not None and point.rehearsal.share_diverged > 0.0:
-            return f"with its actuators it diverges: {point.rehearsal}"
+            return f"with its actuators it {point.rehearsal}"
         return point.alarm
 
     def _over_budget(self, point: DesignPoint) -> str:

@@ -289,12 +289,11 @@ class Linearizer:
         if names := loop.kept_memory:
             held = ", ".join(f'"{name}": None' for name in names)
             raise NotLinear(
-                f"{systems}: at rest its memory {', '.join(names)} neither grows nor decays, like "
-                f"an adapted gain or estimate; return {{{held}}} from held() to analyse the loop "
-                "with it held"
+                f"{systems}: its state {', '.join(names)} is constant at rest, like an adapted "
+                f"gain or estimate; return {{{held}}} from held() to hold it in the analysis"
             )
         raise NotLinear(
-            f"{systems}: errors neither grow nor decay at rest, as with a block that acts at few "
+            f"{systems}: errors neither grow nor decay at rest, as if the block acted at few "
             "samples; declare its period"
         )
 
@@ -518,9 +517,8 @@ class Linearizer:
             names = ", ".join(system.get_name() for system in self.user_supplied)
             if self._depends_on_step(index):
                 raise NotLinear(
-                    f"{names}: has no derivative at small errors (such as a sign, a root or "
-                    "rounding); smooth it, or keep its factor in the law's memory and return it "
-                    "at 0 from held()"
+                    f"{names}: has no derivative at small errors (a sign, a root, rounding); "
+                    "smooth it, or keep its factor as a state and return 0 for it from held()"
                 )
             raise NotLinear(
                 f"{names}: differs from sample to sample, without a period of up to "

@@ -113,7 +113,7 @@ def _base_load(scenario: Scenario) -> Load:
     }
     law, other = controller_factory(scenario), None
     if getattr(law, "chooses_k_s", False):
-        other = Advice(changes={"controller": "tdc"}, reason="or this law, without an integral")
+        other = Advice(changes={"controller": "tdc"}, reason="or this law, which has no integral")
     return Load(
         groups=groups,
         slower=_slower(scenario, groups),
@@ -139,7 +139,7 @@ def _slower(scenario: Scenario, groups: Mapping[str, GroupLoad]) -> Advice | Non
     used = max((each.motion / each.limit for each in groups.values()), default=0.0)
     if used <= _MOST or scenario.reference.kind == "optimal":
         return None
-    reason, duration = f"the motion takes {used:.2g} of what they give, then ", given
+    reason, duration = f"the motion needs {used:.2g} of their limits, then ", given
     while used > _WANTED:
         duration = math.ceil(duration * max(_LEAST_STEP, math.sqrt(used / _WANTED)))
         if duration > _LONGEST * given:
@@ -173,7 +173,7 @@ def _softer(
         least = load.inertia * _NOISE_PEAK * max(load.noise, 1e-12)
         omega, reasons = _rounded(min(was, math.sqrt(room / least))), list[str]()
         if omega < 0.95 * was:
-            reasons.append(f"bandwidth of {group} {omega:g} in place of {was:.3g} rad/s")
+            reasons.append(f"bandwidth of {group} {omega:g} instead of {was:.3g} rad/s")
         k_s = 0.0
         if law.chooses_k_s:
             gain = min(float(given["k_s_max"][own].max()), 2.0 / scenario.sample_time)
@@ -182,9 +182,10 @@ def _softer(
             amplitude = _run_away(was, gain, acceleration)
             if k_s < 0.95 * gain:
                 reasons.append(
-                    f"K_s {_rounded(k_s):g} in place of {gain:.3g} 1/s: its saturated integral ran "
-                    f"away beyond {amplitude:.2g} {coordinates.units[own][0]}, now beyond "
-                    f"{_run_away(omega, k_s, acceleration):.2g}"
+                    f"K_s {_rounded(k_s):g} instead of {gain:.3g} 1/s: saturation is unstable "
+                    "beyond "
+                    f"errors of {_run_away(omega, k_s, acceleration):.2g} instead of "
+                    f"{amplitude:.2g} {coordinates.units[own][0]}"
                 )
         if reasons:
             values = law.gains_for(omega, _rounded(k_s))
