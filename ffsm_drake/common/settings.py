@@ -183,22 +183,25 @@ def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
 # diagram.
 _SIMULATOR = {
     "integration_scheme": Setting(
-        meaning="Drake's name of the integrator; the paper's: explicit_euler at max_step_size = "
-        "sample_time",
+        meaning="integrator, by Drake's name; the paper uses explicit_euler with max_step_size "
+        "equal "
+        "to sample_time",
         one_of=tuple(name for name in GetIntegrationSchemes() if name != "cenic"),
     ),
     "max_step_size": Setting(
         unit="s",
-        meaning="step of a fixed-step integrator, largest step of one with error control",
+        meaning="step of an integrator with fixed steps; largest step of an integrator with error "
+        "control",
         above=0,
     ),
-    "accuracy": Setting(
-        meaning="relative accuracy asked of an integrator with error control", above=0
-    ),
-    "use_error_control": Setting(meaning="let the integrator choose its steps"),
-    "start_time": Setting(unit="s", meaning="Drake's start time; a scenario starts at 0"),
+    "accuracy": Setting(meaning="relative accuracy of an integrator with error control", above=0),
+    "use_error_control": Setting(meaning="true: the integrator chooses its steps"),
+    "start_time": Setting(unit="s", meaning="start time of the run; it must be 0"),
     "target_realtime_rate": Setting(
-        meaning="1 paces the run to real time; 0 runs as fast as it can", least=0
+        meaning="speed of the run compared with real time; 1: real time; 0: as fast as possible",
+        least=0,
     ),
-    "publish_every_time_step": Setting(meaning="Drake's publishing at every step; not needed here"),
+    "publish_every_time_step": Setting(
+        meaning="true: Drake publishes at every step; this is not needed here"
+    ),
 }

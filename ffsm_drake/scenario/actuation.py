@@ -26,19 +26,21 @@ DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joint
 
 @dataclass
 class Thruster:
-    """An on/off thruster, fixed to the base."""
+    """An on/off thruster that is fixed to the base."""
 
-    position: list[float] = vector_in(ORIGIN, "m", "position in the base's frame")
+    position: list[float] = vector_in(
+        ORIGIN, "m", "position of the thruster in the frame of the base"
+    )
     direction: list[float] = vector_in(
         X_AXIS,
         "",
-        "direction of the thrust on the base, opposite to the plume, in the base's frame; any "
+        "direction of the force on the base, opposite to the plume, in the frame of the base; any "
         "length",
         nonzero=True,
     )
     force: float = setting(5.0, "N", "thrust while the thruster is open", above=0)
     specific_impulse: float = setting(
-        226.1, "s", "impulse per weight of propellant on Earth", above=0
+        226.1, "s", "specific impulse: impulse per weight of propellant on Earth", above=0
     )
 
 
@@ -50,11 +52,11 @@ class Pwpf:
 
     gain: float = unitless(
         10.0,
-        "filter gain k_m; the input is the wanted share of the thrust, less 1 while the thruster "
-        "is open",
+        "filter gain k_m. The filter's input is the commanded thrust divided by the full thrust, "
+        "minus 1 while the thruster is open.",
         above=0,
     )
-    time_constant: float = setting(0.2, "s", "filter time constant", above=0)
+    time_constant: float = setting(0.2, "s", "time constant of the filter", above=0)
     on: float = unitless(0.25, "filter output at which the thruster opens", above=0)
     off: float = unitless(0.15, "filter output at which the thruster closes", least=0)
 
@@ -66,71 +68,93 @@ class Pwpf:
 
 @dataclass
 class Plume:
-    """The plume of each thruster: a source flow in the half space behind the thrust, with density
-    cos^exponent of the angle off its axis. It pushes the bodies that it hits.
+    """The plume of each thruster, which pushes the bodies that it hits.
+
+    It is a source flow in the half space behind the thrust. Its density is the cosine of the angle
+    from its axis to the power ``exponent``.
     """
 
     exponent: float = unitless(
-        8.0, "exponent of the cosine; a larger one gives a narrower plume", above=0, most=1000
+        8.0,
+        "exponent of the cosine of the angle from the plume's axis; larger: narrower plume",
+        above=0,
+        most=1000,
     )
-    rays: int = unitless(100, "number of rays of equal momentum in a plume", least=8, most=10000)
+    rays: int = unitless(
+        100, "number of rays with equal momentum that represent a plume", least=8, most=10000
+    )
     ban: float | None = unitless(
         None,
-        "thrusters whose plume returns more than this share of their thrust, in initial_posture "
-        "or target_posture, are not fired; null: all are fired",
+        "largest force of a thruster's plume on the spacecraft, as a share of its thrust, in "
+        "``initial_posture`` or ``target_posture``. A thruster above this share is not used; null: "
+        "all thrusters are used.",
         above=0,
     )
 
 
 @dataclass
 class Thrusters:
-    """On/off thrusters that provide the base's force and torque, in place of an ideal wrench."""
+    """On/off thrusters for the force and torque on the base."""
 
     layout: str | None = choice_of(
-        "12x5N", "a shipped layout; null with ``units``", "12x1N", "12x5N", "16x22N"
+        "12x5N",
+        "shipped layout of thrusters; null if ``units`` are given",
+        "12x1N",
+        "12x5N",
+        "16x22N",
     )
     units: dict[str, Thruster] = unitless(
-        {}, "user-supplied thrusters by name, in place of a layout", size=(0, 24)
+        {}, "thrusters by any name, which replace a layout", size=(0, 24)
     )
     failures: dict[str, str] = unitless(
         {},
-        'thruster\'s name -> "stuck_off" or "stuck_on"; the allocation takes it into account',
+        'known failure by thruster name: "stuck_off" or "stuck_on"; the allocation accounts for it',
         one_of=("stuck_off", "stuck_on"),
     )
     minimum_on_time: float = setting(
         0.02,
         "s",
-        "minimum time that a thruster stays open",
+        "shortest time for which a thruster opens",
         least=0,
         most=1000,
     )
     rise_time: float = setting(
-        0.0, "s", "time constant of the thrust after opening; 0: immediate", least=0, most=1000
+        0.0,
+        "s",
+        "time constant of the rise of thrust after opening; 0: immediate",
+        least=0,
+        most=1000,
     )
     fall_time: float = setting(
-        0.0, "s", "time constant of the thrust after closing; 0: immediate", least=0, most=1000
+        0.0,
+        "s",
+        "time constant of the fall of thrust after closing; 0: immediate",
+        least=0,
+        most=1000,
     )
     modulator: str = choice_of(
         "sigma_delta",
-        'modulation of the wanted force: "sigma_delta", whole frames; "pulse_width", a part of '
-        'each frame; or "pwpf"',
+        'modulation of the commanded force: "sigma_delta": open for whole frames; "pulse_width": '
+        'open for a part of each frame; "pwpf": pulse-width pulse-frequency',
         "sigma_delta",
         "pulse_width",
         "pwpf",
     )
     threshold: float = unitless(
         0.8,
-        "sigma_delta only: share of its thrust from which a thruster opens; 0.5 follows the "
-        "wanted force most closely, larger values spend less propellant on noise",
+        "share of the thrust above which a thruster opens with sigma_delta; 0.5 follows the "
+        "commanded force most closely, and larger values use less propellant on noise",
         least=0.5,
         below=1,
     )
     frame: int = in_samples(
-        2, "period of the allocation; with sigma_delta also the shortest pulse", least=1
+        2,
+        "period of the allocation of force to thrusters; with sigma_delta also the shortest pulse",
+        least=1,
     )
     pwpf: Pwpf = setting(Pwpf())
     plume: Plume | None = unitless(
-        None, "force of the plumes on the spacecraft's own bodies; null: none"
+        None, "force of the plumes on the bodies of the spacecraft; null: none"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
@@ -158,23 +182,31 @@ class Thrusters:
 
 @dataclass
 class Wheel:
-    """A balanced reaction wheel in the base, symmetric about its axis. Its mass and inertia are
-    part of the base's.
+    """A balanced reaction wheel in the base, symmetric about its axis.
+
+    The mass and inertia of the base include those of the wheel.
     """
 
     axis: list[float] = vector_in(
-        [0.0, 0.0, 1.0], "", "direction of the axis in the base's frame; any length", nonzero=True
+        [0.0, 0.0, 1.0],
+        "",
+        "direction of the wheel axis in the frame of the base; any length",
+        nonzero=True,
     )
-    inertia: float = setting(0.08, "kg m^2", "about its axis", above=0)
-    torque_limit: float = setting(0.2, "N m", "largest motor torque, either way", above=0)
+    inertia: float = setting(0.08, "kg m^2", "inertia of the wheel about its axis", above=0)
+    torque_limit: float = setting(0.2, "N m", "largest motor torque in both directions", above=0)
     speed_limit: float = setting(
-        628.0, "rad/s", "largest speed relative to the base, either way", above=0
+        628.0, "rad/s", "largest speed relative to the base in both directions", above=0
     )
-    initial_momentum: float = setting(0.0, "N m s", "initial angular momentum about the axis")
+    initial_momentum: float = setting(
+        0.0, "N m s", "initial angular momentum of the wheel about its axis"
+    )
     coulomb_friction: float = setting(
-        0.0, "N m", "bearing friction torque; it fades below 0.1 rad/s", least=0
+        0.0, "N m", "Coulomb friction torque of the bearings; it fades below 0.1 rad/s", least=0
     )
-    viscous_friction: float = setting(0.0, "N m s", "of its bearings", least=0)
+    viscous_friction: float = setting(
+        0.0, "N m s", "viscous friction coefficient of the bearings", least=0
+    )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that the initial momentum is within the speed limit."""
@@ -189,26 +221,28 @@ class Wheel:
 
 @dataclass
 class Wheels:
-    """Reaction wheels that provide the base's torque; thrusters, if present, unload them."""
+    """Reaction wheels for the torque on the base. Thrusters, if there are any, unload them."""
 
-    units: dict[str, Wheel] = unitless({}, "wheels, by name", size=(0, 24))
+    units: dict[str, Wheel] = unitless({}, "wheels by any name", size=(0, 24))
     desaturate_above: float = unitless(
         0.8,
-        "share of a wheel's speed_limit at which unloading starts: motors remove momentum held by "
-        "wheels against each other, thrusters the rest",
+        "share of a wheel's ``speed_limit`` above which unloading starts; motors remove momentum "
+        "that wheels hold against each other, and thrusters remove the rest",
         above=0,
         most=1,
     )
     desaturate_below: float = unitless(
-        0.2, "share of every wheel's speed_limit at which unloading ends", least=0
+        0.2,
+        "share of ``speed_limit`` below which every wheel must be for unloading to end",
+        least=0,
     )
     desaturation_time: float = setting(
-        20.0, "s", "time constant of unloading by motors and by thrusters", above=0
+        20.0, "s", "time constant with which motors and thrusters unload the wheels", above=0
     )
     assist_above: float | None = unitless(
         None,
-        "multiple of the motors' torque limit above which thrusters provide the rest of the "
-        "wanted torque; null: never",
+        "multiple of the torque limit of the motors above which thrusters add the rest of the "
+        "commanded torque; null: never",
         least=1,
     )
 
@@ -226,49 +260,56 @@ class Wheels:
 
 @dataclass
 class Drives:
-    """Joint drives: motor, gear and friction, in joint coordinates. Force limit and step:
-    ``actuation``.
+    """Joint drives: motor, gear and friction, in joint coordinates.
+
+    ``actuation`` has the limit and the step of the force.
     """
 
     gear_ratio: PerCoordinate = unitless(
-        {"all": 1.0}, "turns of the motor per turn of the joint; prismatic: rad per m", above=0
+        {"all": 1.0},
+        "turns of the motor per turn of the joint; for a prismatic joint, rad per m",
+        above=0,
     )
     rotor_inertia: PerCoordinate | None = setting(
         None,
         "kg m^2",
-        "rotor inertia about the motor axis; gear_ratio^2 times this is added to the joint's "
-        "inertia; null: as in the URDF",
+        "inertia of the rotor about the motor axis; gear_ratio^2 times this is added to the "
+        "inertia of the joint; null: as in the URDF",
         least=0,
     )
     nominal_rotor_inertia: PerCoordinate | None = setting(
-        None, "kg m^2", "rotor inertia in the controller's model; null: rotor_inertia", least=0
+        None,
+        "kg m^2",
+        "inertia of the rotor in the controller's model; null: ``rotor_inertia``",
+        least=0,
     )
     rate_limit: PerCoordinate | None = setting(
         None,
         "rad/s or m/s",
-        "joint rate at and above which a drive gives no accelerating force; null: none",
+        "joint rate at which the accelerating force of a drive is 0; null: no limit",
         above=0,
     )
     knee: PerCoordinate = unitless(
         {"all": 0.9},
-        "share of rate_limit up to which the full actuation.limit is available; beyond it the "
-        "available force falls linearly to zero",
+        "share of ``rate_limit`` up to which the full ``actuation.limit`` is available; above "
+        "it the "
+        "available force falls linearly to 0",
         least=0,
         below=1,
     )
     coulomb_friction: PerCoordinate = setting(
-        ZERO, "N m or N", "Coulomb friction, independent of the rate", least=0
+        ZERO, "N m or N", "Coulomb friction, which does not depend on the rate", least=0
     )
     static_friction: PerCoordinate | None = setting(
         None,
         "N m or N",
-        "breakaway friction, at least coulomb_friction; null: equal to it",
+        "breakaway friction, at least ``coulomb_friction``; null: ``coulomb_friction``",
         least=0,
     )
     stribeck_rate: PerCoordinate = setting(
         {"all": 0.01},
         "rad/s or m/s",
-        "rate within which friction falls from static to Coulomb",
+        "rate within which friction falls from ``static_friction`` to ``coulomb_friction``",
         above=0,
     )
     viscous_friction: PerCoordinate = setting(
@@ -277,34 +318,35 @@ class Drives:
     smoothing_rate: PerCoordinate = setting(
         {"all": 1e-3},
         "rad/s or m/s",
-        "rate scale of the change of sign of friction, tanh(rate / smoothing_rate)",
+        "rate over which friction changes its sign, as tanh(rate / smoothing_rate)",
         above=0,
     )
 
 
 @dataclass
 class Actuation:
-    """Effect of the actuators on the commanded force: saturation, quantisation, delay, then drives,
-    wheels, thrusters.
+    """Effect of the actuators on the commanded force.
+
+    The order is saturation, quantisation, delay, then drives, wheels and thrusters.
     """
 
     driven: list[str] = unitless(
         ["all"],
-        "tracked groups of coordinates, which have actuators: all; [base_rotation, joints], with "
-        "wheels for the attitude; or [joints]; the other coordinates carry no force and move by "
-        "conservation of momentum",
+        "groups of coordinates that have actuators and are tracked: [all], [base_rotation, joints] "
+        "or [joints]; no force acts on the others, which move by conservation of momentum",
     )
     limit: PerCoordinate | None = setting(
-        None, "N m or N", "largest force either way; null: unlimited", above=0
+        None, "N m or N", "largest force in both directions; null: no limit", above=0
     )
-    quantization: PerCoordinate = setting(ZERO, "N m or N", "step of the force; 0: none", least=0)
+    quantization: PerCoordinate = setting(
+        ZERO, "N m or N", "quantisation step of the force; 0: none", least=0
+    )
     delay: int = in_samples(0, "delay from a command to its effect")
     thrusters: Thrusters | None = unitless(
-        None, "thrusters for the base's force and torque; null: force and torque act as commanded"
+        None,
+        "thrusters for the force and torque on the base; null: force and torque act as commanded",
     )
-    wheels: Wheels | None = unitless(
-        None, "wheels for the base's torque, in place of thrusters; null: none"
-    )
+    wheels: Wheels | None = unitless(None, "reaction wheels for the torque on the base; null: none")
     drives: Drives | None = unitless(
         None, "joint drives; null: no rotor inertia, friction or rate limit"
     )

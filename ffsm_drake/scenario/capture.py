@@ -23,26 +23,29 @@ CAPTURE_AXES = ("target", "world")
 
 @dataclass
 class Approach:
-    """The servicer's motion from rest to ``initial_posture`` at the grasp, without the target."""
+    """The motion of the servicer from rest to ``initial_posture``, without the target."""
 
     duration: float = setting(
         20.0,
         "s",
-        "time from the start of the approach to the grasp; a whole number of control samples",
+        "time from the start of the approach to the grasp, a whole number of control samples",
         above=0,
     )
-    posture: Posture = unitless(Posture(), "initial posture of the servicer, at rest")
+    posture: Posture = unitless(
+        Posture(), "posture of the servicer at rest, at the start of the approach"
+    )
     start: str = choice_of(
         "given",
-        'initial posture: "given", as in posture, or "clear": base near the grasp, joints as in '
-        "posture or at the grasp, so that the planned approach keeps clear of the tumbling target",
+        'start of the approach: "given": ``posture``; "clear": base near the grasp, joints as in '
+        "``posture`` or at the grasp, such that the planned approach does not touch the target",
         "given",
         "clear",
     )
     margin: float = setting(
         0.0,
         "m",
-        'extra clearance for "clear" starts and retries, to cover navigation error',
+        'distance added to ``clearance`` in "clear" starts and further attempts, for navigation '
+        "error",
         least=0,
     )
 
@@ -72,59 +75,72 @@ class Approach:
 
 @dataclass
 class Compliance:
-    """Springs and dampers in place of the rigid gripper. They give the force and duration of the
-    grasp; the run uses the plastic grasp.
+    """Springs and dampers of the gripper, from which the force and duration of a grasp are
+    computed.
+
+    The run itself uses the plastic grasp.
     """
 
-    stiffness: float = setting(5e4, "N/m", "stiffness of the spring at the grasp", above=0)
-    damping: float = setting(1e3, "N s/m", "damping of the damper beside it", above=0)
-    rotational_stiffness: float = setting(1e4, "N m/rad", "likewise, against rotation", above=0)
-    rotational_damping: float = setting(500.0, "N m s/rad", "likewise", above=0)
+    stiffness: float = setting(
+        5e4, "N/m", "translational stiffness of the gripper at the grasp frame", above=0
+    )
+    damping: float = setting(
+        1e3, "N s/m", "translational damping of the gripper at the grasp frame", above=0
+    )
+    rotational_stiffness: float = setting(
+        1e4, "N m/rad", "rotational stiffness of the gripper at the grasp frame", above=0
+    )
+    rotational_damping: float = setting(
+        500.0, "N m s/rad", "rotational damping of the gripper at the grasp frame", above=0
+    )
 
 
 @dataclass
 class Closing:
-    """The gripper's jaws as they close on the target, at the end of the approach.
+    """The jaws of the gripper, which close on the target at the end of the approach.
 
-    Springs and dampers (``capture.compliance``) draw the grasp frames together. Their force is at
-    most what preloaded jaws hold by friction, and grows with the preload while the jaws close.
+    Springs and dampers (``capture.compliance``) pull the grasp frames together. Friction of the
+    preloaded jaws bounds their force, which grows with the preload while the jaws close.
     """
 
-    time: float = setting(0.5, "s", "time in which the jaws close and the preload grows", above=0)
+    time: float = setting(
+        0.5, "s", "time in which the jaws close and the preload grows to its value", above=0
+    )
     hold: float = setting(
         0.5,
         "s",
-        "time with closed jaws before the grasp is made, unless the target has slipped",
+        "time with closed jaws before the target counts as grasped, unless it has slipped",
         above=0,
     )
-    preload: float = setting(500.0, "N", "preload of each of the two closed jaws", above=0)
+    preload: float = setting(
+        500.0, "N", "force of each of the two closed jaws on the target", above=0
+    )
     friction: float = setting(0.3, "1", "friction coefficient between jaws and target", above=0)
     radius: float = setting(
         0.1, "m",
-            "radius over which the load of each jaw is spread; lever of the friction against "
-            "rotation",
+            "radius of the contact area of each jaw, the lever arm of friction against rotation",
         above=0,
     )  # fmt: skip
     axis: list[float] = vector_in(
-        [0.0, 0.0, 1.0], "1", "direction in which the palm pushes, end-effector axes"
+        [0.0, 0.0, 1.0], "1", "direction in which the palm pushes, in the axes of the end effector"
     )
     joints: str = choice_of(
         "limp",
-        'mode of the arm while the jaws close: "limp", motors keep their last force and damp, or '
-        '"controlled", by a law without a model of the target',
+        'arm while the jaws close: "limp": motors keep their last force and damp the joints; '
+        '"controlled": by the law, with a model without the target',
         "limp",
         "controlled",
     )
     joint_damping: float = setting(
         2.0,
         "N m s/rad or N s/m",
-        "damping of a limp joint, relative to its rate at the first contact",
+        "damping of a limp joint on its rate relative to the first contact",
         least=0,
     )
     rest: float = setting(
         0.01,
         "m/s or rad/s",
-        "the target is held if its motion in the gripper is slower than this at the end",
+        "largest rate of the target in the gripper at the end of the closing for which it is held",
         above=0,
     )
 
@@ -146,40 +162,46 @@ class Closing:
 
 @dataclass
 class Retreat:
-    """The motion away from a target that the closing gripper failed to capture."""
+    """The motion away from a target that the closing gripper did not capture."""
 
     tries: int = setting(
-        2, "1", "attempts to capture the target, including the first", least=1, most=20
+        2, "1", "largest number of attempts to capture the target", least=1, most=20
     )
     distance: float = setting(
         2.0,
         "m",
-        "distance of the base's straight motion away from the target",
+        "distance by which the base moves straight away from the target",
         above=0,
     )
     duration: float = setting(
         20.0,
         "s",
-        "duration of the retreat, in which the arm returns to capture.approach.posture",
+        "duration of the retreat, in which the arm returns to ``capture.approach.posture``",
         above=0,
     )
 
 
 @dataclass
 class Envelope:
-    """The largest miss at the end of an approach at which the gripper still holds the target.
+    """The largest errors at the end of an approach for which the gripper still holds the target.
 
     The defaults of position, angle and velocity are the largest misalignment, angle and closing
     rate in the initial contact conditions that the International Docking System Standard recommends
-    (interface definition document, revision E, table 3.3.1.1-2). They are those of docking ports,
-    not of a gripper; see docs/capture.md.
+    (interface definition document, revision E, table 3.3.1.1-2). Those are conditions for docking
+    ports, not for a gripper. See docs/capture.md.
     """
 
     position: float | None = setting(
-        0.1, "m", "largest distance of the grasp frame from the target's; null: any", above=0
+        0.1,
+        "m",
+        "largest distance between the grasp frames of end effector and target; null: any",
+        above=0,
     )
     angle: float | None = setting(
-        0.07, "rad", "largest angle between the two frames; null: any", above=0
+        0.07,
+        "rad",
+        "largest angle between the grasp frames of end effector and target; null: any",
+        above=0,
     )
     velocity: float | None = setting(
         0.1,
@@ -197,8 +219,9 @@ class Envelope:
 
 @dataclass
 class Capture:
-    """The grasp of a moving target, in ``initial_posture``; the run continues from the state after
-    the grasp.
+    """The grasp of a moving target in ``initial_posture``.
+
+    The run continues with the state after the grasp.
     """
 
     rate: list[float] = vector_in(
@@ -209,15 +232,16 @@ class Capture:
     )
     axes: str = choice_of(
         "target",
-        'axes of rate and velocity: "target", those of the payload body, or "world"',
+        'axes of ``rate`` and ``velocity``: "target", the axes of the payload body, or "world"',
         *CAPTURE_AXES,
     )
     servicer: str = choice_of(
         "rest",
-        'motion of the servicer at the grasp: "rest"; "track_joints" or "track_all": its joints, '
-        'or base and joints, follow the grasp frame in weighted least squares; "detumble": as '
-        "track_all, with the opposite of the target's angular momentum, so that the stack has "
-        'none; "given": at servicer_velocity',
+        'motion of the servicer at the grasp: "rest"; "track_joints" or "track_all": joints, or '
+        'base and joints, follow the grasp frame in weighted least squares; "detumble": as '
+        "track_all, with the opposite of the target's angular momentum, so the stack has no "
+        "angular "
+        'momentum; "given": ``servicer_velocity``',
         "rest",
         "track_joints",
         "track_all",
@@ -225,48 +249,52 @@ class Capture:
         "given",
     )
     servicer_velocity: PerCoordinate = setting(
-        ZERO, "rad/s or m/s", 'velocity at the grasp, with servicer "given"'
+        ZERO, "rad/s or m/s", 'velocity of the servicer at the grasp if ``servicer`` is "given"'
     )
     tracking_length: float = setting(
         1.0,
         "m",
-        "length by which angular rates are multiplied in the tracking error",
+        "length by which angular rates are multiplied in the tracking error of track_joints, "
+        "track_all and detumble",
         above=0,
     )
     tracking_cost: PerCoordinate = setting(
         {"all": 1.0},
         "s/rad or s/m",
-        "weight of each rate; among equally good solutions the smallest rates are taken",
+        "weight of each rate in the choice among equally good solutions of track_joints, track_all "
+        "and detumble",
         above=0,
     )
     joints: str = choice_of(
         "free",
-        'joints at the contact: "free", or "braked", stopped at the grasp',
+        'joints at the contact: "free", or "braked", which the grasp stops',
         "free",
         "braked",
     )
     compliance: Compliance | None = unitless(
         None,
-        "compliance of the gripper, for the force of the grasp; null: the force is not computed",
+        "compliance of the gripper, from which the force of the grasp is computed; null: it is not "
+        "computed",
     )
     approach: Approach | None = unitless(
         None, "motion up to the grasp; null: the run begins with the grasp"
     )
     closing: Closing | None = unitless(
-        None, "closing of the gripper over time; null: it closes at once and always holds"
+        None, "closing of the gripper in time; null: it closes at once and always holds"
     )
     retreat: Retreat | None = unitless(
-        None, "retreat after a missed grasp, and further attempts; null: the run ends"
+        None,
+        "retreat after a grasp that failed, and further attempts; null: the run ends",
     )
     measured: Measured | None = unitless(
-        None, "sensing of the target during the approach; null: its motion is known"
+        None, "measurement of the target during the approach; null: its motion is known exactly"
     )
     envelope: Envelope = setting(Envelope())
     accepted_drift: PerCoordinate | None = setting(
         None,
         "rad or m",
-        "largest drift of undriven base_rotation and base_position after the grasp; the time at "
-        "which it is exceeded is reported; null: no limit",
+        "largest drift of base_rotation and base_position after the grasp, if they are not driven; "
+        "reports give the time at which it is exceeded; null: no limit",
         above=0,
     )
 

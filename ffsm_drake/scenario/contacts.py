@@ -23,23 +23,25 @@ WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 class Contact:
     """A hand that holds the target.
 
-    The contact of ``model.end_effector`` is the weld of the model; every other one closes a loop.
+    The model welds ``model.end_effector`` to the target. Every other contact closes a loop.
     """
 
     effector: str = unitless("servicer::end_effector", "scoped name of the hand's frame")
     frame: str = unitless(
-        "debris::grasp", "scoped name of the target's frame that the hand's coincides with"
+        "debris::grasp",
+        "scoped name of the target frame that coincides with the hand's frame",
     )
     kind: str = choice_of(
         "rigid",
-        '"rigid": six constraints; "compliant": a spring and a damper between the frames',
+        'kind of contact: "rigid": six constraints; "compliant": a spring and a damper between the '
+        "frames",
         *CONTACT_KINDS,
     )
     closes: float = setting(
         0.0,
         "s",
-        "time after the start, or the grasp, at which the hand grasps, a whole number of control "
-        "samples; 0: with the first one",
+        "time at which the hand grasps, after the start of the run or the grasp, a whole number of "
+        "control samples; 0: with the first hand",
         least=0,
     )
     stabilization: float = setting(
@@ -48,66 +50,85 @@ class Contact:
         "rate at which a gap of a rigid contact decays (Baumgarte)",
         least=0,
     )
-    stiffness: float = setting(2e4, "N/m", "of a compliant contact", above=0)
-    damping: float = setting(200.0, "N s/m", "of a compliant contact", least=0)
-    rotational_stiffness: float = setting(500.0, "N m/rad", "of a compliant contact", above=0)
-    rotational_damping: float = setting(5.0, "N m s/rad", "of a compliant contact", least=0)
+    stiffness: float = setting(
+        2e4, "N/m", "translational stiffness of a compliant contact", above=0
+    )
+    damping: float = setting(
+        200.0, "N s/m", "translational damping of a compliant contact", least=0
+    )
+    rotational_stiffness: float = setting(
+        500.0, "N m/rad", "rotational stiffness of a compliant contact", above=0
+    )
+    rotational_damping: float = setting(
+        5.0, "N m s/rad", "rotational damping of a compliant contact", least=0
+    )
     force_noise: float = setting(
         0.0,
         "N",
         "standard deviation per sample of the force measured at the wrist",
         least=0,
     )
-    moment_noise: float = setting(0.0, "N m", "of the moment, likewise", least=0)
+    moment_noise: float = setting(
+        0.0,
+        "N m",
+        "standard deviation per sample of the moment measured at the wrist",
+        least=0,
+    )
     force_limit: float | None = setting(
         None, "N", "largest force along an axis that a run should not exceed; null: none", above=0
     )
-    moment_limit: float | None = setting(None, "N m", "largest moment, likewise", above=0)
+    moment_limit: float | None = setting(
+        None,
+        "N m",
+        "largest moment about an axis that a run should not exceed; null: none",
+        above=0,
+    )
     position_error: list[float] = vector_in(
         ORIGIN,
         "m",
-        "calibration error: true position of the hand's frame in the target's, which the "
-        "controller takes as zero",
+        "calibration error: true position of the hand's frame in the target frame; the controller "
+        "assumes 0",
     )
     rotation_error: list[float] = vector_in(
-        ORIGIN, "rad", "calibration error: true rotation vector of the hand's frame in the target's"
+        ORIGIN,
+        "rad",
+        "calibration error: true rotation vector from the target frame to the hand's frame; the "
+        "controller assumes 0",
     )
 
 
 @dataclass
 class InternalForce:
-    """Control of the wrench of the contacts that close a loop, by integral action on the wrench
-    measured at their wrists.
-    """
+    """Integral control of the wrench in contacts that close a loop, measured at their wrists."""
 
-    gain: float = setting(5.0, "1/s", "gain on the integral of the wrench's error", least=0)
+    gain: float = setting(5.0, "1/s", "gain on the integral of the error of the wrench", least=0)
     share: float = unitless(
         0.0,
-        "share of the force and moment that move the nominal target, taken by these contacts",
+        "share of the force and moment that move the nominal target, which these contacts carry",
         least=0,
         most=1,
     )
     preload: list[float] = setting(
         [0.0] * 6,
         "N m, N",
-        "desired moment and force on the target, beside the share, in the axes of its frame",
+        "desired moment and force on the target in addition to ``share``, in the axes of its frame",
         size=6,
     )
 
 
 @dataclass
 class Chain:
-    """The control law in a closed chain (``contacts``)."""
+    """The control law in the closed chain of several ``contacts``."""
 
     law: str = choice_of(
         "minimal",
-        '"minimal": the law in as many velocities as the chain has, the others follow; '
-        '"plain": the law as for an open chain, whose internal force grows with any calibration '
-        "error",
+        'coordinates of the law: "minimal": the independent velocities of the chain, which the '
+        'others follow; "plain": all coordinates, as for an open chain, so the internal force '
+        "grows with any calibration error",
         *CHAIN_LAWS,
     )
     force: InternalForce | None = unitless(
-        InternalForce(), "control of the internal force, with minimal; null: none"
+        InternalForce(), "control of the internal force, only for minimal; null: none"
     )
 
     def check(self, key: str, scenario: Any) -> Problems:

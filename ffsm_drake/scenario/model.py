@@ -223,7 +223,7 @@ NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, b
 
 @dataclass
 class Payload:
-    """The captured body: its true mass properties, and the nominal ones that the controller uses."""
+    """The captured body, with true mass properties, and nominal ones for the controller."""
 
     body: str = unitless("debris::debris", "scoped name of the captured body in the model")
     truth: MassProperties = setting(MassProperties())

@@ -53,28 +53,30 @@ class Scenario:
       (20.0, 'tde_aismc', 100.0)
     """
 
-    description: str = unitless("", "title of plots and records")
+    description: str = unitless("", "title of the scenario in plots, reports and records")
     random_seed: int = unitless(
         0,
-        "seed of the measurement noise; equal seeds give equal bits",
+        "seed of the measurement noise; the same seed gives the same bits",
         least=0,
         most=2**31 - 1,
     )
     duration: float = setting(
-        20.0, "s", "duration of the run, which ends at the last control sample within it", above=0
+        20.0, "s", "duration of the run; the run ends at the last control sample within it", above=0
     )
-    sample_time: float = setting(0.01, "s", "L, the controller's period and delay", above=0)
+    sample_time: float = setting(
+        0.01, "s", "control period L, at which the controller runs", above=0
+    )
     divergence_speed: float = setting(
         10.0,
         "rad/s or m/s",
-        "generalized velocity beyond which the run is stopped as diverging",
+        "generalized velocity above which the run is stopped as diverging",
         above=0,
     )
     tolerance: PerCoordinate = setting(
         {"all": 1e-3},
         "rad or m",
-        "largest error over the last second of a settled run; 1e-3 for coordinates that are not "
-        "given",
+        "largest error in the last second of a run that counts as settled; 1e-3 for coordinates "
+        "that are not given",
         above=0,
     )
     simulator_config: SimulatorConfig = setting(
@@ -93,14 +95,16 @@ class Scenario:
         ZERO,
         "rad/s or m/s",
         "initial velocity; base_rotation is the angular velocity in world axes. The reference "
-        "starts at rest; with reference.goal: stop, at this velocity; with capture, at the "
-        "velocity after a grasp of the nominal payload, and this is added to the true velocity.",
+        "starts "
+        "at rest, or with goal stop at this velocity. With a capture it starts at the velocity "
+        "after "
+        "a grasp of the nominal payload, and this is added to the true velocity.",
     )
     capture: Capture | None = unitless(
-        None, "the grasp of a moving target; null: the target is held and at rest at the start"
+        None, "grasp of a moving target; null: the target is held and at rest at the start"
     )
     contacts: dict[str, Contact] = unitless(
-        {}, "hands that hold the target, by any names; empty: the one of model.end_effector alone"
+        {}, "hands that hold the target, by any name; empty: only ``model.end_effector``"
     )
     chain: Chain = setting(Chain())
     reference: Reference = setting(Reference())
@@ -108,37 +112,37 @@ class Scenario:
     clearance: float = setting(
         0.01,
         "m",
-        "least distance between parts: plans keep it; runs that come nearer cause a warning",
+        "least distance between parts; plans keep it, and a run below it causes a warning",
         least=0,
     )
     controller: str = unitless(
         "tde_aismc",
-        "name of a shipped controller (`ffsm doctor` lists them) or of an installed one, "
+        "control law: the name of a shipped one (`ffsm doctor` lists them) or of an installed one, "
         "module:attribute, or policy:FILE",
     )
     controllers: dict[str, dict[str, PerCoordinate | None]] = unitless(
         {},
-        "gains: controller (its name, or the part after the colon) -> gain -> by coordinate; "
-        "gains that are not given keep their defaults; null removes an upper bound",
+        "gains by controller (its name, or the part after the colon), gain and coordinate; gains "
+        "that are not given have their defaults; null removes an upper bound",
     )
     blocks: Blocks = setting(Blocks())
     python_path: list[str] = unitless(
         [],
-        "folders searched for the modules of controllers and blocks, before Python's own; "
-        "relative paths start at the scenario file's folder",
+        "folders in which modules of controllers and blocks are searched before Python's own; "
+        "relative paths start at the folder of the scenario file",
     )
     estimator: Estimator = setting(Estimator())
     command_filter: CommandFilter = setting(CommandFilter())
     disturbance: Disturbance = setting(Disturbance())
     environment: Environment | None = unitless(
-        None, "the orbit's forces, recorded as force_environment; null: none"
+        None, "forces of an orbit, recorded as force_environment; null: none"
     )
     sensing: Sensing = setting(Sensing())
     actuation: Actuation = setting(Actuation())
     supervisor: Supervisor | None = unitless(
-        None, "rate damping and replanning if the plan cannot be followed; null: none"
+        None, "rate damping and a new plan if the plan cannot be followed; null: none"
     )
-    faults: Faults | None = unitless(None, "faults of units and their times; null: none")
+    faults: Faults | None = unitless(None, "faults of units, and their detection; null: none")
     # No settings: a mission's own. False in its phases with an empty gripper; time after the grasp
     # (s) up to which hands have closed in a phase, None: the whole mission
     holds: bool = True

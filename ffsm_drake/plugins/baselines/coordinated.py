@@ -47,7 +47,7 @@ class Coordinated(ControlLaw):
     k_d: np.ndarray = gain(
         {"base_position": 1200.0, "base_rotation": 600.0, "joints": 35.0},
         "N m s/rad or N s/m",
-        "gain K_D on the error's rate",
+        "gain K_D on the rate of the error",
     )
 
     @functools.cached_property

@@ -35,14 +35,18 @@ class FixedTime(InjectedDynamics):
     """
 
     wide: ClassVar[bool] = True
-    power: float = gain(0.6, "", "power p near zero, below 1", scalar=True, positive=True)
-    far_power: float = gain(1.4, "", "power g far away, above 1", scalar=True, positive=True)
-    a_1: np.ndarray = gain(2.0, "rad^(1-p)/s or m^(1-p)/s", "gain a_1 on the error near zero")
-    b_1: np.ndarray = gain(2.0, "rad^(1-g)/s or m^(1-g)/s", "gain b_1 on the error far away")
-    a_2: np.ndarray = gain(3.0, "rad^(1-p)/s^(2-p) or the like", "gain a_2 on s near zero")
-    b_2: np.ndarray = gain(3.0, "rad^(1-g)/s^(2-g) or the like", "gain b_2 on s far away")
-    width: np.ndarray = gain(1e-2, "rad or m", "boundary layer of the error", positive=True)
-    width_s: np.ndarray = gain(1e-3, "rad/s or m/s", "boundary layer of s", positive=True)
+    power: float = gain(0.6, "", "power p of small errors, below 1", scalar=True, positive=True)
+    far_power: float = gain(1.4, "", "power g of large errors, above 1", scalar=True, positive=True)
+    a_1: np.ndarray = gain(2.0, "rad^(1-p)/s or m^(1-p)/s", "gain a_1 on small errors")
+    b_1: np.ndarray = gain(2.0, "rad^(1-g)/s or m^(1-g)/s", "gain b_1 on large errors")
+    a_2: np.ndarray = gain(3.0, "rad^(1-p)/s^(2-p) or m^(1-p)/s^(2-p)", "gain a_2 on small s")
+    b_2: np.ndarray = gain(3.0, "rad^(1-g)/s^(2-g) or m^(1-g)/s^(2-g)", "gain b_2 on large s")
+    width: np.ndarray = gain(
+        1e-2, "rad or m", "width of the boundary layer of the error", positive=True
+    )
+    width_s: np.ndarray = gain(
+        1e-3, "rad/s or m/s", "width of the boundary layer of s", positive=True
+    )
 
     def __post_init__(self) -> None:
         if not (np.all(self.power < 1.0) and np.all(self.far_power > 1.0)):

@@ -186,13 +186,20 @@ class Mpc(ControlLaw):
     prediction_step: float = gain(
         0.1, "s", "step T of the prediction", scalar=True, positive=True, feedback=False
     )
-    error_size: np.ndarray = gain(1e-3, "rad or m", "error that weighs 1", positive=True)
-    rate_size: np.ndarray = gain(2e-3, "rad/s or m/s", "error rate that weighs 1", positive=True)
+    error_size: np.ndarray = gain(
+        1e-3, "rad or m", "size of an error with weight 1 in the cost", positive=True
+    )
+    rate_size: np.ndarray = gain(
+        2e-3, "rad/s or m/s", "size of a rate of error with weight 1 in the cost", positive=True
+    )
     acceleration_size: np.ndarray = gain(
-        0.02, "rad/s^2 or m/s^2", "acceleration u that weighs 1", positive=True
+        0.02,
+        "rad/s^2 or m/s^2",
+        "size of an acceleration u with weight 1 in the cost",
+        positive=True,
     )
     iterations: float = gain(
-        30.0, "", "bound on the iterations of a program, which takes about 10", scalar=True,
+        30.0, "", "largest number of iterations of a program, which needs about 10", scalar=True,
         positive=True, feedback=False,
     )  # fmt: skip
 

@@ -37,7 +37,12 @@ class Nmpc(Mpc):
     """
 
     solutions: float = gain(
-        1.0, "", "programs of a sample at most", scalar=True, positive=True, feedback=False
+        1.0,
+        "",
+        "largest number of quadratic programs in a control sample",
+        scalar=True,
+        positive=True,
+        feedback=False,
     )
 
     def initial_state(self) -> State:

@@ -62,18 +62,30 @@ class SlotineLi(ControlLaw):
         "gain K_D on s",
     )
     mass_rate: float = gain(
-        1e5, "kg^2/(N m)", "rate of the mass: its entry of Gamma", scalar=True, feedback=False
+        1e5,
+        "kg^2/(N m)",
+        "rate of adaptation of the mass, an entry of Gamma",
+        scalar=True,
+        feedback=False,
     )
     moment_rate: float = gain(
-        1e4, "kg^2 m/N", "rate of mass times centre of mass", scalar=True, feedback=False
+        1e4,
+        "kg^2 m/N",
+        "rate of adaptation of mass times centre of mass, an entry of Gamma",
+        scalar=True,
+        feedback=False,
     )
     inertia_rate: float = gain(
-        1e4, "kg^2 m^3/N", "rate of the inertia", scalar=True, feedback=False
+        1e4,
+        "kg^2 m^3/N",
+        "rate of adaptation of the inertia, an entry of Gamma",
+        scalar=True,
+        feedback=False,
     )
     momentum_noise: float = gain(
         1e-3,
         "N s, N m s",
-        "undriven base only: deviation of the measured momentum",
+        "standard deviation of the measured momentum, used if the base is not driven",
         scalar=True,
         positive=True,
         feedback=False,
@@ -81,7 +93,9 @@ class SlotineLi(ControlLaw):
     parameter_size: float = gain(
         100.0,
         "kg, kg m, kg m^2, N s, N m s",
-        "undriven base only: expected size of the parameters' differences and of the momentum",
+        "expected size of the errors of the parameters and of the momentum, used if the base is "
+        "not "
+        "driven",
         scalar=True,
         positive=True,
         feedback=False,

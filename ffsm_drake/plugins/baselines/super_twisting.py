@@ -38,7 +38,9 @@ class SuperTwisting(InjectedDynamics):
     sample_time: float
     k_d: np.ndarray = gain(10.0, "1/s", "slope K_D of the surface")
     rate_bound: np.ndarray = gain(
-        20.0, "rad/s^3 or m/s^3", "bound C on the rate of the estimation error, from which k_1, k_2"
+        20.0,
+        "rad/s^3 or m/s^3",
+        "bound C on the rate of the estimation error, which sets k_1 and k_2",
     )
     width: np.ndarray = gain(
         0.05, "rad/s or m/s", "width of the boundary layer of s", positive=True

@@ -42,20 +42,30 @@ class TerminalSlidingMode(InjectedDynamics):
     sliding_unit: ClassVar[str] = UNIT
     sample_time: float
     power: float = gain(1.5, "", "power p of the rate, between 1 and 2", scalar=True, positive=True)
-    slope: np.ndarray = gain(3.0, "rad^(p-1)/s^p or m^(p-1)/s^p", "slope B", positive=True)
+    slope: np.ndarray = gain(
+        3.0, "rad^(p-1)/s^p or m^(p-1)/s^p", "slope B of the surface", positive=True
+    )
     k_s: np.ndarray = gain(600.0, "1/s^2", "reaching gain K_s")
-    alpha: np.ndarray = gain(100.0, "1/s^3", "rate of the switching gain G", feedback=False)
+    alpha: np.ndarray = gain(
+        100.0, "1/s^3", "rate of adaptation of the switching gain G", feedback=False
+    )
     epsilon: np.ndarray = gain(
         1e-5, "rad or m", "size of s below which G decays", positive=True, feedback=False
     )
     decay: float = gain(
-        1.0, "s", "time constant T_G of the decay", scalar=True, positive=True, feedback=False
+        1.0, "s", "time constant T_G of the decay of G", scalar=True, positive=True, feedback=False
     )
     g_max: np.ndarray = gain(
-        0.1, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False
+        0.1,
+        "rad/s^2 or m/s^2",
+        "upper bound of the switching gain G; null: no bound",
+        bound=True,
+        feedback=False,
     )
-    width_s: np.ndarray = gain(1e-3, "rad or m", "boundary layer of s", positive=True)
-    width_rate: np.ndarray = gain(1e-2, "rad/s or m/s", "boundary layer of e'", positive=True)
+    width_s: np.ndarray = gain(1e-3, "rad or m", "width of the boundary layer of s", positive=True)
+    width_rate: np.ndarray = gain(
+        1e-2, "rad/s or m/s", "width of the boundary layer of e'", positive=True
+    )
 
     def __post_init__(self) -> None:
         if not np.all(np.abs(self.power - 1.5) < 0.5):

@@ -54,13 +54,18 @@ class Tvlqr(ControlLaw):
     model: PlantModel
     sample_time: float
     error_size: np.ndarray = gain(
-        {"all": 1e-3, "base_position": 1e-2}, "rad or m", "error that weighs 1", positive=True
+        {"all": 1e-3, "base_position": 1e-2},
+        "rad or m",
+        "size of an error with weight 1 in the cost",
+        positive=True,
     )
-    rate_size: np.ndarray = gain(1e-2, "rad/s or m/s", "error rate that weighs 1", positive=True)
+    rate_size: np.ndarray = gain(
+        1e-2, "rad/s or m/s", "size of a rate of error with weight 1 in the cost", positive=True
+    )
     force_size: np.ndarray = gain(
         {"base_rotation": 10.0, "base_position": 10.0, "joints": 5.0},
         "N m or N",
-        "force that weighs 1",
+        "size of a force with weight 1 in the cost",
         positive=True,
     )
     # K_k (samples, nv, 2 nv), the last one stays; those of each of several runs

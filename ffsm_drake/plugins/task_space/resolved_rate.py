@@ -25,8 +25,8 @@ class ResolvedRate(TaskSpaceLaw):
     """
 
     wide: ClassVar[bool] = True
-    k_p_rotation: float = gain(2.0, "1/s", "gain K on the frame's attitude error", scalar=True)
-    k_p_position: float = gain(2.0, "1/s", "gain K on the frame's position error", scalar=True)
+    k_p_rotation: float = gain(2.0, "1/s", "gain K on the attitude error of the frame", scalar=True)
+    k_p_position: float = gain(2.0, "1/s", "gain K on the position error of the frame", scalar=True)
     k_v: float = gain(20.0, "1/s", "gain on the rates of the driven coordinates", scalar=True)
     k_p_plan: float = gain(
         2.0, "1/s", "gain on the errors of a driven base and of free joints", scalar=True

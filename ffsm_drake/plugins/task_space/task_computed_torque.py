@@ -23,10 +23,18 @@ class TaskComputedTorque(AccelerationLaw):
     """
 
     wide: ClassVar[bool] = True
-    k_p_rotation: float = gain(25.0, "1/s^2", "gain K_p on the frame's attitude error", scalar=True)
-    k_p_position: float = gain(25.0, "1/s^2", "gain K_p on the frame's position error", scalar=True)
-    k_d_rotation: float = gain(10.0, "1/s", "gain K_d on its rate", scalar=True)
-    k_d_position: float = gain(10.0, "1/s", "gain K_d on its rate", scalar=True)
+    k_p_rotation: float = gain(
+        25.0, "1/s^2", "gain K_p on the attitude error of the frame", scalar=True
+    )
+    k_p_position: float = gain(
+        25.0, "1/s^2", "gain K_p on the position error of the frame", scalar=True
+    )
+    k_d_rotation: float = gain(
+        10.0, "1/s", "gain K_d on the rate of the attitude error of the frame", scalar=True
+    )
+    k_d_position: float = gain(
+        10.0, "1/s", "gain K_d on the rate of the position error of the frame", scalar=True
+    )
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         feedback = self.feedback(self.k_d * point.e_dot + self.k_p * self.limited(point.e))

@@ -53,13 +53,17 @@ class TaskTimeDelay(AccelerationLaw):
     model: PlantModel  # reduced to H* where the spacecraft is underactuated
     estimator: Estimator  # for the frame's m rows if ``by_axis``, else for the coordinates
     k_p_rotation: float = gain(
-        100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True
+        100.0, "1/s^2", "gain K_P on the attitude error of the frame", scalar=True
     )
     k_p_position: float = gain(
-        100.0, "1/s^2", "gain K_P on the frame's position error", scalar=True
+        100.0, "1/s^2", "gain K_P on the position error of the frame", scalar=True
     )
-    k_d_rotation: float = gain(100.0, "1/s", "gain K_D on its rate", scalar=True)
-    k_d_position: float = gain(100.0, "1/s", "gain K_D on its rate", scalar=True)
+    k_d_rotation: float = gain(
+        100.0, "1/s", "gain K_D on the rate of the attitude error of the frame", scalar=True
+    )
+    k_d_position: float = gain(
+        100.0, "1/s", "gain K_D on the rate of the position error of the frame", scalar=True
+    )
 
     @property
     def dynamics(self) -> InjectedDynamics:

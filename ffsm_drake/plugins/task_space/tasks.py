@@ -198,7 +198,8 @@ class TaskSpaceLaw(ControlLaw):
     damping: float = gain(
         0.1,
         "rad/rad, m/rad",
-        "singular value of the joints' J*, rad counted as m, below which its inverse is damped",
+        "singular value of the joints' J*, with 1 rad counted as 1 m, below which its inverse is "
+        "damped",
         scalar=True,
         positive=True,
         feedback=False,
@@ -206,7 +207,7 @@ class TaskSpaceLaw(ControlLaw):
     speed_limit: float = gain(
         0.1,
         "rad/s, m/s",
-        "largest speed for correcting a frame's error",
+        "largest speed at which an error of the frame is corrected",
         scalar=True,
         positive=True,
         feedback=False,
@@ -248,7 +249,7 @@ class AccelerationLaw(TaskSpaceLaw):
     acceleration_limit: float = gain(
         0.5,
         "rad/s^2, m/s^2",
-        "largest correction of a frame's error",
+        "largest acceleration with which an error of the frame is corrected",
         scalar=True,
         positive=True,
         feedback=False,
@@ -256,7 +257,9 @@ class AccelerationLaw(TaskSpaceLaw):
     k_p_plan: float = gain(
         25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True
     )
-    k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
+    k_d_plan: float = gain(
+        10.0, "1/s", "gain on the rates of error of a driven base and of free joints", scalar=True
+    )
 
     @functools.cached_property
     def k_p(self) -> np.ndarray:

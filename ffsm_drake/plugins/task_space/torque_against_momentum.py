@@ -30,12 +30,14 @@ class TorqueAgainstMomentum(ControlLaw):
     decay: float = gain(
         0.2,
         "s",
-        "time constant with which the last momentum dies away, below torque times it",
+        "time constant of the decay of momentum below torque * decay",
         scalar=True,
         positive=True,
     )
-    k_p: float = gain(4.0, "1/s^2", "gain on the joints' way from where they were", scalar=True)
-    k_d: float = gain(4.0, "1/s", "gain on the joints' rates", scalar=True)
+    k_p: float = gain(
+        4.0, "1/s^2", "gain on the distance of the joints from their initial positions", scalar=True
+    )
+    k_d: float = gain(4.0, "1/s", "gain on the rates of the joints", scalar=True)
 
     def initial_state(self) -> State:
         return {"held_joints": np.zeros(len(self.model.coordinates.joints))}

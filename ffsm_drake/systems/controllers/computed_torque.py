@@ -21,7 +21,7 @@ class ComputedTorque(ControlLaw):
     wide: ClassVar[bool] = True
     model: PlantModel
     k_p: np.ndarray = gain(25.0, "1/s^2", "gain K_p on the error")
-    k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the error's rate")
+    k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the rate of the error")
 
     @classmethod
     def starting_gains(

@@ -30,7 +30,7 @@ class PdPlus(ControlLaw):
     k_d: np.ndarray = gain(
         {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},
         "N m s/rad or N s/m",
-        "gain K_d on the error's rate",
+        "gain K_d on the rate of the error",
     )
 
     @classmethod

@@ -29,23 +29,25 @@ class Aismc(InjectedDynamics):
     wide: ClassVar[bool] = True
     chooses_k_s: ClassVar[bool] = True
     sample_time: float
-    k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
+    k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
-    k_s_initial: np.ndarray = gain(60.0, "1/s", "reaching gain K_s at the start")
+    k_s_initial: np.ndarray = gain(60.0, "1/s", "initial reaching gain K_s")
     alpha: np.ndarray = gain(
         {"base_position": 3e4, "base_rotation": 18e4, "joints": 9e4},
         "1/(rad s) or 1/(m s)",
-        "rate of K_s",
+        "rate of adaptation of the reaching gain K_s",
         feedback=False,
     )
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
         "1/(rad s) or 1/(m s)",
-        "accuracy scale of K_s, which rests at |s| = K_s^2 / beta",
+        "accuracy scale in the adaptation of K_s, which is constant at |s| = K_s^2 / beta",
         positive=True,
         feedback=False,
     )
-    k_s_max: np.ndarray = gain(70.0, "1/s", "upper bound of K_s; null: unbounded", bound=True)
+    k_s_max: np.ndarray = gain(
+        70.0, "1/s", "upper bound of the reaching gain K_s; null: no bound", bound=True
+    )
 
     def initial_state(self) -> State:
         zeros = np.zeros_like(self.k_d)

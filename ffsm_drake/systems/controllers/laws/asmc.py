@@ -40,18 +40,18 @@ class Asmc(InjectedDynamics):
     by_axis: ClassVar[bool] = True
     wide: ClassVar[bool] = True
     sample_time: float
-    k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
-    k_s: np.ndarray = gain(80.0, "1/s", "reaching gain K_s, constant")
+    k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
+    k_s: np.ndarray = gain(80.0, "1/s", "constant reaching gain K_s")
     g_initial: np.ndarray = gain(
         0.0,
         "rad/s^2 or m/s^2",
-        "switching gain G at the start; (19) has a branch of its own for zero",
+        "initial switching gain G; equation (19) treats 0 separately",
         feedback=False,
     )
     epsilon: float = gain(
         1e-4,
         "rad/s or m/s",
-        "bound on the sliding variable that switches the adaptation's sign",
+        "size of the sliding variable above which G grows, and below which it decays",
         scalar=True,
         positive=True,
         feedback=False,
@@ -59,14 +59,22 @@ class Asmc(InjectedDynamics):
     a: np.ndarray = gain(
         {"all": 1e-6, "base_position": 1e-7},
         "rad/s^3 or m/s^3",
-        "adaptation rate, the phi of (19)",
+        "rate of adaptation of G, phi in equation (19)",
         feedback=False,
     )
     b: np.ndarray = gain(
-        1e5, "s/rad or s/m", "adaptation scale, the 1/alpha of (19)", positive=True, feedback=False
+        1e5,
+        "s/rad or s/m",
+        "scale of the sliding variable in the adaptation of G, 1/alpha in equation (19)",
+        positive=True,
+        feedback=False,
     )
     g_max: np.ndarray = gain(
-        None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False
+        None,
+        "rad/s^2 or m/s^2",
+        "upper bound of the switching gain G; null: no bound",
+        bound=True,
+        feedback=False,
     )
 
     def initial_state(self) -> State:

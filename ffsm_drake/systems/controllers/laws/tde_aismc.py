@@ -37,26 +37,33 @@ class TdeAismc(Aismc):
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
         "1/rad or 1/m",
-        "accuracy scale of K_s, which rests at |s| = K_s / beta",
+        "accuracy scale in the adaptation of K_s, which is constant at |s| = K_s / beta",
         positive=True,
         feedback=False,
     )
     g_initial: np.ndarray = gain(
-        2e-4, "rad/s^2 or m/s^2", "switching gain G at the start", feedback=False
+        2e-4, "rad/s^2 or m/s^2", "initial switching gain G", feedback=False
     )
     epsilon: float = gain(
         1e-4,
         "rad/s or m/s",
-        "bound on the sliding variable that switches the adaptation's sign",
+        "size of the sliding variable above which G grows, and below which it decays",
         scalar=True,
         positive=True,
         feedback=False,
     )
     phi: np.ndarray = gain(
-        {"all": 1e-1, "base_position": 1e-2}, "1/s^2", "rate of G", feedback=False
+        {"all": 1e-1, "base_position": 1e-2},
+        "1/s^2",
+        "rate of adaptation of the switching gain G",
+        feedback=False,
     )
     g_max: np.ndarray = gain(
-        None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False
+        None,
+        "rad/s^2 or m/s^2",
+        "upper bound of the switching gain G; null: no bound",
+        bound=True,
+        feedback=False,
     )
 
     def initial_state(self) -> State:
