@@ -12,7 +12,9 @@ _MAX_LENGTH = 1500  # characters of an error text
 
 
 class FfsmError(Exception):
-    """Base of every error caused by bad input; its text is one line, shortened if long.
+    """Base class of every error that bad input causes. The text of the error is one line.
+
+    A text of more than 1500 characters is shortened.
 
     Example:
       >>> from ffsm_drake import FfsmError, load_scenario
@@ -34,6 +36,11 @@ class FfsmError(Exception):
 
 class ScenarioError(FfsmError):
     """A scenario file, key or override that cannot be used.
+
+    Attributes:
+      key: dotted key, such as "payload.truth.mass".
+      problem: what is wrong, and a valid choice.
+      source: file or option that has the key; empty: none.
 
     Example:
       >>> from ffsm_drake import ScenarioError, load_scenario
@@ -88,8 +95,9 @@ class ModelError(FfsmError):
 class BlockError(FfsmError):
     """A user-supplied controller or other block that cannot be loaded, built, wired or run.
 
-    After a failure in a run, ``log`` (of ``Rollout.run``) and ``record`` (of ``simulate``) hold the
-    samples before it; otherwise they are None.
+    Attributes:
+      log: samples before a failure in ``Rollout.run``; None: there are none.
+      record: record of the samples before a failure in ``simulate``; None: there is none.
 
     Example:
       >>> from ffsm_drake import BlockError, load_scenario, simulate
@@ -106,7 +114,7 @@ class BlockError(FfsmError):
 
 
 class RecordError(FfsmError):
-    """A run directory that cannot be written or read.
+    """A run folder that cannot be written or read.
 
     Example:
       >>> from ffsm_drake import RecordError, RunRecord

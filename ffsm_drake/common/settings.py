@@ -85,20 +85,25 @@ class Setting:
 
 
 def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> Any:
-    """A field of a dataclass that is a setting; instances share no mutable default.
+    """Declare a setting, as a field of a dataclass.
+
+    Instances do not share a mutable default.
 
     Args:
       default: default value.
-      unit: unit, such as "N m or N"; empty for a text, or a number without unit.
-      meaning: meaning, one line.
-      limits: further fields of ``Setting``; ``size`` may be one number, for an exact size.
+      unit: unit, such as "N m or N"; empty for a text, or for a number without unit.
+      meaning: one phrase for the documentation, which begins with the quantity.
+      limits: other fields of ``Setting``, such as ``above`` or ``one_of``; ``size`` may be one
+        number for an exact size.
+
+    Returns: the field, for the body of a dataclass.
 
     Example:
       >>> from dataclasses import dataclass
       >>> from ffsm_drake import Part, setting
       >>> @dataclass(frozen=True, kw_only=True)
       ... class Camera(Part):
-      ...     period: float = setting(0.1, "s", "between images", above=0)
+      ...     period: float = setting(0.1, "s", "time between images", above=0)
       >>> Camera().period
       0.1
     """

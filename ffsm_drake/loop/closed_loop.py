@@ -87,10 +87,10 @@ FORCES = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
-    """The plant and the blocks of a closed loop, wired.
+    """The plant and the connected blocks of a closed loop.
 
-    A loop with several copies of the spacecraft, each with its own scenario, has the same ports,
-    with the values of copy after copy.
+    A loop can have several copies of the spacecraft, each with its own scenario. Its ports then
+    have the values of one copy after another.
 
     Example:
       >>> from ffsm_drake import load_scenario, make_closed_loop
@@ -303,20 +303,22 @@ def add_closed_loop(
     joint_force: np.ndarray | None = None,
     dynamics: Dynamics | None = None,
 ) -> ClosedLoop:
-    """Add the closed loop of a scenario to a diagram.
+    """Add the closed loop of a scenario to a Drake diagram.
 
     Args:
-      builder: the diagram's builder.
-      scenario: the scenario to build; several run side by side, in one plant with a copy of the
-        spacecraft for each (``spacecraft.copies``), and every port is as many times as wide.
-        They have the same model, sample time and kinds of blocks (``systems.side_by_side``).
-      blocks: block -> factory (BlockSetup -> Drake system) in place of the scenario's choice,
+      builder: the builder of the diagram.
+      scenario: the scenario to build. Several scenarios run side by side, in one plant with a copy
+        of the spacecraft for each (``spacecraft.copies``), and ports are wider accordingly. They
+        must have the same model, sample time and kinds of blocks (``systems.side_by_side``).
+      blocks: block -> factory (BlockSetup -> Drake system), which replaces a block of the scenario,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
-      plant: the plant, if already in the diagram (``add_combined_plant``, for display); default: a
-        new plant without geometry.
-      joint_force: (joints), constant force of the joints' actuators in place of the command; with
-        several copies a row for each.
-      dynamics: what computes several copies of the spacecraft; default: Drake's plant.
+      plant: a plant that is already in the diagram (``add_combined_plant``, for display); default:
+        a new plant without geometry.
+      joint_force: (joints), constant force of the joint actuators, which replaces the command, N m
+        or N; with several copies, one row for each.
+      dynamics: implementation of the dynamics of several copies; default: Drake's plant.
+
+    Returns: the loop, without its diagram.
 
     Raises:
       ModelError: the model does not load.
@@ -391,8 +393,11 @@ def _check_coordinates(
 def make_closed_loop(
     scenario: Scenario | Sequence[Scenario], *, blocks: Mapping[str, Factory] | None = None
 ) -> ClosedLoop:
-    """The closed loop of a scenario as a diagram of its own. Arguments and errors: see
-    ``add_closed_loop``.
+    """Build the closed loop of a scenario as a Drake diagram.
+
+    Arguments and errors are those of ``add_closed_loop``.
+
+    Returns: the loop, with its diagram.
 
     Example:
       >>> from ffsm_drake import load_scenario, make_closed_loop

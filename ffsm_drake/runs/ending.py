@@ -34,7 +34,7 @@ _NOTABLE = 0.3  # share of the tolerance; below it a rising peak is no growth
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Cause of the end of a run.
+    """The reason why a run ended, with its time.
 
     Example:
       >>> from ffsm_drake import load_scenario, simulate
@@ -55,7 +55,7 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Ending:
-    """The ending of a run, from its errors and their tolerances.
+    """The result of a run, such as settled or diverged, with the errors at its end.
 
     Example:
       >>> from ffsm_drake import load_scenario, simulate

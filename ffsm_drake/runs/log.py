@@ -54,11 +54,11 @@ class GraspLog:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class RunLog:
-    """The aligned time series of a run; of derived quantities, only the error.
+    """The time series of one run of a ``Rollout``. A ``RunRecord`` has more derived quantities.
 
-    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
-    optional outputs and, with flexible parts, ``hidden_state``, each (n, its width):
-    the value at sample k was used or produced by sample k.
+    ``series`` has arrays (n, width) by name: ``closed_loop.SIGNALS`` without ``estimated_state``,
+    the optional outputs of the controller and, with flexible parts, ``hidden_state``. Control
+    sample k used or produced the values at row k.
 
     Example:
       >>> from ffsm_drake import Rollout, load_scenario

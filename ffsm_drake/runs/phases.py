@@ -30,10 +30,10 @@ Progress = Callable[[float, float], None]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Phase:
-    """A part of a mission that one loop runs through.
+    """A phase of a mission, which runs in one closed loop.
 
-    A factory of ``blocks.phases`` returns one with ``motion``, from the phase's begin on, and
-    perhaps ``blocks``.
+    A factory in ``blocks.phases`` returns a phase with a ``motion`` that starts with the phase, and
+    optionally with ``blocks``.
 
     Example:
       >>> from ffsm_drake import Phase

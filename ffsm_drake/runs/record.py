@@ -66,12 +66,12 @@ class _Dataset:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RunRecord:
-    """The results of a run.
+    """The results of a run: time series, metrics, outcome and scenario.
 
-    ``dataset`` is an xarray Dataset along ``time`` (control samples t_k, s), ``coordinate``
-    (generalized velocities by name, with ``group`` and ``unit``), ``position_name`` (generalized
-    positions by name) and ``axis`` (x, y, z; world frame). Its variables carry their units and
-    meaning as attributes; ``list(record.dataset)`` names them.
+    ``dataset`` is an xarray Dataset with the dimensions ``time`` (control samples t_k, s),
+    ``coordinate`` (generalized velocities by name, with ``group`` and ``unit``), ``position_name``
+    (generalized positions by name) and ``axis`` (x, y, z in the world frame). Its variables have
+    their units and meanings as attributes. ``list(record.dataset)`` lists the variables.
 
     Example:
       >>> from ffsm_drake import RunRecord, load_scenario, simulate

@@ -59,10 +59,10 @@ class Leg:
 
 
 class Rollout:
-    """A closed loop, built once and run many times; every run equals that of a new build, bit for
-    bit. Several scenarios run side by side, each with the bits of its run alone.
+    """A closed loop that is built once and run many times.
 
-    Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
+    Every run has the same bits as a run of a new loop. Several scenarios can run side by side, each
+    with the bits of a run by itself. A new Rollout raises the errors of ``add_closed_loop``.
 
     Example:
       >>> from ffsm_drake import Rollout, load_scenario, override_scenario
@@ -87,12 +87,12 @@ class Rollout:
         """Build the closed loop.
 
         Args:
-          scenario: the scenario to build; several are for ``run_all``.
-          blocks: factories that replace its blocks, see ``add_closed_loop``.
+          scenario: the scenario to build, or several for ``run_all``.
+          blocks: factories that replace blocks of the scenario, see ``add_closed_loop``.
           meshcat: shows the motion.
-          show: adds the scene graph, and what moves its bodies; default: those of the plant.
+          show: adds the scene graph and the systems that move its bodies; default: from the plant.
           joint_force: see ``add_closed_loop``.
-          dynamics: likewise.
+          dynamics: see ``add_closed_loop``.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()

@@ -46,27 +46,31 @@ def simulate(
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
 ) -> RunRecord:
-    """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
+    """Run a scenario and return its record.
 
-    On divergence (a velocity beyond ``divergence_speed``, or not finite) or an interrupt from the
-    keyboard the run ends early with the record up to then; ``record.outcome`` gives the reason.
+    The run ends early if it diverges (a velocity exceeds ``divergence_speed``, or is not finite) or
+    if you interrupt it from the keyboard. ``record.outcome`` has the reason. For many runs,
+    ``Rollout`` is faster.
 
     Args:
       scenario: the scenario to run.
-      blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law)
-        in place of the scenario's choice, such as ``{"sensing": Vicon, "forces.friction":
-        Friction}``. The record's scenario names importable factories, to repeat the run from its
-        record. The diagram is freed with the run: the attributes of a system kept by a factory may
-        be read afterwards, but not its place in the diagram.
-      meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate``
-        to pace it).
-      progress: called with (simulated time, duration) in s, once per simulated second.
-      check_stability: check the mission before the run, see ``prepare``.
+      blocks: block -> factory, which replaces a block of the scenario, such as ``{"sensing": Vicon,
+        "forces.friction": Friction}``. A factory is a function of a BlockSetup that returns a Drake
+        system, or for the controller a control law. The scenario of the record names importable
+        factories, so that the record can repeat the run. The diagram is freed after the run: you
+        can read the attributes of a system that a factory keeps, but not its place in the diagram.
+      meshcat: shows the motion during the run. Set ``simulator_config.target_realtime_rate`` to
+        run at the speed of real time.
+      progress: function of the simulated time and the duration in s, called once per simulated
+        second.
+      check_stability: True: check the mission before the run, see ``prepare``.
+
+    Returns: the record of the run, also of a run that ended early.
 
     Raises:
-      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
-      BlockError: a user-supplied block cannot be loaded, built, wired or run; the original
-        exception is its cause, and its ``record`` holds the samples before it, if there are any.
+      ModelError, ScenarioError: the model or a value of the scenario cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built, wired or run. The original
+        exception is its cause, and its ``record`` has the samples before the failure.
 
     Example:
       >>> from ffsm_drake import load_scenario, simulate
@@ -176,13 +180,14 @@ def compare(
     *,
     progress: Callable[[float, float], None] | None = None,
 ) -> list[RunRecord]:
-    """Run several controllers on the same scenario with the same noise; a record for each, in their
-    order.
+    """Run several controllers on one scenario with the same noise.
 
     Args:
-      scenario: the scenario to run; its own ``controller`` is ignored.
+      scenario: the scenario to run. Its ``controller`` is ignored.
       controllers: names, see ``Scenario.controller``; default: the paper's four.
       progress: see ``simulate``.
+
+    Returns: one record for each controller, in the same order.
 
     Raises:
       ModelError, ScenarioError, BlockError: see ``simulate``.
@@ -206,25 +211,27 @@ def simulate_many(
     keep_errors: bool = False,
     dynamics: str = DRAKE,
 ) -> list[RunRecord]:
-    """Run scenarios and return their records, in their order, with the same bits as ``simulate``,
-    but without checks before the run.
+    """Run many scenarios and return their records in the same order.
 
-    Compatible scenarios run side by side in one diagram, in about a third of the time: scenarios
-    with the same model, controller, blocks, integrator and number of samples. They may differ in
-    seed, payload, postures, and in the numbers of all other sections (docs/speed.md). The others
-    run alone; a diverging run is repeated alone.
+    The records have the same bits as with ``simulate``, but missions are not checked before the
+    run. Compatible scenarios run side by side in one diagram, in about a third of the time. They
+    have the same model, controller, blocks, integrator and number of samples, and can differ in
+    seed, payload, postures and the numbers of all other sections (docs/speed.md). Other scenarios,
+    and a run that diverges, are run separately.
 
     Args:
       scenarios: the scenarios to run.
-      batch: largest number side by side, 1: none; default: as many as fit the processor's
-        second-level cache.
-      keep_errors: put the exception of a failed run in the place of its record.
-      dynamics: what computes the spacecraft: Drake's plant, or a plug-in's dynamics by name, whose
-        bits are its own: ``generated``, or ``generated_else_drake``, which leaves the runs that it
-        does not cover to Drake. Each record says what computed it.
+      batch: largest number of runs side by side; 1: none; default: as many as fit into the
+        second-level cache of the processor.
+      keep_errors: True: a failed run has its exception in place of its record.
+      dynamics: implementation of the spacecraft's dynamics. Default: Drake's plant. ``generated``
+        has its own bits; ``generated_else_drake`` uses Drake for runs that it does not cover. Each
+        record has the name of its dynamics.
 
-    Raises: the errors of ``simulate``, for the first failed scenario, after all have run; nothing
-    with ``keep_errors``.
+    Returns: one record for each scenario.
+
+    Raises: the errors of ``simulate`` for the first scenario that failed, after all have run. With
+    ``keep_errors`` nothing is raised.
 
     Example:
       >>> from ffsm_drake import load_scenario, simulate_many

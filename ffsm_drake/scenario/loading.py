@@ -23,18 +23,20 @@ from ffsm_drake.scenario.strict_yaml import write_yaml
 
 
 def load_scenario(name_or_path: str | Path, overrides: Iterable[Override] = ()) -> Scenario:
-    """Load a scenario by shipped name or file path, apply overrides, validate.
+    """Load and check a scenario, with overrides.
 
     Args:
-      name_or_path: a name of ``shipped_scenarios()``, the path of a YAML file, or a run's folder or
-        manifest.json, for the scenario of that run.
-      overrides: ``key=value`` strings, with a dotted key and a YAML value
-        (``controllers.tdc.k_d.joint_1=50``), or mappings, merged like a file with ``extends``
-        (``{"payload": {"truth": {"mass": 80}}}``).
+      name_or_path: the name of a shipped scenario, the path of a YAML file, or the folder or
+        manifest.json of a run, for the scenario of that run.
+      overrides: texts ``key=value`` with a dotted key and a YAML value
+        (``controllers.tdc.k_d.joint_1=50``), or mappings, which merge like a file with ``extends``
+        (``{"payload": {"truth": {"mass": 80}}}``). Later overrides win.
+
+    Returns: the scenario.
 
     Raises:
-      ScenarioError: the file, a key or a value cannot be used; the message gives the place and
-        a valid choice.
+      ScenarioError: the file, a key or a value cannot be used. The message has the place and a
+        valid choice.
 
     Example:
       >>> from ffsm_drake import load_scenario
@@ -104,7 +106,16 @@ def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, Any]:
 
 
 def override_scenario(scenario: Scenario, overrides: Iterable[Override]) -> Scenario:
-    """A new scenario with overrides applied; the given one does not change.
+    """Return a new scenario with overrides. The given scenario does not change.
+
+    Args:
+      scenario: the scenario to start from.
+      overrides: texts or mappings, see ``load_scenario``.
+
+    Returns: the new scenario.
+
+    Raises:
+      ScenarioError: a key or a value cannot be used.
 
     Example:
       >>> from ffsm_drake import load_scenario, override_scenario

@@ -44,7 +44,9 @@ _BYTES_PER_SAMPLE = 4000  # size of a run's logs and record, for the estimate in
 
 @dataclass(repr=False)
 class Scenario:
-    """Everything that defines one run.
+    """The complete definition of one run.
+
+    ``load_scenario`` makes it from a name or file. docs/scenario.md describes every setting.
 
     Example:
       >>> from ffsm_drake import load_scenario

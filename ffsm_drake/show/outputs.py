@@ -20,17 +20,19 @@ def write_outputs(
     recording: bool = True,
     distances: Sequence[float] | None = None,
 ) -> list[Path]:
-    """Write report.html for one run, or several overlaid, with figures (PNG) and
-    recording.html; the report by the service ``report``.
+    """Write the report, figures and recording of one run, or of several runs overlaid.
 
-    The recording shows the first run. Returns the files.
+    The files are report.html, which needs the plug-in ``report``, figures in PNG, and
+    recording.html, which shows the first run.
 
     Args:
       records: the runs.
       directory: folder for the files.
-      figures: also write the figures.
-      recording: also write recording.html.
-      distances: distance of each run's controller to the LQG limit (service ``lqg_limit``).
+      figures: True: write the figures.
+      recording: True: write recording.html.
+      distances: distance of the controller of each run to the LQG limit (service ``lqg_limit``).
+
+    Returns: the files that were written.
 
     Raises:
       RecordError: a file cannot be written.

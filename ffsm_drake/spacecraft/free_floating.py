@@ -37,9 +37,10 @@ TASK_ROWS: dict[str, slice] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class FreeFloating:
-    """An underactuated spacecraft in one configuration or many (...).
+    """Kinematics and dynamics of an underactuated spacecraft in one or many configurations.
 
-    ``free_floating`` makes it from a plant. Results are cached.
+    ``free_floating`` makes it from a model. Arrays have the shape (...,) of the configurations and
+    then their own. Results are kept for further calls.
 
     Example:
       >>> import numpy as np
@@ -204,12 +205,13 @@ class FreeFloating:
 def free_floating(
     model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("joints",)
 ) -> FreeFloating:
-    """An underactuated plant in configurations q (..., nq).
+    """Return the underactuated spacecraft of a model in some configurations.
 
     Args:
-      model: the plant with its payload.
-      driven: names of coordinates or groups; ("base_rotation", "joints") for a base with controlled
-        attitude and free position.
+      model: the spacecraft with its payload.
+      q: configurations (..., nq).
+      driven: names of driven coordinates or groups; ("base_rotation", "joints") for a base with
+        controlled attitude and free position.
 
     Raises:
       ScenarioError: a name is unknown.

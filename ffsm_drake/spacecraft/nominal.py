@@ -45,9 +45,10 @@ def stacked(calc: Calc) -> Calc:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlantModel:
-    """A plant with a payload, for computations outside any simulation.
+    """A spacecraft model with a payload, for computations outside of a simulation.
 
-    ``context`` is a scratch context owned by this object; every method sets its own inputs.
+    ``context`` belongs to this object and is used for intermediate values. Every method sets its
+    own inputs in it.
 
     Example:
       >>> import numpy as np
@@ -185,7 +186,15 @@ def damping_of(plant: MultibodyPlant) -> np.ndarray:
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the nominal payload (``payload.nominal``), whose mass matrix is Hhat.
+    """Return the model with the nominal payload (``payload.nominal``), as a controller uses it.
+
+    Its mass matrix is Hhat.
+
+    Args:
+      scenario: the scenario.
+
+    Raises:
+      ModelError: the model cannot be loaded.
 
     Example:
       >>> from ffsm_drake import load_scenario, make_nominal_plant
@@ -196,7 +205,13 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the true payload (``payload.truth``), flexible parts locked.
+    """Return the model with the true payload (``payload.truth``) and locked flexible parts.
+
+    Args:
+      scenario: the scenario.
+
+    Raises:
+      ModelError: the model cannot be loaded.
 
     Example:
       >>> import numpy as np

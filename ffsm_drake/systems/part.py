@@ -77,7 +77,7 @@ class View(Protocol):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Signal:
-    """An output port of a part: a variable of the record, and a panel of the report.
+    """An output port of a part, which becomes a variable of the record and a panel of the report.
 
     Example:
       >>> from ffsm_drake import Signal
@@ -167,9 +167,9 @@ Values = float | int | None | Mapping[str, float | int | None]  # None: not a fi
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Metric(_Named):
-    """A figure of merit: an entry of ``metrics.json``, a row of tables, a column of campaigns.
+    """A metric of a run: an entry of ``metrics.json``, a row of tables, a column of campaigns.
 
-    It gives a number, or numbers by name, which have no column.
+    Its function ``of`` returns a number, or numbers by name. Numbers by name have no column.
 
     Example:
       >>> import numpy as np
@@ -364,7 +364,10 @@ def _checked_items(part: type, name: str) -> Callable[..., tuple[Any, ...]]:
 
 
 class Part:
-    """Contents of a block; derive a frozen, keyword-only dataclass from it.
+    """Base class of the contents of a block. A part is a frozen, keyword-only dataclass.
+
+    Its fields are settings of the block, and ``build`` returns its Drake system. Override
+    ``signals`` and ``metrics`` to extend records, tables and reports.
 
     Example:
       >>> from dataclasses import dataclass
@@ -373,7 +376,7 @@ class Part:
       >>> from ffsm_drake import Part, load_scenario, setting, simulate
       >>> @dataclass(frozen=True, kw_only=True)
       ... class Push(Part):
-      ...     force: float = setting(0.1, "N", "on the base along x", above=0)
+      ...     force: float = setting(0.1, "N", "force on the base along x", above=0)
       ...     def build(self, setup):
       ...         force = {"base_position_x": self.force}
       ...         push = setup.coordinates.vector(force, key="force", default=0.0)

@@ -34,10 +34,10 @@ class CompositeBlock(Diagram):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BlockSetup:
-    """Input of a block's factory: ``factory(setup)`` returns a Drake system with the block's ports.
+    """Input of a block's factory, which returns a Drake system with the ports of the block.
 
-    A controller's factory may return a control law instead. A controller works with ``nominal``
-    only; ``true`` is for blocks of the world around it, such as sensors and forces.
+    The factory of a controller can return a control law instead. A controller must use only
+    ``nominal``. ``true`` is for blocks of its environment, such as sensors and forces.
 
     Example:
       >>> from ffsm_drake import BlockSetup, load_scenario, make_nominal_plant

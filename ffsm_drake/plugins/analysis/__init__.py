@@ -17,7 +17,9 @@ __all__ = ["Analysis", "Finding", "analyze"]
 
 @step("checking the theory")
 def analyze(record: "RunRecord") -> Analysis:
-    """Evaluate every finding on a run, completed or not; inapplicable ones give their reason.
+    """Evaluate every finding of the theory on a run, also on a run that ended early.
+
+    A finding that does not apply has the reason.
 
     Example:
       >>> from ffsm_drake import analyze, load_scenario, simulate

@@ -138,12 +138,12 @@ def run_campaign(
     """Run a campaign on this machine into a new database.
 
     Args:
-      spec: a shipped name, a file, or a specification from ``load_spec``.
-      database: the new file.
-      workers: processes; default: one per processor.
+      spec: name of a shipped campaign, path of a file, or a specification from ``load_spec``.
+      database: path of the new database.
+      workers: number of processes; default: one per processor.
       batch: largest number of cases side by side in a worker; default: ``usual_batch``. Results
         do not depend on it.
-      progress: called after every batch of results.
+      progress: function that is called after every batch of results.
 
     Returns: the database, for ``open_store`` and ``ffsm campaign report``.
 

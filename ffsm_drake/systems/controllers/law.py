@@ -1,14 +1,14 @@
 """The contract of a control law: a frozen object whose ``step`` is a pure function of arrays.
 
 A law declares its gains as fields of a frozen dataclass, each with default, unit and meaning. A
-scenario sets them under ``controllers.<name>``, by coordinate, by group or for all; the law gets
-them as vectors (nv).
+scenario sets them under ``controllers.<name>``, by coordinate, by group or for all coordinates. The
+law receives them as vectors (nv).
 
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class ComputedTorque(ControlLaw):
         model: PlantModel
         k_p: np.ndarray = gain(25.0, "1/s^2", "gain on the error")
-        k_d: np.ndarray = gain(10.0, "1/s", "gain on the error's rate")
+        k_d: np.ndarray = gain(10.0, "1/s", "gain on the rate of the error")
 
         def step(self, sample, state):
             u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e
@@ -38,7 +38,10 @@ State = Mapping[str, np.ndarray]
 # a NamedTuple, since it is built in every control update: a frozen dataclass takes five times as
 # long
 class Sample(NamedTuple):
-    """Inputs of a law at t_k; world axes, v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N.
+    """Inputs of a control law at one control sample t_k.
+
+    Vectors are in world axes, with v = [w_WB, v_WB, joint rates]. Units are rad, m, s, N m and N.
+    Arrays have the shape (..., size): one run, or several at once.
 
     Example:
       >>> from ffsm_drake import ControlLaw, load_scenario, simulate
@@ -92,7 +95,18 @@ def gain(
     bound: bool = False,
     feedback: bool = True,
 ) -> Any:
-    """A field of a law for a gain in scenarios, >= 0 by default, > 0 if ``positive``; see Gain.
+    """Declare a gain that a scenario can set, as a field of a control law.
+
+    Args:
+      default: one number for all coordinates, or numbers by coordinate or group; None: no bound.
+      unit: unit, such as "1/s".
+      meaning: one phrase for the documentation, which begins with the quantity.
+      scalar: True for a gain that is one number for all coordinates.
+      positive: True if the gain must be > 0; otherwise it must be >= 0.
+      bound: True for an upper bound, which a scenario can remove with null.
+      feedback: True if the gain acts on the error, False if it acts on the adaptation.
+
+    Returns: the field. In a law it is a vector (nv), or a number if ``scalar``.
 
     Example:
       >>> from dataclasses import dataclass, fields
@@ -119,9 +133,10 @@ def gain(
 
 
 def of_each(**options: Any) -> Any:
-    """A field of a wide law that differs between runs and has no rows, such as gains computed from
-    the model; for several runs it is a tuple with one value each. Options: see
-    ``dataclasses.field``.
+    """Declare a field of a wide law that has one value for each run, such as gains computed from
+    the model.
+
+    For several runs it is a tuple with one value for each. Options: see ``dataclasses.field``.
     """
     return dataclasses.field(metadata={"of_each": True}, **options)
 
@@ -150,16 +165,17 @@ class ReachingGain:
 
 
 class ControlLaw(abc.ABC):
-    """Base of every control law; a subclass is a frozen dataclass with a ``step``.
+    """Base class of control laws. A law is a frozen dataclass with a method ``step``.
 
-    Arrays have the shape (..., nv): one run, or several at once.
+    Arrays have the shape (..., nv): one run, or several at once. The other methods are optional.
+    Override them for a law that adapts gains, has a sign term, or is to be designed.
 
     Example:
       >>> from dataclasses import dataclass
       >>> from ffsm_drake import ControlLaw, gain, load_scenario, simulate
       >>> @dataclass(frozen=True, kw_only=True)
       ... class Damper(ControlLaw):
-      ...     damping: float = gain(20.0, "N m s/rad", "times the error's rate")
+      ...     damping: float = gain(20.0, "N m s/rad", "gain on the error's rate")
       ...     def initial_state(self):
       ...         return {}
       ...     def step(self, sample, state):
@@ -185,78 +201,102 @@ class ControlLaw(abc.ABC):
     sliding_unit: ClassVar[str] = f"{UNIT} per s"
 
     def initial_state(self) -> State:
-        """Name -> initial value of each piece of the law's memory."""
+        """Return the initial states of the law: name -> array. By default there are none."""
         return {}
 
     def held(self) -> Mapping[str, float | None]:
-        """Memory held constant in a linearisation: at the given number, or at its value (None).
+        """Return the states that stability analyses hold constant.
 
-        Examples are adapted gains, slow compared with the loop, and, at 0, the gain of a sign
-        term, which has no derivative.
+        Override this method in a law that adapts a gain slowly, or that has a sign term. Without
+        it, the linear verdict on such a law can be "cannot say".
+
+        Returns: name of a state -> the value at which it is held. None: its present value. Use 0
+        for the gain of a sign term, which has no derivative.
         """
         return {}
 
     @property
     def by_axis(self) -> "ControlLaw | None":
-        """This law as a time-delay law with equal, decoupled coordinates, linear while ``held`` is
-        held; None: it is not one.
+        """This law as a time-delay law with decoupled coordinates; None: it is not one.
+
+        Override this property in a law that acts on each coordinate separately and is linear while
+        the states of ``held`` are constant. ``ffsm stability`` then prints limits by coordinate.
         """
         return None
 
     @property
     def reaching_gain(self) -> ReachingGain | None:
-        """K_s and its adaptation; None: the law has none."""
+        """The reaching gain K_s and its adaptation; None: the law has none.
+
+        Override this property in a law with K_s. Without it, stability analyses do not check the
+        values that adaptation can reach.
+        """
         return None
 
     def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """The gain G (nv) of the sign term at the next sample, from s and G at this one."""
+        """Return the switching gain G (nv) at the next sample, from s and G (nv) at this sample.
+
+        Override this method in a law that adapts G. By default G is constant.
+        """
         return g
 
     @property
     def random_walks(self) -> tuple[str, ...]:
-        """Keys of the scenario's ``estimator`` to be designed with the gains."""
+        """Keys of ``estimator`` that ``ffsm design`` chooses together with the gains, such as
+        "walk".
+
+        Override this property in a law with an estimator. By default there are none.
+        """
         return ()
 
     @classmethod
     def starting_gains(
         cls, omega: np.ndarray, mass_matrices: np.ndarray
     ) -> Mapping[str, np.ndarray | float]:
-        """Initial gains for a new spacecraft; empty: the declared defaults.
+        """Return gains for a new spacecraft, with which ``ffsm new`` starts.
+
+        Override this method if good gains depend on the spacecraft. By default the declared
+        defaults are used.
 
         Args:
           omega: natural frequencies (nv), rad/s.
           mass_matrices: mass matrices of the true spacecraft along its motion (m, nv, nv).
+
+        Returns: name of a gain -> value (nv), or one number.
         """
         return {}
 
     @abc.abstractmethod
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        """One control sample.
+        """Compute the force and the next state at one control sample.
 
         Args:
           sample: measurement and reference.
-          state: the memory at this sample, by name; must not be changed in place.
+          state: the state at this sample, by name. Do not change its arrays in place.
 
         Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the
-        memory at the next sample.
+        state at the next sample.
         """
 
     def resume(self, state: State, before: "ControlLaw", reference: np.ndarray) -> State:
-        """Initial memory of this law when it takes over from another at the grasp of a target.
+        """Return the state with which this law continues after the grasp of a target.
 
-        By default it is unchanged. The next sample is a first one: velocities and reference have
-        jumped.
+        Before the grasp, a copy of the law runs with a model without the target. Override this
+        method to convert the state of the copy; by default it is unchanged. Velocities and
+        reference jump at the grasp, so the next sample has ``is_first`` set.
 
         Args:
-          state: the other's memory, by name.
-          before: the other law, with the same gains and a model without the target.
-          reference: [q_d; v_d] (nq + nv) at the grasp, with the velocity after it.
+          state: state of the law before the grasp, by name.
+          before: the law before the grasp. It has the same gains.
+          reference: [q_d; v_d] (nq + nv) just after the grasp; rad, m, per s.
+
+        Returns: the state at the first sample after the grasp, by name.
         """
         return state
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "ControlLaw":
-        """The law for a scenario; its fields are gains, ``model`` and ``sample_time``.
+        """Return the law for a scenario, with gains, ``model`` and ``sample_time`` as its fields.
 
         Raises:
           ScenarioError: a gain of unknown or missing coordinates, or out of its range.

@@ -32,7 +32,10 @@ from ffsm_drake.systems.setup import BlockSetup
 
 
 class InjectedDynamics(abc.ABC):
-    """Base of laws with time-delay estimation; a subclass is a frozen dataclass with a ``step``.
+    """Base class of laws with time-delay estimation, which differ in the injected dynamics u.
+
+    A law is a frozen dataclass with a method ``step``, which returns the acceleration u. The
+    estimator of the scenario and the nominal model turn u into a force.
 
     Example:
       >>> from dataclasses import dataclass
@@ -48,19 +51,19 @@ class InjectedDynamics(abc.ABC):
       'completed'
     """
 
-    # Whether it treats every coordinate by itself and is linear while ``held`` is held:
-    # ``ffsm stability`` then gives limits by coordinate.
+    # True if it acts on each coordinate separately and is linear while the states of ``held`` are
+    # constant: ``ffsm stability`` then prints limits by coordinate.
     by_axis: ClassVar[bool] = False
     wide: ClassVar[bool] = False  # see ControlLaw
 
     def initial_state(self) -> State:
-        """Name -> initial value of each piece of the dynamics' memory."""
+        """Return the initial states of the law: name -> array. By default there are none."""
         return {}
 
     sliding_unit: ClassVar[str] = ControlLaw.sliding_unit
 
     def held(self) -> Mapping[str, float | None]:
-        """Memory that a linearisation holds constant; see ControlLaw."""
+        """See ControlLaw."""
         return {}
 
     @property
@@ -69,7 +72,10 @@ class InjectedDynamics(abc.ABC):
         return None
 
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
-        """The law with another K_s (..., nv) at the start."""
+        """Return the law with another initial K_s (..., nv).
+
+        Override this method together with ``reaching_gain``. By default the law is unchanged.
+        """
         return self
 
     def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -78,14 +84,20 @@ class InjectedDynamics(abc.ABC):
 
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
-        """The gains that place the poles of an axis at the natural frequency omega, rad/s, for
-        ``ffsm design``; empty if the law does not support this design.
+        """Return the gains that place the poles of an axis at the natural frequency ``omega``.
 
-        Both are numbers or arrays. ``k_s``, 1/s, is used if K_s is chosen separately
-        (``chooses_k_s``).
+        Override this method so that ``ffsm design`` chooses the gains by pole placement. Without
+        it, ``ffsm design`` varies the declared gains by group.
+
+        Args:
+          omega: natural frequency, rad/s; a number or an array.
+          k_s: reaching gain K_s, 1/s, used if ``chooses_k_s`` is True; a number or an array.
+
+        Returns: name of a gain -> value. Empty: the law has no such design.
         """
         return {}
 
+    # True if ``gains_for`` has a separate choice of K_s; else its ``k_s`` is not used.
     chooses_k_s: ClassVar[bool] = False
 
     @classmethod
@@ -96,12 +108,15 @@ class InjectedDynamics(abc.ABC):
         return cls.gains_for(omega, omega)
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
-        """Changed entries of the memory at the grasp of a target, by name.
+        """Return the states that change at the grasp of a target, by name.
+
+        Override this method in a law with an integral or an adapted gain. By default no state
+        changes.
 
         Args:
-          state: the memory before the grasp.
-          ratio: Hhat^-1 after the grasp times Hhat before (nv, nv): converts an acceleration to
-            that of the same force.
+          state: the state before the grasp.
+          ratio: Hhat^-1 after the grasp times Hhat before it (nv, nv), which converts an
+            acceleration to the acceleration due to the same force.
         """
         return {}
 

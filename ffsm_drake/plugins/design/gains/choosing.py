@@ -165,11 +165,12 @@ def design(
     predict_mission: Callable[[Scenario], str] = lambda scenario: "",
     progress: Callable[[int, str], None] | None = None,
 ) -> Design:
-    """Design the gains of the scenario's controller and, for a law with one, its estimator.
+    """Choose the gains of a scenario's controller and, if the law has one, its estimator.
 
-    Ctrl-C ends the search like the time limit, a second one the process.
+    Ctrl-C ends the search like the time limit. A second Ctrl-C ends the process.
 
     Args:
+      scenario: the scenario, with the gains to start from.
       budget: largest predicted ISV; default: the ISV with the given gains, and with a ``trade`` of
         effort at least 1.1 times the ISV of perfect tracking; with unstable given gains, the
         latter, or 1.1 times the ISV of the cheapest gains found.

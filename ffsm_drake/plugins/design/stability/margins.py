@@ -216,13 +216,16 @@ class Margins:
 def stability(
     scenario: Scenario, *, postures: int = 21, linearizer: Linearizer | None = None
 ) -> Margins:
-    """Stability of the sampled loop of a scenario, with any controller and blocks; takes about a
-    second.
+    """Compute the stability margins of the sampled loop, with any controller and blocks.
+
+    It takes about a second.
 
     Args:
       scenario: the scenario.
       postures: number of instants of the planned motion at which inertia ratios are computed.
-      linearizer: linearizer of the scenario, from the grasp on; default: a new one.
+      linearizer: linearizer of the scenario after the grasp; default: a new one.
+
+    Returns: the margins, with a verdict in one line.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
