@@ -201,9 +201,16 @@ def scenario_table() -> str:
     lines = []
     for section in scenario_keys():
         lines += [f"## `{section.path}`" if section.path else "## Top level", ""]
-        lines += [section.summary, ""] if section.summary else []
+        lines += [_prose(section.summary), ""] if section.summary else []
         lines += _table(section.rows)
     return "\n".join(lines).rstrip()
+
+
+def _prose(docstring: str) -> str:
+    """A docstring as Markdown, with its example as code."""
+    text, _, example = docstring.partition("\n\nExample:\n")
+    code = f"\n\n```pycon\n{inspect.cleandoc(example)}\n```" if example else ""
+    return text + code
 
 
 def block_table() -> str:

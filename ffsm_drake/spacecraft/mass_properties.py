@@ -117,16 +117,13 @@ def set_payload(
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         if weakest in split_of(plant).names:
             raise ModelError(
-                f"model.flexible: '{weakest}' moves a negligible inertia: the mass matrix is "
-                f"singular (eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}); give the "
-                "part more mass or size, or leave it out"
+                f"model.flexible: '{weakest}' moves a negligible inertia, so the mass matrix is "
+                "singular; give the part more mass or size, or remove it"
             )
         raise ModelError(
-            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
-            f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves a "
-            f"negligible inertia; give every link of the URDF and the payload a mass and inertia "
-            f"of "
-            "similar size, or fix the joint"
+            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular, "
+            f"because {what} moves a negligible inertia; give links and payload similar masses and "
+            "inertias, or fix the joint"
         )
 
 

@@ -74,9 +74,8 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
             by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
             axes = "x, y, z: " + ", ".join(number(each, 3) for each in by_axis)
             yield (
-                f"actuation: {part.title.lower()} nearly degenerate: along [{axis}] of the base's "
-                f"axes they give {most[weak]:.3g} {unit} of {what}, {strong / most[weak]:.3g} "
-                f"times less than the {strong:.3g} {unit} along their strongest direction "
+                f"actuation: {part.title.lower()} nearly degenerate: {what} along [{axis}] of the "
+                f"base is {most[weak]:.3g} {unit}, and up to {strong:.3g} {unit} elsewhere "
                 f"({axes} {unit}); turn their axes apart"
             )
 

@@ -359,7 +359,7 @@ def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     ]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 2
-    assert "error: budget: ISV 50.0 cannot be met; the cheapest gains found need" in result.output
+    assert "error: budget: ISV 50.00 cannot be met; the cheapest gains found need" in result.output
 
 
 @pytest.mark.smoke

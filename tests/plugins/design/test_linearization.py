@@ -401,7 +401,7 @@ def test_every_setting_of_the_actuators_is_kept_or_named():
 @example("actuation.thrusters={{layout: 12x5N, frame: {}}}", 1000)
 def test_a_loop_that_would_take_minutes_is_refused_by_its_size(key, samples):
     """Counts of states, of the period and of evaluations, at least one of them beyond its bound."""
-    with pytest.raises(NotLinear, match="too large to analyse") as caught:
+    with pytest.raises(NotLinear, match="the linear loop is too large") as caught:
         Linearizer(load_scenario("postcapture", [key.format(samples)]))
     counts = re.findall(r"(\d+) [a-z ]+\(at most (\d+)", str(caught.value))
     assert len(counts) == 3

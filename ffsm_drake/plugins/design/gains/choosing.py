@@ -27,6 +27,7 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import current, interruptible
+from ffsm_drake.common.numbers import number
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.gains.axis_search import (
@@ -143,7 +144,7 @@ class Design:
             )
         for kind, point in self.found.items():
             error = np.exp(point.prediction.mean_log_error)
-            verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"
+            verdict = self.requirement.violated(point) or f"ISV {number(point.prediction.isv)}"
             remarks.append(f"{_KINDS[kind]}: mean rms error {error:.3g}, {verdict}.")
         remarks.append(f"Active constraint: {self.active_constraint}.")
         if np.isfinite(self.limit.distance):
@@ -489,9 +490,9 @@ class _Search:
         reason = (
             "within it they lose accuracy or margins: see --trade"
             if within
-            else f"the cheapest gains found need {chosen.prediction.isv:.1f}"
+            else f"the cheapest gains found need {number(chosen.prediction.isv)}"
         )
-        return ScenarioError("budget", f"ISV {budget:.1f} cannot be met; {reason}")
+        return ScenarioError("budget", f"ISV {number(budget)} cannot be met; {reason}")
 
 
 def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
@@ -562,7 +563,7 @@ def _active_constraint(
     """The constraint that a better design would violate."""
     peak, limit = point.prediction.peak_effort, requirement.limit
     if point.prediction.isv > 0.98 * requirement.budget:
-        return f"the budget of effort, ISV {requirement.budget:.1f}"
+        return f"the budget of effort, ISV {number(requirement.budget)}"
     if (peak > 0.95 * limit).any():
         i = int(np.argmax(peak / limit))
         return f"actuation.limit of {point.prediction.coordinates.names[i]}, {limit[i]:g}"

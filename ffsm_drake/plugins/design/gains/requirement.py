@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_DELAY,
     LARGEST_FACTOR,
@@ -175,7 +176,7 @@ class Requirement:
 
     def _over_budget(self, point: DesignPoint) -> str:
         if point.prediction.isv > self.budget:
-            return f"ISV {point.prediction.isv:.1f} exceeds the budget of {self.budget:.1f}"
+            return f"ISV {number(point.prediction.isv)} exceeds the budget of {number(self.budget)}"
         return ""
 
     def worse(self, point: DesignPoint) -> str:

@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
@@ -20,7 +21,7 @@ STATIONARY = 2**18  # control samples until a loop that contracts has stationary
 
 def radius_digits(radius: float) -> str:
     """A spectral radius as a number: five decimals, or three digits from 100 on."""
-    return f"{radius:.5f}" if radius < 100.0 else f"{radius:.3g}"
+    return f"{radius:.5f}" if radius < 100.0 else number(radius, 3)
 
 
 def radius_told(radius: float) -> str:

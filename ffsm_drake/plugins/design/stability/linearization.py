@@ -195,11 +195,10 @@ class Linearizer:
         work = updates * (states + self._noise.size)
         if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
             raise NotLinear(
-                f"{self.scenario.controller}: the linear loop is too large to analyse: {states} "
-                f"states (at most {_MOST_STATES}; {8e-9 * states**2:.2g} GB for each matrix), a "
-                f"common period of {period} control samples (at most {_MOST_SAMPLES}), {work} "
-                f"evaluations for one instant (at most {_MOST_EVALUATIONS}); shorten delays, "
-                "frames and sample periods of actuation and sensing"
+                f"{self.scenario.controller}: the linear loop is too large: {states} states (at "
+                f"most {_MOST_STATES}), {period} control samples in its period (at most "
+                f"{_MOST_SAMPLES}), {work} evaluations (at most {_MOST_EVALUATIONS}); shorten "
+                "delays and periods"
             )
 
     def __enter__(self) -> Self:
