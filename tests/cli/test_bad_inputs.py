@@ -293,7 +293,7 @@ TABLE = [
         BASE_LINK,
         '<link name="base"/>\n',
         "mass matrix is singular",
-        "every link of the URDF",
+        "give links and payload similar masses",
     ),
     urdf(
         "urdf-debris-unphysical",

@@ -392,8 +392,8 @@ def test_nearly_coplanar_wheels_are_remarked_on():
     units = "{x: {axis: [1, 0, 0]}, y: {axis: [0, 1, 0]}, z: {axis: [1, 1, %s]}}"
     flat = f"actuation.wheels.units={units}"
     (remark,) = uneven_remarks(load_scenario("postcapture", [flat % 1e-4]))
-    assert "wheels nearly degenerate: along [0, 0, -1]" in remark
-    assert "they give 1.41e-05 N m of torque" in remark
+    assert "wheels nearly degenerate: torque along [0, 0, -1]" in remark
+    assert "is 1.41e-05 N m, and up to " in remark
     assert not list(uneven_remarks(load_scenario("postcapture", [flat % 1])))
 
 
