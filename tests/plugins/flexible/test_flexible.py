@@ -320,7 +320,7 @@ def test_what_cannot_be_built_is_said_in_one_line(changes, message):
         ("{kind: beam, frequency: 1}", "model.flexible.x.frequency: has no effect on a beam"),
         (
             "{kind: gear, joint: joint_3, stiffness: 1e4}",
-            "actuation.drives.rotor_inertia: must be > 0 kg m^2 for joint_3",
+            "actuation.drives.rotor_inertia: must be > 0 kg m.2 for joint_3",
         ),
         ("{axis: [0, 1, 0], frequency: 1}", "model.flexible.x.axis: must be across direction"),
         ("{frequency: 1, damping_ratio: 1.5}", "model.flexible.x.damping_ratio"),
