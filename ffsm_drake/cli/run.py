@@ -47,8 +47,8 @@ _report = click.option(
 _require = click.option(
     "--require",
     type=click.Choice(["settled"]),
-    help="Exit with 3 unless every run has settled as planned: over its last second every tracked "
-    "error is within 'tolerance', no parts came too near, and no unenforced limit was exceeded.",
+    help="Exit with 3 unless every run settles as planned: its errors in the last second are within "
+    "'tolerance', and no clearance or limit of the URDF is violated.",
 )
 
 
@@ -63,7 +63,7 @@ _require = click.option(
 @click.option(
     "--controls",
     is_flag=True,
-    help="Like --meshcat, with an operator's panel, unlocked by a printed code.",
+    help="Run live with an operator's panel, which a printed code unlocks.",
 )
 def run(
     scenario: "Scenario",
@@ -78,9 +78,9 @@ def run(
     """Run a scenario and write its record and report.
 
     SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or the folder of a run, to
-    repeat it in out/NAME_again and compare with the first record. The output folder then holds
+    repeat it in out/NAME_again and compare it with the first record. The output folder then has
     record.nc, metrics.json, manifest.json and report.html, one page with results, plots, recording,
-    findings and margins. With --controls each run has its own folder. Exits with 3 when the run
+    findings and margins. With --controls each run has its own folder. Exits with 3 if the run
     diverges, its errors grow at the end, or the target is not captured.
 
     \b
@@ -144,9 +144,9 @@ def compare(
     report: bool,
     require: str | None,
 ) -> None:
-    """Run several controllers on one scenario with the same noise; overlay them, ranked best first.
+    """Run several controllers on one scenario with the same noise, and rank them.
 
-    Writes one folder per controller, and report.html beside them.
+    Writes one folder for each controller, and one report.html for all.
 
     \b
     Examples:

@@ -73,10 +73,10 @@ def validate(
 ) -> None:
     """Check scenarios, their models and controllers, and print a verdict on the mission.
 
-    Valid means: it loads, its model and controller can be built, and it starts. The verdict on the
-    whole mission follows, in lines with their scope. Exits with 2 if a scenario cannot be used. An
-    unstable loop, or a plan beyond the joints' limits, can be run: it gives a warning and exit code
-    0. With --json, 'warnings' lists them.
+    A scenario is valid if it loads, its model and controller can be built, and it can start. The
+    verdict on the mission follows, one line for each check. Exits with 2 if a scenario cannot be
+    used. An unstable loop, or a plan beyond joint limits, gives a warning and exit code 0. With
+    --json, 'warnings' lists the warnings.
 
     \b
     Examples:

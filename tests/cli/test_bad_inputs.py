@@ -624,7 +624,7 @@ def check_line(stderr: str, expected: tuple[str, ...]) -> None:
         found = [line for line in lines if line.startswith("error: ")]
         others = [line for line in lines if line not in found and not line.startswith("warning: ")]
         # progress
-        told = r" of [\d.]+ s$|: completed|s: still at work: "
+        told = r" of [\d.]+ s$|: completed|^ *\d+ s: "
         assert all(re.search(told, line) for line in others), others
     assert len(found) == 1, stderr
     for fragment in expected:

@@ -21,8 +21,8 @@ from ffsm_drake.plugins.campaign.command import ProgressLine, processors, worker
 @click.command()
 @click.argument("missions", nargs=-1, metavar="[MISSION]...")
 @controller_option(multiple=True, help="A law, or module:Class; repeatable. Default: every law.")
-@click.option("--check", is_flag=True, help="Only what has published figures; exits with 3 if one "
-              "is not reproduced.")  # fmt: skip
+@click.option("--check", is_flag=True, help="Check only published values; exit with 3 if one is "
+              "not reproduced.")  # fmt: skip
 @workers_option
 @out_option(help="Folder (default: out/benchmark).")
 @table_option
@@ -36,9 +36,9 @@ def benchmark(
     table: Path | None,
     as_json: bool,
 ) -> None:
-    """Rank every law on published missions, three seeds each, beside lower bounds.
+    """Rank control laws on published missions, with three seeds each, next to lower bounds.
 
-    MISSION is a name, or a scenario's file (default: every mission). Writes benchmark.html and
+    MISSION is a name or a scenario file (default: every mission). Writes benchmark.html and
     benchmark.json. Ctrl-C stops after the current runs, and the table shows the missing ones;
     the same command continues. Laws that ran before stay in the table.
 

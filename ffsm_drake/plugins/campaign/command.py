@@ -33,7 +33,7 @@ _FOLDER = Path("out/campaigns")
 
 @click.group(cls=CommandGroup)
 def campaign() -> None:
-    """Run a scenario thousands of times with dispersed values; one database, one report.
+    """Run a scenario thousands of times with dispersed values, for one report.
 
     A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) defines the
     dispersed values; see docs/campaigns.md. Every controller runs the same cases. The results do
@@ -74,8 +74,8 @@ _cases_option = click.option(
 )
 _dynamics_option = click.option(
     "--dynamics",
-    help="What computes the spacecraft, in place of the specification's: drake, or a plug-in's "
-    "dynamics, such as generated; generated_else_drake leaves to Drake what that does not cover.",
+    help="Implementation of the dynamics, which replaces that of the specification: drake, "
+    "generated, or generated_else_drake, with Drake for runs that generated does not cover.",
 )
 _OPTIONS = ("cases", "dynamics")  # keys of a specification that options replace
 
@@ -272,8 +272,8 @@ def rerun(
     type=FiniteFloat(min=0.0),
     default=0.0,
     metavar="SECONDS",
-    help="Then predict where on the map the loop is unstable, for at most so long, and add it to "
-    "the page. Repeated, it goes on; reports without it show what is known.",
+    help="Also predict where on the map the loop is unstable, for at most this time. Repeat the "
+    "command to continue. Reports without this option show what is stored.",
 )
 @table_option
 def report(

@@ -37,7 +37,7 @@ def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: boo
     'planning' in SCENARIO sets the goal. Takes seconds to minutes. Prints the plan's duration and
     effort, and the used share of each limit. With reference.kind 'optimal' the plan is also written
     to the file reference.plan, and 'run' follows it. Exits with 2 if no motion keeps every limit,
-    and names the active one. The last lines give the expectation for a run along the plan.
+    and names the active one. The last lines are the verdict on a run along the plan.
 
     \b
     Examples:
