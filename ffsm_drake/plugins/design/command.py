@@ -55,9 +55,9 @@ def stability(
     """Compute stability margins of the sampled loop, and the verdict on the whole mission.
 
     SCENARIO is a shipped name or a YAML file (default: postcapture). Margins hold after the
-    grasp, without actuator limits. The verdict covers every leg: the linear loop along the plan, and a
-    rehearsal, a run with limits and noise. Exits with 3 if the mission is not
-    expected to go as planned, or the linear loop of a leg is unstable.
+    grasp, without actuator limits. The verdict covers every leg: the linear loop along the plan,
+    and a rehearsal, a run with limits and noise. Exits with 3 if the mission is not expected to go
+    as planned, or the linear loop of a leg is unstable.
 
     \b
     Examples:
