@@ -6,6 +6,7 @@ import numpy as np
 
 import ffsm_drake
 from ffsm_drake import gain
+from ffsm_drake.systems.controllers.laws.aismc import Aismc
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -110,3 +111,9 @@ class Fails(SlotineLiHeld):
 
     def step(self, sample, state):
         raise ValueError("on purpose")
+
+
+class WithoutWithReachingGain(Aismc):
+    """Aismc whose K_s is known and cannot be set."""
+
+    with_reaching_gain = ffsm_drake.InjectedDynamics.with_reaching_gain

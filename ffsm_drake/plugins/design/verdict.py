@@ -206,7 +206,7 @@ class Verdict:
             for name, part in (
                 ("linear loop of every leg", self._linear_is_known or None),
                 ("load after the grasp", self.load),
-                (self.noises and self.noises.sequences, self.noises),
+                (self.noises.sequences if self.noises else "", self.noises),
                 ("one run with limits and noise", self.run),
                 ("limits of the plan", self.planned or None),
             )

@@ -74,8 +74,16 @@ class InjectedDynamics(abc.ABC):
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
         """Return the law with another initial K_s (..., nv).
 
-        Override this method together with ``reaching_gain``. By default the law is unchanged.
+        Override this method together with ``reaching_gain``. A law without K_s stays unchanged.
+
+        Raises:
+          BlockError: the law has a ``reaching_gain`` and does not override this method.
         """
+        if self.reaching_gain is not None:
+            raise BlockError(
+                f"{type(self).__name__} defines reaching_gain; it also needs "
+                "with_reaching_gain(k_s), which returns the law with that K_s"
+            )
         return self
 
     def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:

@@ -80,3 +80,8 @@ def test_the_memory_that_is_kept_is_that_of_the_law():
     assert loop.is_marginal
     assert loop.kept_memory == ("theta",)
     assert SlotineLi.__name__ == "SlotineLi"
+
+
+def test_a_hook_that_is_missing_is_named():
+    found = verdict(scenario("WithoutWithReachingGain"), rehearsal=False, margins=True)
+    assert "WithoutWithReachingGain defines reaching_gain; it also needs" in found.not_margins

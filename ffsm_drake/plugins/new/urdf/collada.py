@@ -1,6 +1,6 @@
 """COLLADA meshes as Wavefront ones, which can be drawn and measured."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -14,7 +14,8 @@ _MOST = 200_000_000  # bytes
 _DEPTH = 50  # of nodes within nodes
 _MAX_FACES = 5_000_000
 _UNREAD = ("instance_controller", "lookat", "skew")
-_CORNERS = {  # primitive -> the corners of its k-th triangle
+# primitive -> the corners of its k-th triangle
+_CORNERS: dict[str, Callable[[int], tuple[int, int, int]]] = {
     "triangles": lambda k: (3 * k, 3 * k + 1, 3 * k + 2),
     "trifans": lambda k: (0, k + 1, k + 2),
     "tristrips": lambda k: (k, k + 1, k + 2),
