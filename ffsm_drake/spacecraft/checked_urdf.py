@@ -107,7 +107,7 @@ def read_xml(path: Path, what: str) -> tuple[Element, str]:
     except FileNotFoundError as error:
         raise ModelError(f"no such file; give {what}") from error
     except OSError as error:
-        raise ModelError(f"cannot be read: {one_line(error)}") from error
+        raise ModelError(f"cannot be read: {one_line(error)}; give {what}") from error
     text = decoded(content)
     require("<!DOCTYPE" not in text, "has a <!DOCTYPE ...>, not allowed in a URDF; remove it")
     try:

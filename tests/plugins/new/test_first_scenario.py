@@ -239,7 +239,7 @@ def test_refused_arguments(tmp_path):
         return result.output.splitlines()[-1]
 
     assert "none.urdf: no such file" in told("--urdf", tmp_path / "none.urdf")
-    assert "no such file" in told("--urdf", tmp_path)
+    assert "is a folder; give the URDF of base and arm" in told("--urdf", tmp_path)
     assert "is not empty; name a new folder" in told("--urdf", urdf, directory=full)
     assert "is a file; name a new folder" in told("--urdf", urdf, directory=urdf)
     assert "name of a scenario that ships" in told("--urdf", urdf, directory=tmp_path / "paper")
@@ -371,7 +371,7 @@ MOUNTING = {
     "no arm": (lambda: robot(link("a", **BOX)), BUS, "has no joint that moves"),
     "a negative target": (simple_arm, ["--target", "-1"], "must be > 0 kg, not -1"),
     "no target": (simple_arm, ["--target", "none.urdf"], "none.urdf: no such file; give its URDF"),
-    "an empty target": (simple_arm, ["--target", ""], "no such file"),
+    "an empty target": (simple_arm, ["--target", ""], "is a folder; give its URDF"),
     "a target that moves": (
         simple_arm,
         ["--target", "arm.urdf"],
