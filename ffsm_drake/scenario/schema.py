@@ -44,9 +44,7 @@ _BYTES_PER_SAMPLE = 4000  # size of a run's logs and record, for the estimate in
 
 @dataclass(repr=False)
 class Scenario:
-    """The complete definition of one run.
-
-    ``load_scenario`` makes it from a name or file. docs/scenario.md describes every setting.
+    """The complete definition of one run, which ``load_scenario`` reads.
 
     Example:
       >>> from ffsm_drake import load_scenario
