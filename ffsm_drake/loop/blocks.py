@@ -47,9 +47,9 @@ STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
 # Wrenches on the target, of the contacts that close loops (``contacts``): 6 for each.
 WRENCH, WRENCHES = "measured_wrench", "6 contacts"
-# Outputs of actuators that act on the plant beside the applied force.
+# Outputs of actuators that act on the plant in addition to the applied force.
 BESIDES = ("gyroscopic_force", "friction_force")
-# The output port of a block that wants the supervisor to act: above 0.5.
+# The output port with which a block requests the supervisor to act, by a value above 0.5.
 ABORT = "abort_request"
 TOLD = "told_force"  # force that the actuators report (faults not included)
 # Outputs of actuators for forces that follow from them: the mean force of each of n thrusters; the
@@ -125,7 +125,7 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE, ISOLATED: UNITS},
         outputs={"applied_force": VELOCITY},
-        # Forces on the plant beside the applied force, not held over a sample.
+        # Forces on the plant in addition to the applied force, not held over a sample.
         optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY},
     ),
     "forces": Ports(

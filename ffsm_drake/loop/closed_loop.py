@@ -251,15 +251,15 @@ class ClosedLoop:
         *,
         afresh: Collection[str] = (),
     ) -> None:
-        """Continue the blocks from those of another loop of the same wiring.
+        """Continue with the states of the blocks of another loop that has the same wiring.
 
         Args:
-          root_context: this loop's root context.
+          root_context: root context of this loop.
           before: the other loop.
-          context_before: the other loop's root context.
-          references: [q_d; v_d] where this loop's motion begins, of each copy (B, nq + nv), where
-            its nominal model is another; None: it is the same.
-          afresh: the blocks that keep their own states.
+          context_before: root context of the other loop.
+          references: [q_d; v_d] at the start of this loop's motion, of each copy (B, nq + nv), if
+            the nominal model changes; None: it does not change.
+          afresh: blocks that keep their own states.
         """
         for name, block in self.blocks.items():
             if name not in afresh and name in before.blocks:

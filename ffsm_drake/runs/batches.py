@@ -1,11 +1,13 @@
-"""Many runs: side by side in one diagram where they can be, else alone, with the same bits.
+"""Many runs, side by side in one diagram if they are compatible, with the bits of separate runs.
 
-Side by side go runs with the same model, blocks, controller, integrator and number of control
-samples; they may differ in the sections ``_FREE``, in numbers of those ``_OF_ONE_KIND``, in the
-payload's mass properties, and in frequency and damping of panels and pendulums. Those with a
-capture grasp at the same sample, or all begin with the grasp; their captures may differ otherwise,
-of a gripper that closes over a time the friction. Alone go runs with error control, an implicit
-scheme or a paced clock, with flexible joints, and with a measured target.
+Compatible runs have the same model, blocks, controller, integrator and number of control samples.
+They can differ in the sections ``_FREE``, in numbers of the sections ``_OF_ONE_KIND``, in the mass
+properties of the payload, and in frequency and damping of panels and pendulums. Runs with a capture
+must grasp at the same sample, or all begin with the grasp. Their captures can differ otherwise; of
+a gripper that closes in time, only the friction can differ.
+
+These runs are always separate: runs with error control, an implicit integrator, or a real-time
+clock; runs with flexible joints; runs with a measured target.
 """
 
 import dataclasses
@@ -52,8 +54,8 @@ _OF_ONE_KIND = (
     "actuation",
     "blocks",
 )
-# All others are the same: those of the clock, the integrator, the plant and the controller.
-# With fixed steps, these compute each copy of the spacecraft by itself.
+# All other sections are equal: clock, integrator, plant and controller. With fixed steps, these
+# integrators compute each copy of the spacecraft separately.
 _EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
 _FAILURES = (Exception, SystemExit)  # Drake's refusals may be the latter
 _CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
@@ -96,16 +98,16 @@ def runs_alone(scenario: Scenario) -> bool:
 def run_many(
     scenarios: Sequence[Scenario], *, batch: int | None = None, dynamics: str = DRAKE
 ) -> Iterator[tuple[int, RunLog | Exception]]:
-    """Run scenarios, side by side where possible, in no fixed order.
+    """Run scenarios side by side if possible, in no fixed order.
 
     Args:
       scenarios: the scenarios, with durations in seconds (``timed``).
-      batch: largest number side by side; default: ``usual_batch``.
-      dynamics: what computes the spacecraft (``find_dynamics``). A run with others than Drake's
-        that fails, or diverges between samples, is repeated alone with Drake's, as its log says.
+      batch: largest number of runs side by side; default: ``usual_batch``.
+      dynamics: implementation of the dynamics (``find_dynamics``). If it is not Drake's, a run that
+        fails, or diverges between samples, is repeated with Drake's. Its log has the reason.
 
-    Yields: the index of a scenario and its log, with Drake's dynamics with the same bits as
-    ``Rollout.run``, or the exception of its run alone.
+    Yields: the index of a scenario and its log, or the exception of a separate run. With Drake's
+    dynamics, a log has the same bits as ``Rollout.run``.
 
     Raises:
       FfsmError: the dynamics are unknown.
@@ -137,18 +139,18 @@ class _Runs:
         self._together.drop()
 
     def results(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
-        """The log of each scenario of a batch, or the exception of its run alone."""
+        """The log of each scenario of a batch, or the exception of a separate run."""
         logs = self._side_by_side(scenarios) if len(scenarios) > 1 else [None]
         for scenario, log in zip(scenarios, logs, strict=True):
             yield self._by_itself(scenario) if log is None else log
 
     def _side_by_side(self, scenarios: Sequence[Scenario]) -> Sequence[RunLog | None]:
-        """The log of each; None for those to be repeated alone."""
+        """The log of each run; None: repeat the run separately."""
         try:
             self._dynamics.check(scenarios[0])
             rollout = self._together.rollout(scenarios, scenarios[0])
             logs: Sequence[RunLog | None] = rollout.run_all(scenarios)
-        except _FAILURES:  # a run failed; the runs are repeated alone to find it
+        except _FAILURES:  # a run failed; separate runs find it
             self._together.drop()
             return [None] * len(scenarios)
         return logs
@@ -172,7 +174,7 @@ class _Runs:
         return result
 
     def _doubled(self, scenario: Scenario) -> RunLog | None:
-        """The log of a run beside itself: other dynamics than Drake's compute several copies."""
+        """The log of a run next to a copy of itself, for dynamics that compute several copies."""
         self._dynamics.check(scenario)
         if _group(scenario) is None:
             raise NotCovered("a run that cannot go side by side with others")
@@ -216,7 +218,7 @@ class Kept:
 
 
 def _group(scenario: Scenario) -> str | None:
-    """Key shared by runs that can run side by side; None: this one runs alone."""
+    """Key that is equal for runs that can run side by side; None: run this one separately."""
     config = scenario.simulator_config
     if (
         config.use_error_control
@@ -253,7 +255,7 @@ def _group(scenario: Scenario) -> str | None:
 
 
 def _without_springs(model: Model) -> Model:
-    """A model without the springs and dampers that a context holds: those of hinges."""
+    """A model without springs and dampers of hinges, whose values are in a context."""
     hinged = ("panel", "pendulum")
     parts = {
         name: dataclasses.replace(part, frequency=None, stiffness=None, damping_ratio=0.0)

@@ -1,7 +1,7 @@
 """The limits exceeded in a run.
 
-Nothing enforces those of the joints; ``actuation.limit`` saturates the force, and ``saturation``
-says how often.
+The limits of the joints are not enforced. ``actuation.limit`` saturates the force, and
+``saturation`` computes how often.
 """
 
 import dataclasses
@@ -256,7 +256,7 @@ def remarks_on(
     """A line for each limit exceeded by a motion.
 
     Args:
-      limits: the limits; those of quantities missing in the motion are skipped.
+      limits: the limits. A limit of a quantity that the motion lacks is skipped.
       motion: values (samples, nv) by quantity.
       at: sample -> words for its time.
       who: subjects of the lines, for positions and rates, and for forces.

@@ -197,5 +197,5 @@ class RunLog:
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
+        """Metrics, with the keys of ``ffsm_drake.runs.metrics.tracking_metrics``."""
         return tracking_metrics(self.tracking)

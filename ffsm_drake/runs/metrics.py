@@ -38,17 +38,17 @@ _IN_BALANCE = (
 def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
     """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
 
-    Keys: those of ``tracking_metrics``, and
+    Keys: the keys of ``tracking_metrics``, and
       momentum_residual: largest norm, over the run or its phases, of the momentum's change minus
         the impulse of the external forces, ``linear`` (N s) and ``angular`` (N m s, about the
         world's origin): the integrator's error.
-      phases: of a run with a capture, by phase,
-        those of ``tracking_metrics``, each with its own time.
-      drift: of a run with undriven coordinates,
-        those of ``drift_metrics``.
-      frame: of a run with a reference for a frame's pose,
-        those of ``tracking.frame_metrics``, and where the controller tracks it
-        ``smallest_singular_value``, the smallest of the run.
+      phases: for a run with a capture, the metrics of
+        ``tracking_metrics`` by phase, each over its own time.
+      drift: for a run with undriven coordinates, the metrics of
+        ``drift_metrics``.
+      frame: for a run with a reference for the pose of a frame, the metrics of
+        ``tracking.frame_metrics``, and if the controller tracks the frame
+        ``smallest_singular_value``, the smallest value of the run.
     """
     tracking = tracking_metrics(tracking_of(dataset))
     phases = phases_of(dataset)

@@ -168,7 +168,7 @@ class CopiesMonitor:
         return True
 
     def check_force(self, context: Context) -> bool:
-        """True: failure and divergence are not distinguished; each run is then repeated alone."""
+        """True: failure and divergence are not distinguished, because separate runs follow."""
         return True
 
     def _park(

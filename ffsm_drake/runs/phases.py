@@ -1,8 +1,8 @@
 """Phases of a mission as data, and the runner that goes through them with one log.
 
-A phase says how its loop differs from the mission's (target in the gripper or not, plan, motion,
-blocks such as the law), where it ends and what comes next. The runner builds the loop, or takes one
-that is kept. Runs side by side go through the same phases.
+A phase describes how its loop differs from the mission (target in the gripper or not, plan, motion,
+blocks such as the law), its end, and the next phase. The runner builds the loop, or uses a loop
+that exists. Runs side by side have the same phases.
 """
 
 import dataclasses
@@ -41,23 +41,23 @@ class Phase:
       True
     """
 
-    # names of its samples in the record, in turn, with the sample before which each ends; None: the
-    # end of the run
+    # names of its samples in the record, one after another, with the sample at which each ends,
+    # excluded; None: the end of the run
     names: tuple[tuple[str, int | None], ...] = ()
     holds: bool = False  # whether the target is in the gripper
-    # its plan, or that of each run; None: the mission's
+    # scenario with its plan, or one for each run; None: the scenario of the mission
     scenario: Scenario | Sequence[Scenario] | None = None
-    motion: PlannedMotion | None = None  # desired, by the run's time; None: that of the plan
-    # in place of the mission's: block -> factory
+    motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
+    # block -> factory that replaces a block of the mission
     blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
     joint_force: np.ndarray | None = None  # see ``add_closed_loop``
-    afresh: tuple[str, ...] = ()  # blocks that do not continue those of the phase before
-    begin: Begin = lambda loop, context: None  # further changes of its loop where it begins
-    next: Callable[[], "Phase | None"] = lambda: None  # called where not all runs have ended
+    afresh: tuple[str, ...] = ()  # blocks that start anew in this phase
+    begin: Begin = lambda loop, context: None  # other changes of its loop at its start
+    next: Callable[[], "Phase | None"] = lambda: None  # called if not all runs have ended
 
 
 class Mission:
-    """Runs that go through phases, side by side or one alone.
+    """One run, or several side by side, in a sequence of phases.
 
     ``before`` is the loop of the last phase and ``context`` its context at the end, ``sample`` the
     first one of the next phase, ``ended`` holds the finished runs.
@@ -94,9 +94,11 @@ class Mission:
         self._own: list[Rollout] = []  # loops of this mission alone
 
     def run(self, phase: Phase | None) -> list[RunLog | None]:
-        """Run through a phase and its successors: a log for each run, None for one to run alone.
+        """Run a phase and the phases after it.
 
-        Errors as ``Rollout.run`` and ``Rollout.run_all`` raise them.
+        Returns: a log for each run; None: repeat the run separately.
+
+        Raises: the errors of ``Rollout.run`` and ``Rollout.run_all``.
         """
         try:
             while phase is not None:

@@ -127,8 +127,8 @@ class RunRecord:
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
-        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``,
-        ``ending`` (``status``, ``excess``: see ``Ending``), and those of its parts.
+        """Metrics: the keys of ``ffsm_drake.runs.metrics.compute_metrics``, ``ending`` (``status``,
+        ``excess``: see ``Ending``), and the keys of its parts.
         """
         ending = {"status": self.ending.status, "excess": self.ending.excess}
         return compute_metrics(vars(self)["_given"]) | {"ending": ending} | nested(self.figures)
@@ -153,14 +153,17 @@ class RunRecord:
         )
 
     def save(self, directory: str | Path, *, replacing: Any = Ellipsis) -> Path:
-        """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the
-        directory.
+        """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none.
 
-        Removes report and analysis files of an earlier run (``OUTPUTS``). A record written there
-        in the meantime is kept: this one then goes to the next free DIRECTORY_2, DIRECTORY_3, ...
+        Report and analysis files of an earlier run (``OUTPUTS``) are removed. If another record was
+        written to the folder in the meantime, it is kept, and this record is written to the next
+        free folder DIRECTORY_2, DIRECTORY_3, ...
 
         Args:
-          replacing: the record to be replaced (``record_stamp``); default: the present one.
+          directory: folder for the files.
+          replacing: the record to replace (``record_stamp``); default: the present one.
+
+        Returns: the folder that was written.
 
         Raises:
           RecordError: the directory cannot be written.

@@ -36,8 +36,8 @@ from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.part import signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
-# A logger sees the state before the update of its instant: at t_k these signals are those of
-# sample k - 1.
+# A logger records the state before the update at its instant: at t_k it has these signals of sample
+# k - 1.
 _HELD = ("measurement", *(each.name for each in SIGNALS.values() if each.held))
 # Fields that can change without a new build, like the payload's true mass properties.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
@@ -132,19 +132,20 @@ class Rollout:
         self._build_time = time.perf_counter() - start
 
     def release(self) -> None:
-        """Free the closed loop, which Drake would otherwise keep. Do not use any part of it
-        afterwards; it ``accepts`` no scenario. A second time this does nothing.
+        """Free the closed loop, which Drake would otherwise keep.
+
+        Do not use any part of it afterwards. A second call has no effect.
         """
         if self._built_for:
             untie(self.loop.diagram)
         self._built_for = []
 
     def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
-        """True if ``run`` takes the scenario, or ``run_all`` the scenarios, without a new build.
+        """True if ``run`` can run the scenario, or ``run_all`` the scenarios, without a new build.
 
-        Each may differ in description, seed, duration, divergence speed, initial velocity and the
-        payload's true mass properties; with a capture the true centre of mass must be the same,
-        since the target's motion depends on it.
+        A scenario can differ in description, seed, duration, divergence speed, initial velocity and
+        true mass properties of the payload. With a capture the true centre of mass must be equal,
+        because the motion of the target depends on it.
         """
         scenarios = (scenario,) if isinstance(scenario, Scenario) else scenario
         return [_built_from(each) for each in scenarios] == self._built_for
@@ -217,21 +218,20 @@ class Rollout:
         leg: Leg | None = None,
         without: Collection[int] = (),
     ) -> list[RunLog | None]:
-        """Run scenarios side by side, the built ones or others taken by ``accepts``, all with the
-        same number of control samples.
+        """Run scenarios side by side, all with the same number of control samples.
 
         Args:
-          scenarios: the scenarios to run; None for the built ones.
-          leg: the part of the runs; None for all of them.
-          without: copies of the spacecraft put aside, like diverging ones.
+          scenarios: the scenarios to run, which ``accepts`` must accept; None: those of the build.
+          leg: the part of the runs; None: the whole runs.
+          without: copies of the spacecraft that are not run.
 
-        Returns: the log of each, equal to that of ``run``; None for one put aside, failing, or
-        diverging at a step outside the log: run it alone.
+        Returns: the log of each run, equal to the log of ``run``. None: run it separately, because
+        it was not run, failed, or diverged at a step outside the log.
 
         Raises:
           ScenarioError: the scenarios need another build.
           KeyboardInterrupt: interrupted from the keyboard.
-          Exception: any failure of one of the runs; run them alone to find it.
+          Exception: any failure of one of the runs. Separate runs find it.
         """
         start, loop, leg = time.perf_counter(), self.loop, leg or Leg()
         if scenarios is not None:

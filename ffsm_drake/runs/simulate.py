@@ -99,13 +99,15 @@ def prepare(
     meshcat: Meshcat | None = None,
     check_stability: bool = True,
 ) -> Any:
-    """The preparations of ``simulate`` before the run, with the same arguments and errors.
+    """Prepare a run of ``simulate``, with the same arguments and errors.
 
-    With ``check_stability`` it warns (StabilityWarning) if the mission is not expected to go as
-    planned (service ``verdict``, without a rehearsal) or adaptation may take the loop out of its
-    stable range, except with user-supplied blocks (a check would have to run them); and
-    (LimitWarning, service ``plan_remarks``) if a posture or the plan leaves the joints' limits, or
-    the scenario overrides the target's mass.
+    With ``check_stability`` there are two warnings. StabilityWarning: the mission is not expected
+    to go as planned (service ``verdict``, without a rehearsal), or adaptation may make the loop
+    unstable. It is not given for user-supplied blocks, which the check would have to run.
+    LimitWarning (service ``plan_remarks``): a posture or the plan exceeds the joint limits, or the
+    scenario changes the mass of the target's model.
+
+    Returns: the loop, ready to run.
     """
     with guarded, same_folder():
         scenario = checked(scenario)

@@ -52,12 +52,12 @@ PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # the paper's comparison
 
 
 def controller_names() -> tuple[str, ...]:
-    """Every controller with a name of its own: shipped, then installed."""
+    """Names of all controllers: shipped ones, then installed ones."""
     return block_names("controller")
 
 
 def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
-    """Setup of the scenario's controller; its model is that of the driven coordinates."""
+    """Return the setup of the scenario's controller, with a model of the driven coordinates."""
     name, nominal = controller_key(scenario.controller), driven_model(nominal)
     return BlockSetup(
         name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {})
@@ -115,7 +115,10 @@ def make_controller(
 
 
 def make_law(scenario: Scenario, nominal: PlantModel) -> Any:
-    """The scenario's control law alone, such as TimeDelayControl; errors as ``make_controller``."""
+    """Return the control law of the scenario, such as TimeDelayControl.
+
+    Raises: the errors of ``make_controller``.
+    """
     return _make(controller_setup(scenario, nominal), None)
 
 

@@ -186,18 +186,20 @@ class ControlLaw(abc.ABC):
       'completed'
     """
 
-    # True if it tracks a frame: it gets ``desired_frame``, and is evaluated by the frame's pose.
+    # True if it tracks a frame: it receives ``desired_frame``, and metrics use the pose of the
+    # frame.
     tracks_frame: ClassVar[bool] = False
-    # Number of contacts (``contacts``) whose wrench it reads.
+    # Number of contacts (``contacts``) whose measured wrench it receives.
     contacts_read: ClassVar[int] = 0
-    # True if ``step`` gives every row of arrays (B, nv) the same bits as alone, with a row for each
-    # run in vector fields too, and a column (B, 1) in numbers that differ; other fields are equal,
-    # except the model and ``of_each`` fields. Runs in one diagram then share one law (``is_wide``).
+    # True if ``step`` with arrays (B, nv) of B runs gives each row the bits of a separate run.
+    # Vector fields then have a row for each run, and numbers that differ a column (B, 1). Other
+    # fields are equal, except the model and ``of_each`` fields. Runs in one diagram share one law
+    # (``is_wide``).
     wide: ClassVar[bool] = False
-    # The least change of its inputs (rad, m, per s) that a linearisation looks at: less would be
-    # rounding to a law that computes in single precision.
+    # Smallest change of its inputs (rad, m, per s) in a linearisation. For a law in single
+    # precision, a smaller change would be rounding.
     least_change: ClassVar[float] = 0.0
-    # Unit of ``sliding_variable`` in its memory.
+    # Unit of its state ``sliding_variable``.
     sliding_unit: ClassVar[str] = f"{UNIT} per s"
 
     def initial_state(self) -> State:
@@ -306,7 +308,7 @@ class ControlLaw(abc.ABC):
 
 
 def step_each(law: ControlLaw, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-    """The step of a law for one run at a time, of samples with rows (m, ...) of several."""
+    """Call the step of a law for one run after another, with a sample (m, ...) of several runs."""
     forces, memories = list[np.ndarray](), list[State]()
     for i in range(len(sample.v)):
         one = {k: v[i] for k, v in sample._asdict().items() if isinstance(v, np.ndarray)}
@@ -320,20 +322,22 @@ def step_each(law: ControlLaw, sample: Sample, state: State) -> tuple[np.ndarray
 
 
 def is_wide(part: Any) -> bool:
-    """Whether a law, or a part of one, is wide by its own class; a subclass may have another
-    ``step``.
+    """True if the class of a law, or of a part of one, itself declares ``wide``.
+
+    A subclass does not inherit it, because it may have another ``step``.
     """
     return "wide" in vars(type(part)) and bool(part.wide)
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:
-    """Declared gains of a law, by name."""
+    """Return the declared gains of a law by name."""
     return {name: item for name, item in settings_of(kind).items() if isinstance(item, Gain)}
 
 
 def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
-    """The values of a law's fields for a setup, besides those given. Raises the errors of
-    ``ControlLaw.from_setup``.
+    """Return the values of all fields of a law for a setup, including ``given`` ones.
+
+    Raises: the errors of ``ControlLaw.from_setup``.
     """
     for name in getattr(kind, "__abstractmethods__", ()):
         _, *arguments = inspect.signature(getattr(kind, name)).parameters
@@ -363,15 +367,15 @@ def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
 def gain_values(
     kind: Any, given: Mapping[str, Any], coordinates: Coordinates, *, name: str
 ) -> dict[str, np.ndarray | float]:
-    """Every declared gain of a law: the given value, else the default.
+    """Return every declared gain of a law: the value of the scenario, or the default.
 
     Args:
-      kind: the law's class.
+      kind: class of the law.
       given: gains of a scenario: name -> values by coordinate, or null.
-      coordinates: the spacecraft's.
-      name: the controller's, for errors.
+      coordinates: coordinates of the spacecraft.
+      name: name of the controller, for errors.
 
-    Returns: vectors (nv), numbers for scalar ones; infinity stands for no bound.
+    Returns: name -> vector (nv), or a number for a scalar gain. Infinity: no bound.
 
     Raises:
       ScenarioError: an unknown gain, unknown or missing coordinates, a value out of its range.
@@ -416,7 +420,7 @@ def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) ->
 
 
 def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None:
-    """A gain by coordinate or group name: given values, completed by defaults; None: no bound."""
+    """Return a gain by coordinate or group, completed with defaults; None: no bound."""
     value = declared.default if given is _DEFAULT else given
     if value is None:
         return None

@@ -164,11 +164,11 @@ class SampledController(LeafSystem):
         self._shapes = {key: value.shape for key, value in memory.items()}
 
     def widened(self, law: ControlLaw, copies: Sequence[ControlLaw]) -> "SampledController":
-        """The controller of several copies of the spacecraft, from that of one.
+        """Return the controller of several copies of the spacecraft.
 
         Args:
-          law: of all copies, with a row for each in all arrays.
-          copies: of each.
+          law: law for all copies, with a row for each copy in all arrays.
+          copies: law of each copy.
         """
         return SampledController(law, copies=copies, **self._made_with)
 
