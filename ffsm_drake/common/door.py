@@ -69,7 +69,7 @@ class Door:
         self.port = port
 
     def refusal(self, request: Request, host: str) -> str | None:
-        """Why a websocket is not let in; None: it is. ``host`` is that of the request."""
+        """Return why a websocket is refused; None: it is accepted. ``host``: host of the request."""
         raise NotImplementedError
 
     def passed(self, frame: str | bytes) -> str | bytes | None:

@@ -35,9 +35,9 @@ def made_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; rename it into place when the block succeeds.
+    """Yield a temporary path in the folder of ``path``, and rename it when the block succeeds.
 
-    Creates missing folders, and removes them where it fails. Raises RecordError when the place
+    Missing folders are created, and removed if the block fails. Raises RecordError if the place
     cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{_partial()}{path.suffix}")
@@ -185,7 +185,7 @@ def _unwritten(place: Path, error: OSError, temporary: Path) -> RecordError:
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
-    """Replace a folder's files by those of a new one, each at once; ``outdated`` files go."""
+    """Replace the files of a folder with those of a new one, and remove ``outdated`` files."""
     names = [path.name for path in new.iterdir()]
     there = [name for name in {*names, *outdated} if os.path.lexists(directory / name)]
     folders = [name for name in there if (directory / name).is_dir()]

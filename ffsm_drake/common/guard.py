@@ -45,7 +45,7 @@ def callers_own() -> Iterator[None]:
 
 
 def is_user_supplied(kind: type) -> bool:
-    """True for a class that is neither Drake's nor this package's."""
+    """True for a class that is not from Drake or this package."""
     return kind.__module__.partition(".")[0] not in _OURS
 
 
@@ -175,7 +175,7 @@ def _is_users_file(top: str, file: str) -> bool:
 
 
 def user_code_is_loaded() -> bool:
-    """True if a module of user-supplied code is loaded, beside the script that runs."""
+    """True if a module of user-supplied code is loaded, in addition to the script that runs."""
     return any(
         _is_users_file(name.partition(".")[0], file)
         for name, module in list(sys.modules.items())

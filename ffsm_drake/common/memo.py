@@ -22,8 +22,8 @@ def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], C
     objects are shared.
 
     Args:
-      maxsize: number of results kept, the least recently used being dropped.
-      besides: a keyword argument outside the key, because it follows from the others.
+      maxsize: number of results to keep; the least recently used one is dropped.
+      besides: a keyword argument that is not part of the key, because it follows from the others.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:

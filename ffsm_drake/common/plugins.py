@@ -14,7 +14,7 @@ from ffsm_drake.common.guard import passes, where
 
 # Name of a command -> click command. Its module imports slow packages inside of the command.
 COMMANDS = "ffsm_drake.commands"
-# Name -> function: what ``ffsm_drake.NAME`` is beside the core's own names.
+# Name -> function: an additional ``ffsm_drake.NAME``.
 VERBS = "ffsm_drake.verbs"
 # Ending of a file, without its dot -> function of a RunRecord and a Path, which writes the file.
 EXPORTERS = "ffsm_drake.exporters"

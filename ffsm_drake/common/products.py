@@ -1,6 +1,4 @@
-"""Products of matrices and vectors of one spacecraft or of several, each with the bits it has
-alone.
-"""
+"""Products of matrices and vectors of one or several spacecraft, with the bits of one spacecraft."""
 
 import math
 

@@ -184,7 +184,7 @@ def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         yield from _parts(item, join(key, name))
 
 
-# Drake's struct names neither units nor meanings. Its "cenic" wants the plant at the top of the
+# Drake's struct has no units and meanings. Its "cenic" needs the plant at the top level of the
 # diagram.
 _SIMULATOR = {
     "integration_scheme": Setting(

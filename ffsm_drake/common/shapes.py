@@ -25,7 +25,7 @@ def _misfits(value: Any, shape: Any, place: str) -> Iterator[str]:
     origin, arguments = get_origin(shape), get_args(shape)
     if origin in (Union, types.UnionType) or isinstance(shape, list):
         found = [misfit(value, each, place) for each in arguments or shape]
-        # an alternative that fits in kind says most
+        # the alternative with the right kind gives the best message
         yield from [] if "" in found else [max(found, key=len)]
     elif isinstance(shape, dict):
         yield from _of_keys(value, shape, place)

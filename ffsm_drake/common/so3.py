@@ -140,7 +140,7 @@ def rotation_errors(
     product = np.add.reduce(terms, axis=0)
     axis = product[1:4]
     sine = np.sqrt(np.add.reduce(axis * axis, axis=0))
-    # NumPy's arctan2 differs from that of math in the last bit; the shorter rotation
+    # NumPy's arctan2 differs from math.atan2 in the last bit; the shorter rotation
     atan2, copysign = math.atan2, math.copysign
     factors = [
         copysign(2.0 * atan2(s, abs(c)) / s, c if c else 1.0) if s > 0.0 else 0.0

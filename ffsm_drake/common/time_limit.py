@@ -21,9 +21,9 @@ class TimeLimit(BaseException):
 def time_limit(seconds: float) -> Iterator[None]:
     """Raise TimeLimit in the block after ``seconds`` of wall time.
 
-    It interrupts Python in the main thread. A worker process whose code cannot be interrupted
-    (compiled code, or a thread of a cluster's worker) is ended GRACE later; elsewhere such code has
-    no limit.
+    It interrupts Python in the main thread. Code that cannot be interrupted (compiled code, or a
+    thread of a cluster's worker) is ended GRACE later in a worker process, and has no limit
+    elsewhere.
     """
 
     def handle(number: int, frame: Any) -> None:

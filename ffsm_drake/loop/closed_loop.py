@@ -591,7 +591,7 @@ class _Wiring:
         self.sources |= {name: (self._controller, name) for name in names}
 
     def record_parts(self, parts: Parts) -> None:
-        """Record the signals of parts; those of sensing at the controller's last sample."""
+        """Record the signals of parts. Signals of sensing are recorded at the last control sample."""
         for name, part in parts.items():
             for signal in part.signals:
                 if signal.name in self.sources:
@@ -623,7 +623,7 @@ class _Wiring:
         return hold, hold.get_output_port().get_name()
 
     def _on_whole_plant(self, acts: Source, on_hidden: list[System]) -> Source:
-        """A force on the known coordinates, and those of systems on hidden ones, as one."""
+        """Combine a force on the known coordinates with forces of systems on hidden coordinates."""
         nv, nh = len(self._coordinates.names), len(self._split.names)
         copies = self._copies.number if self._copies else 1
         terms = {"known_force": (_port(acts), self._split.known)}

@@ -67,7 +67,7 @@ _VECTOR = tuple[float, float, float]
 
 
 class StaleReportWarning(UserWarning):
-    """A report or an input beside a record is of another run."""
+    """A report or an input in the folder of a record is from another run."""
 
 
 def seal_of(manifest: dict[str, Any]) -> str:
@@ -116,8 +116,9 @@ def _read_record(directory: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
-    """The identifier of the dataset beside a manifest, and the record's other fields. Raises
-    RecordError.
+    """Return the identifier of the dataset of a manifest, and the other fields of the record.
+
+    Raises: RecordError.
     """
     try:
         manifest = _read_json(path)
@@ -283,7 +284,7 @@ def _coordinates_of(
 def _of_names(
     dataset: "xr.Dataset", coordinates: Coordinates, split: StateSplit | None
 ) -> Iterator[str]:
-    """Check the names along each dimension, and the coordinates beside them."""
+    """Check the names along each dimension, and their coordinates."""
     expected: dict[str, tuple[str, Any]] = {
         "coordinate": ("coordinate", coordinates.names),
         "position_name": ("position_name", coordinates.position_names),

@@ -19,7 +19,7 @@ class Block:
     A text is short for ``{system: text}``.
     """
 
-    SHORTHAND: ClassVar[str] = "system"  # the field that a text alone gives
+    SHORTHAND: ClassVar[str] = "system"  # the field that a text sets
 
     KIND: ClassVar[str] = "system"  # another one drops the inherited settings
 

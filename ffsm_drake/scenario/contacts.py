@@ -205,7 +205,7 @@ def closing_times(scenario: Any) -> list[float]:
 
 
 def closing_contacts(scenario: Any) -> dict[str, Contact]:
-    """The contacts that close a loop in the scenario's phase: those beside the model's weld."""
+    """Return the contacts that close a loop in the scenario's phase, without the weld."""
     return {
         name: contact
         for name, contact in scenario.contacts.items()

@@ -116,7 +116,7 @@ def override_layers(overrides: Iterable[Override]) -> list[Layer]:
 
 
 def file_layers(data: Any, source: str) -> list[Layer]:
-    """The layers of a file's plain data: first those of its base files, then its own."""
+    """Return the layers of plain data of a file: the layers of its base files, then its own."""
     layers: list[Layer] = []
     seen = [Path(source).resolve()] if source else []
     while True:
@@ -174,7 +174,7 @@ def parsed(text: str, source: str) -> Any:
 
 
 def scenario_of(manifest: Mapping[str, Any]) -> Any:
-    """The scenario of a run's manifest, with the paths of the files kept beside it."""
+    """Return the scenario of a run's manifest, with the paths of files in the run's folder."""
     data, kept = manifest["scenario"], manifest.get("inputs")
     changed = kept.get("scenario") if isinstance(kept, dict) else None
     if isinstance(data, dict) and isinstance(changed, dict):

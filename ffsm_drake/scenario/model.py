@@ -192,7 +192,7 @@ class MassProperties:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check that the inertia is that of a rigid body."""
+        """Check that a rigid body can have the inertia."""
         key = f"{key}.inertia"
         if len(self.inertia) not in (3, 6):
             yield (

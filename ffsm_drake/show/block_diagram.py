@@ -56,7 +56,7 @@ def closed_loop_dot(scenario: Scenario, *, logged: bool = False) -> str:
 
 
 def controller_dot(scenario: Scenario) -> str:
-    """The scenario's controller alone, with its ports."""
+    """Return only the controller of the scenario, with its ports."""
     return system_dot(make_closed_loop(scenario).blocks["controller"])
 
 

@@ -62,7 +62,7 @@ TEMPLATE: dict[str, Any] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One Plotly figure with its caption; the fields are those of its chart."""
+    """One Plotly figure with its caption. The fields have the names of its chart."""
 
     title: str
     figure: go.Figure

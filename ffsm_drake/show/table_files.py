@@ -33,7 +33,7 @@ class Column:
 
 
 def write_table(columns: Sequence[Column], path: Path) -> Path:
-    """Write a table to a file; its suffix, one of ``FORMATS``, says the format. Returns the path.
+    """Write a table to a file, in the format of its suffix, one of ``FORMATS``. Returns the path.
 
     Raises:
       RecordError: the file cannot be written.
@@ -96,5 +96,5 @@ def _empty(cell: float | None) -> bool:
 
 
 def _escaped(text: str) -> str:
-    """A text of which LaTeX takes no sign for a command."""
+    """Escape all characters that are commands in LaTeX."""
     return "".join(_SPECIAL.get(sign, sign) for sign in text)

@@ -1,15 +1,18 @@
 """Clearance: the smallest distance between parts of the spacecraft with relative motion.
 
-The shapes are collision geometry, or visual geometry of a body without collision geometry; a mesh
-is represented by its convex hull. Invented shapes, which stand for a base without a picture, do not
-count. Shapes that cannot be measured are named. Excluded are pairs of parts fixed to each other
-(target and gripper), connected by a joint, or with few joints between them and always near each
-other, such as the links of a wrist. A held body, from another model than the base's, is always
-checked against the base, and against every part with a deep overlap at every joint angle. Before a
-grasp the target is a separate body; over the last decimetre and 20 degrees it may touch the gripper
-and the parts excluded after the grasp. A flexible panel is represented by its plates, with their
-deflections, but not checked against its own body; its visual geometry on that body is checked in
-the rest position.
+The shapes are collision geometry, or visual geometry of a body without collision geometry. A mesh
+is represented by its convex hull. Invented shapes, which represent a base without a picture, do not
+count. Shapes that cannot be measured are listed.
+
+Some pairs of parts are not checked: parts fixed to each other (target and gripper), parts connected
+by a joint, and parts with few joints between them that are always close, such as the links of a
+wrist. A held body of another model than the base is always checked against the base, and against
+every part with a deep overlap at every joint angle.
+
+Before a grasp the target is a separate body. Over the last decimetre and 20 degrees it may touch
+the gripper and the parts that are not checked after the grasp. A flexible panel is represented by
+its plates, with their deflections. It is not checked against its own body. Its visual geometry on
+that body is checked in the rest position.
 """
 
 import dataclasses

@@ -137,7 +137,7 @@ class Coordinates:
         return np.flatnonzero([not wanted.keys().isdisjoint((*each, "all")) for each in both])
 
     def check_names(self, names: Mapping[str, object], *, key: str) -> None:
-        """Raise ScenarioError when a key is neither ``all``, nor a group, nor a coordinate."""
+        """Raise ScenarioError if a key is not ``all``, a group or a coordinate."""
         self._check(names, ("all", *GROUPS, *self.names), key, "unknown coordinate")
 
     def _check(self, names: Iterable[str], valid: tuple[str, ...], key: str, fault: str) -> None:
@@ -207,7 +207,7 @@ class StateSplit:
         return v[..., self.known] if self.names else v
 
     def whole_names(self, known: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the plant's v from those of the known velocities."""
+        """Return the names of the velocities of the plant from the names of the known velocities."""
         places = [*self.known.tolist(), *self.hidden.tolist()]
         named = dict(zip(places or range(len(known)), (*known, *self.names), strict=True))
         return tuple(named[i] for i in sorted(named))

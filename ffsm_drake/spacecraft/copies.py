@@ -62,7 +62,7 @@ class Copies:
         return np.concatenate([q.reshape(self.number, -1), v.reshape(self.number, -1)], axis=1)
 
     def whole(self, rows: np.ndarray) -> np.ndarray:
-        """The plant's [q; v] from those of each copy (B, nq + nv)."""
+        """Return [q; v] of the plant from [q; v] of each copy (B, nq + nv)."""
         split = self.num_positions
         return np.concatenate([rows[:, :split].ravel(), rows[:, split:].ravel()])
 

@@ -1,4 +1,4 @@
-"""Signed distances between convex solids by MuJoCo, whose searches end after so many iterations.
+"""Signed distances between convex solids by MuJoCo, whose search has a bound on its iterations.
 
 Drake's own search does not end for some pairs (capsules with axes that meet, a tetrahedron on a
 box). A mesh is represented by its convex hull, in single precision.

@@ -70,6 +70,6 @@ def find_dynamics(name: str) -> Chosen:
 
 
 def dynamics_names() -> list[str]:
-    """The names that ``find_dynamics`` knows."""
+    """Return the names that ``find_dynamics`` accepts."""
     others = (each for name in offered(DYNAMICS) for each in (name, name + _ELSE_DRAKE))
     return [DRAKE, *others]

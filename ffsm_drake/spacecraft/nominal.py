@@ -225,9 +225,9 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
-    """The true plant, with the flexible parts of ``model.flexible``, if any.
+    """Return the model with the true payload and the flexible parts of ``model.flexible``.
 
-    Its q and v hold those of flexible parts too (``PlantModel.split``).
+    Its q and v include the coordinates of flexible parts (``PlantModel.split``).
     """
     model = _make(scenario, scenario.carried.truth, flexible=True)
     _set_flexible(model.plant, model.context, scenario.model)

@@ -82,8 +82,8 @@ def add_combined_plant(
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene
     graph to a diagram.
 
-    Contact is off. A body ``apart`` (scoped name) is free: its pose, as a quaternion and a
-    position, follows the spacecraft's configuration. A ``flexible`` plant has the hidden
+    Contact is not simulated. A body ``apart`` (scoped name) is free: its pose, as a quaternion and
+    a position, follows the spacecraft's configuration. A ``flexible`` plant has the hidden
     coordinates too (``flexible.py``).
 
     Raises:

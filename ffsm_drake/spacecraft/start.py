@@ -9,14 +9,14 @@ from ffsm_drake.spacecraft.plant import configuration
 
 
 def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """Initial velocity (nv) of the motion with the target held; errors as those of a grasp."""
+    """Return the initial velocity (nv) of the motion with the target held. Raises as a grasp."""
     if scenario.grasps:
         return _after_grasp(scenario, model)
     return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
 
 
 def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """The plant's own [q; v] at the start; errors as those of a grasp."""
+    """Return [q; v] of the plant at the start. Raises the errors of a grasp."""
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     v = model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
     state = model.split.whole(np.concatenate([q, v]))

@@ -61,7 +61,7 @@ def _draw_curve(axes: Axes, curve: Curve, thickness: float) -> None:
     look = curve.style.matplotlib
     if not curve.line:
         look |= {"linestyle": "none", "markeredgewidth": 0.0 if curve.size < 5.0 else 1.0}
-    # Steps are rasterized: as vectors those of noise would be megabytes.
+    # Steps are rasterized, because steps of noise would need megabytes as vectors.
     axes.plot(
         curve.x, np.where(np.abs(curve.y) < LARGEST, curve.y, np.nan),
         marker=_MARKERS[curve.marker or "dot" * (len(curve.x) == 1)], markersize=0.75 * curve.size,
@@ -71,7 +71,7 @@ def _draw_curve(axes: Axes, curve: Curve, thickness: float) -> None:
 
 
 def _draw_level(axes: Axes, level: Level) -> None:
-    """A line, its text above its right end, or beside its lower one."""
+    """Draw a line, with its text above its right end, or next to its lower end."""
     look = {"linewidth": 1.2, "label": plain(level.name), **level.style.matplotlib}
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
     if level.axis == "y":

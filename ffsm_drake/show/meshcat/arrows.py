@@ -177,7 +177,7 @@ class ForceArrows:
             norm = float(np.linalg.norm(vector))
             direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
             tail = q[4:7] + self._distance_to_surface(rotation, direction) * direction
-            if kind.is_torque:  # a free vector, drawn beside a force of the same direction
+            if kind.is_torque:  # a free vector, drawn next to a force of the same direction
                 tail[2] += 0.08 * self._longest
             arrow.show(tail, direction, scale * norm, time_in_recording=time_in_recording)
 
