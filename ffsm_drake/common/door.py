@@ -69,7 +69,7 @@ class Door:
         self.port = port
 
     def refusal(self, request: Request, host: str) -> str | None:
-        """Return why a websocket is refused; None: it is accepted. ``host``: host of the request."""
+        """Return why a websocket of a request to ``host`` is refused; None: it is accepted."""
         raise NotImplementedError
 
     def passed(self, frame: str | bytes) -> str | bytes | None:

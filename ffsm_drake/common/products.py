@@ -1,4 +1,4 @@
-"""Products of matrices and vectors of one or several spacecraft, with the bits of one spacecraft."""
+"""Products of matrices and vectors of several spacecraft, with the bits of a single one."""
 
 import math
 

@@ -591,7 +591,7 @@ class _Wiring:
         self.sources |= {name: (self._controller, name) for name in names}
 
     def record_parts(self, parts: Parts) -> None:
-        """Record the signals of parts. Signals of sensing are recorded at the last control sample."""
+        """Record the signals of parts; signals of sensing at the last control sample."""
         for name, part in parts.items():
             for signal in part.signals:
                 if signal.name in self.sources:

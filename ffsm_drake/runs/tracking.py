@@ -23,8 +23,8 @@ FRAME_COORDINATES = tuple(
     name.replace("base", "frame") for name in (*BASE_ROTATION, *BASE_POSITION)
 )
 FRAME_UNITS = ("rad", "rad", "rad", "m", "m", "m")
-_FRAME_GROUPS = ("base_rotation",) * 3 + ("base_position",) * 3  # groups whose tolerances apply to
-a frame
+# groups whose tolerances apply to a frame
+_FRAME_GROUPS = ("base_rotation",) * 3 + ("base_position",) * 3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -207,7 +207,7 @@ class StateSplit:
         return v[..., self.known] if self.names else v
 
     def whole_names(self, known: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the velocities of the plant from the names of the known velocities."""
+        """Return the names of the plant's velocities from the names of the known ones."""
         places = [*self.known.tolist(), *self.hidden.tolist()]
         named = dict(zip(places or range(len(known)), (*known, *self.names), strict=True))
         return tuple(named[i] for i in sorted(named))
