@@ -37,7 +37,7 @@ EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
 
 def interrupted(how: str = "interrupted") -> int:
-    """The exit code of an interrupted command, after its last line."""
+    """Return the exit code of an interrupted command, after its last line."""
     click.echo(last_words(how), err=True)
     return exit_code()
 
@@ -280,7 +280,7 @@ run_argument = click.argument("run", type=click.Path(path_type=Path), metavar="R
 
 
 def out_option(what: str = "DIR", **settings: Any) -> Callable[..., Any]:
-    """The option --out: for a folder, or for a file with ``what`` "FILE"."""
+    """Return the option --out: for a folder, or for a file with ``what`` "FILE"."""
     return click.option(
         "--out", type=click.Path(path_type=Path, dir_okay=what == "DIR"), metavar=what, **settings
     )
@@ -396,12 +396,12 @@ def located_errors(
 
 
 def scenario_stem() -> str:
-    """A folder name for the current command's SCENARIO."""
+    """Return a folder name for the current command's SCENARIO."""
     return (repeated_run() or Path(click.get_current_context().params["scenario"])).stem
 
 
 def repeated_run() -> Path | None:
-    """The run's folder if the current command's SCENARIO is one, else None."""
+    """Return the run's folder if the current command's SCENARIO is one, else None."""
     from ffsm_drake.scenario import MANIFEST_FILE
 
     path = Path(click.get_current_context().params["scenario"])

@@ -233,7 +233,9 @@ def _distances(records: Sequence["RunRecord"]) -> list[float] | None:
 
 
 def _stem_of(scenario: "Scenario") -> str:
-    """Folder name of a run; it ends in the controller's name unless that is the scenario's own."""
+    """Return the folder name of a run; it ends in the controller's name unless that is the
+    scenario's own.
+    """
     from ffsm_drake.scenario import controller_key, load_scenario
 
     own = load_scenario(click.get_current_context().params["scenario"]).controller

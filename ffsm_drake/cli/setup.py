@@ -116,7 +116,9 @@ def validate(
 def _validated(
     name: str, overrides: tuple[str, ...], *, rehearsal: bool
 ) -> tuple[dict[str, Any], list[str]]:
-    """The results of ``validate`` for a scenario, as plain data, and lines on the mission."""
+    """Return the results of ``validate`` for a scenario, as plain data, and lines on the
+    mission.
+    """
     from ffsm_drake.runs.simulate import check_start
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures

@@ -59,7 +59,7 @@ class Aside:
         self._ending = weakref.finalize(owner, self.stop)  # called at the interpreter's exit, too
 
     def ask(self, question: Any) -> Any:
-        """The answer to a question; within the work. Raises StoppedError."""
+        """Return the answer to a question; within the work. Raises StoppedError."""
         self._asked.put((True, question))
         answer = self._answers.get()
         if answer is None:

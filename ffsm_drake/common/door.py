@@ -29,12 +29,12 @@ _LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3})(:\d+)?", re.ASCII)
 
 
 def random_loopback() -> str:
-    """An address of this machine only, 127.x.y.z, which other pages cannot guess."""
+    """Return an address of this machine only, 127.x.y.z, which other pages cannot guess."""
     return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
 
 
 def header(request: Request, name: str) -> str:
-    """A header that is there once; otherwise empty."""
+    """Return a header that is there once; otherwise empty."""
     values = request.headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 
@@ -73,11 +73,11 @@ class Door:
         raise NotImplementedError
 
     def passed(self, frame: str | bytes) -> str | bytes | None:
-        """The part of a page's frame for the server; None: nothing. Raises BadFrame."""
+        """Return the part of a page's frame for the server; None: nothing. Raises BadFrame."""
         raise NotImplementedError
 
     def file(self, page: ServerConnection, path: str) -> Response:
-        """A file of the page; called in a thread."""
+        """Return a file of the page; called in a thread."""
         return page.respond(HTTPStatus.NOT_FOUND, "not found\n")
 
     def close(self) -> None:

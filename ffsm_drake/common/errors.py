@@ -61,12 +61,12 @@ class ScenarioError(FfsmError):
         return functools.partial(ScenarioError, source=self.source), (self.key, self.problem)
 
     def located(self, source: str) -> "ScenarioError":
-        """The same error, with its file named first."""
+        """Return the same error, with its file named first."""
         return self if self.source else ScenarioError(self.key, self.problem, source=source)
 
 
 def placed(source: str, text: str) -> str:
-    """A text after its source: a file, or an option such as ``--set``."""
+    """Return a text after its source: a file, or an option such as ``--set``."""
     return (" " if source.startswith("--") else ": ").join(filter(None, (source, text)))
 
 
@@ -142,7 +142,7 @@ class WorkersError(FfsmError):
 
 
 def one_line(error: BaseException) -> str:
-    """The text of any exception on a single line; the name of its type where it has none."""
+    """Return the text of any exception on a single line; the name of its type where it has none."""
     try:
         text = str(error)
     except (Exception, GeneratorExit, SystemExit):  # a user's exception may fail even here

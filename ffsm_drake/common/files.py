@@ -50,7 +50,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def stamp(path: Path) -> tuple[int, ...] | None:
-    """File status that changes with every rewrite; None: the file does not exist."""
+    """Return the file status that changes with every rewrite; None: the file does not exist."""
     try:
         info = path.stat()
     except (OSError, ValueError):
@@ -125,7 +125,7 @@ def read_together(paths: Sequence[Path], read: Callable[[], Result]) -> Result:
 
 
 def _partial() -> str:
-    """The name of what is not finished yet; another one each time."""
+    """Return the name of what is not finished yet; another one each time."""
     return f"{os.getpid()}.{next(_SERIAL)}.partial"
 
 
@@ -179,7 +179,9 @@ def _alone(directory: Path) -> Iterator[None]:
 
 
 def _unwritten(place: Path, error: OSError, temporary: Path) -> RecordError:
-    """The error of a file or folder; its text does not name the temporary one, which has gone."""
+    """Return the error of a file or folder; its text does not name the temporary one, which has
+    gone.
+    """
     text = one_line(error).replace(str(temporary), str(place))
     return RecordError(f"{place}: cannot be written: {text}")
 

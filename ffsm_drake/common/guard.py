@@ -89,7 +89,7 @@ def calling(place: str, function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def failure(error: BaseException, place: str, time: float | None = None) -> BlockError:
-    """The error for a failed block: its place, time (s), cause, and source line."""
+    """Return the error for a failed block: its place, time (s), cause, and source line."""
     at = "" if time is None else f" at t = {time:.2f} s"
     kind = type(error).__name__
     said = f"{kind}: {one_line(error)}{where(error)}{_advice(error)}"
@@ -97,7 +97,9 @@ def failure(error: BaseException, place: str, time: float | None = None) -> Bloc
 
 
 def where(error: BaseException) -> str:
-    """The innermost user-supplied function of an exception's traceback, with file and line."""
+    """Return the innermost user-supplied function of an exception's traceback, with file and
+    line.
+    """
     found = user_frame(error) or _last_frame(error)
     if found is None:
         return ""
@@ -114,8 +116,8 @@ def _advice(error: BaseException) -> str:
 
 
 def user_frame(error: BaseException) -> tuple[FrameType, int] | None:
-    """The innermost frame of user-supplied code in an exception's traceback, or in that of its
-    cause, and its line.
+    """Return the innermost frame of user-supplied code in an exception's traceback, or in that of
+    its cause, and its line.
     """
     found, place = None, error.__traceback__
     while place is not None:
@@ -141,8 +143,8 @@ def _is_ours(error: BaseException) -> bool:
 
 
 def _suspect(error: BaseException) -> str | None:
-    """The class of the user-supplied object in use when this package failed on the object's result;
-    None: there was none.
+    """Return the class of the user-supplied object in use when this package failed on the object's
+    result; None: there was none.
     """
     found, place = None, error.__traceback__
     while place is not None and isinstance(error, Exception) and not isinstance(error, OSError):
@@ -208,7 +210,9 @@ def _offering_packages() -> frozenset[str]:
 
 
 def _owner(error: BaseException) -> str:
-    """The innermost user-supplied class of an exception's traceback, or module where none is."""
+    """Return the innermost user-supplied class of an exception's traceback, or module where none
+    is.
+    """
     found, module, place = "", "", error.__traceback__
     while place is not None:
         frame = place.tb_frame

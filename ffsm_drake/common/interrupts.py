@@ -78,7 +78,7 @@ class Interrupts:
         os._exit(128 + number)
 
     def last_words(self, ended: str = "interrupted") -> str:
-        """The line that names the command to type next."""
+        """Return the line that names the command to type next."""
         import shlex
         import sys
 
@@ -223,7 +223,7 @@ def kill_below(pid: int, *, but: "Iterable[int]" = ()) -> None:
 
 
 def _parents() -> dict[int, int]:
-    """The parent of every process."""
+    """Return the parent of every process."""
     if not os.path.exists("/proc/self/stat"):
         import subprocess
 
@@ -254,7 +254,7 @@ def end_at_once() -> None:
 
 
 def current() -> Interrupts | None:
-    """The handler of this process, or None."""
+    """Return the handler of this process, or None."""
     for number in SIGNALS:
         if isinstance(handler := signal.getsignal(number), Interrupts):
             return handler
@@ -276,7 +276,7 @@ def spare(pid: int) -> None:
 
 
 def last_words(how: str) -> str:
-    """The last line of an interrupted process."""
+    """Return the last line of an interrupted process."""
     return (current() or Interrupts()).last_words(how)
 
 

@@ -24,7 +24,7 @@ _HELD_BY_PORTS = ("1.51",)  # releases that need ``untie``
 
 
 def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
-    """A callback for a system's event or output that does not keep the system alive."""
+    """Return a callback for a system's event or output that does not keep the system alive."""
     bound: Any = method
     function, reference = bound.__func__, weakref.ref(bound.__self__)
 

@@ -16,7 +16,7 @@ _LEAVES = (str, bytes, int, type(None), type, enum.Enum)
 
 
 def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator that caches results by the content of the arguments (``content_of``).
+    """Return a decorator that caches results by the content of the arguments (``content_of``).
 
     Every caller gets its own lists, mappings, sets and dataclasses, and read-only arrays; other
     objects are shared.
@@ -53,7 +53,9 @@ class _Call:
 
 
 def each_once(function: Callable[..., R], *arrays: np.ndarray) -> list[R]:
-    """A function of corresponding items of arrays (n, ...), once for those that are equal."""
+    """Return a function of corresponding items of arrays (n, ...), once for those that are
+    equal.
+    """
     keys = [b"".join(item.tobytes() for item in items) for items in zip(*arrays, strict=True)]
     items = dict(zip(keys, zip(*arrays, strict=True), strict=True))
     found = {key: function(*each) for key, each in items.items()}
@@ -61,7 +63,7 @@ def each_once(function: Callable[..., R], *arrays: np.ndarray) -> list[R]:
 
 
 def content_of(value: Any) -> Hashable:
-    """A key that is equal for values of equal type and content only.
+    """Return a key that is equal for values of equal type and content only.
 
     It holds every field of dataclasses and Drake's structs, type, shape and bytes of arrays, the
     items of mappings and sequences in order, name and modification time of files (``Path``).
@@ -105,7 +107,7 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 
 
 def _mapped(value: Any, of_array: Callable[[np.ndarray], np.ndarray]) -> Any:
-    """A copy of containers and dataclasses, with a function applied to each array inside."""
+    """Return a copy of containers and dataclasses, with a function applied to each array inside."""
     if isinstance(value, np.ndarray):
         return of_array(value)
     if isinstance(value, dict):

@@ -21,7 +21,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def scientific(value: float, digits: int) -> str:
-    """A finite number such as 1.70×10⁻⁴."""
+    """Return a finite number such as 1.70×10⁻⁴."""
     if value == 0.0:
         return "0"
     mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -34,7 +34,9 @@ def power_of_ten(exponent: int) -> str:
 
 
 def rounded_up(value: float, digits: int) -> float:
-    """The smallest number with so many digits that a finite value does not exceed, for a bound."""
+    """Return the smallest number with so many digits that a finite value does not exceed, for a
+    bound.
+    """
     unit = 10.0 ** (math.floor(math.log10(abs(value) or 1.0)) - digits + 1)
     return math.ceil(value / unit - 1e-9) * unit
 
@@ -51,7 +53,9 @@ def counted(number: int, noun: str) -> str:
 
 
 def usable(values: np.ndarray) -> np.ndarray:
-    """Mask of the samples (n) of values (n, ...) that are below ``LARGEST`` in size throughout."""
+    """Return the mask of the samples (n) of values (n, ...) that are below ``LARGEST`` in size
+    throughout.
+    """
     within = np.abs(values) < LARGEST  # false for NaN too
     every: np.ndarray = within.all(axis=tuple(range(1, within.ndim)))
     return every

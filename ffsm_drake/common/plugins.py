@@ -41,7 +41,7 @@ def offered(group: str) -> dict[str, EntryPoint]:
 
 
 def load(group: str, name: str, place: str) -> Any:
-    """The object that a package offers under a name.
+    """Return the object that a package offers under a name.
 
     Args:
       group: an entry point group, such as ``COMMANDS``.
@@ -86,13 +86,15 @@ def optional(group: str, name: str) -> Any:
 
 
 def deleted_plugin(error: BaseException | None) -> str:
-    """The plug-in of this package whose folder an import did not find; empty: another failure."""
+    """Return the plug-in of this package whose folder an import did not find; empty: another
+    failure.
+    """
     found = re.fullmatch(r"ffsm_drake\.plugins\.(\w+)", str(getattr(error, "name", "")))
     return found[1] if found and isinstance(error, ModuleNotFoundError) else ""
 
 
 def service(name: str, place: str) -> Any:
-    """A service that a scenario or a command needs; errors as ``load``."""
+    """Return a service that a scenario or a command needs; errors as ``load``."""
     return load(SERVICES, name, place)
 
 

@@ -116,7 +116,9 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
 
 
 def fresh(value: Any) -> Any:
-    """A copy of plain data, and of dataclasses of it, which shares nothing that can change."""
+    """Return a copy of plain data, and of dataclasses of it, which shares nothing that can
+    change.
+    """
     kind: Any = type(value)
     if kind in (str, float, int, bool, type(None)):
         return value
@@ -134,7 +136,9 @@ def fresh(value: Any) -> Any:
 
 @functools.cache  # called for every part whenever a scenario is loaded
 def settings_of(kind: Any) -> dict[str, Setting]:
-    """Name -> setting, of a dataclass or Drake's ``SimulatorConfig``; empty for anything else."""
+    """Return name -> setting, of a dataclass or Drake's ``SimulatorConfig``; empty for anything
+    else.
+    """
     if kind is SimulatorConfig:
         return {field.name: _SIMULATOR.get(field.name, Setting()) for field in kind.__fields__}
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
@@ -164,13 +168,13 @@ def require_valid(value: Any, key: str = "", scenario: Any = None) -> None:
 
 
 def unknown(name: str, valid: Iterable[str]) -> str:
-    """The problem with a name that is not valid."""
+    """Return the problem with a name that is not valid."""
     valid = list(valid)
     return f"'{name}' is unknown; choose one of {', '.join(valid)}{did_you_mean(name, valid)}"
 
 
 def join(path: str, key: Any) -> str:
-    """A dotted key."""
+    """Return a dotted key."""
     return f"{path}.{key}" if path else str(key)
 
 

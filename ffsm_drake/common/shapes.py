@@ -9,7 +9,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 
 def misfit(value: Any, shape: Any, place: str) -> str:
-    """The first mismatch between a value and a shape, as text; "" if it fits.
+    """Return the first mismatch between a value and a shape, as text; "" if it fits.
 
     Args:
       value: the data; numbers must be finite.
@@ -85,6 +85,6 @@ def _not(place: str, wanted: str, value: Any) -> str:
 
 @functools.cache
 def _hints(kind: Any) -> dict[str, Any]:
-    """Name -> type hint of a dataclass's fields."""
+    """Return name -> type hint of a dataclass's fields."""
     hints = get_type_hints(kind)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}

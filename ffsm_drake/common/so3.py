@@ -54,7 +54,7 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _rotation_matrix(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:
-    """The rows of a rotation matrix, from numbers or arrays."""
+    """Return the rows of a rotation matrix, from numbers or arrays."""
     twice = 2.0 / (w * w + x * x + y * y + z * z)
     xx, yy, zz = twice * x * x, twice * y * y, twice * z * z
     xy, xz, yz = twice * x * y, twice * x * z, twice * y * z
@@ -75,7 +75,7 @@ def skew(vector: np.ndarray) -> np.ndarray:
 
 
 def times_conjugate(first: Iterable[Any], second: Iterable[Any]) -> tuple[Any, Any, Any, Any]:
-    """The product first * conjugate(second) of quaternions, of numbers or arrays."""
+    """Return the product first * conjugate(second) of quaternions, of numbers or arrays."""
     dw, dx, dy, dz = first
     w, x, y, z = second
     return (
@@ -104,8 +104,8 @@ def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[fl
 def rotation_error_rate(
     error: tuple[float, float, float], w_d: np.ndarray, w: np.ndarray
 ) -> tuple[float, float, float]:
-    """Rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w (3,), all
-    in the world frame.
+    """Return the rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w
+    (3,), all in the world frame.
 
     e' = J_l(e)^-1 w_d - J_r(e)^-1 w = (w_d - w) - 1/2 e x (w_d + w) + c e x (e x (w_d - w)), with
     the left and right Jacobians of SO(3) and c = (1 - a/2 cot a/2) / a^2, a = |e| (Sola et al.
@@ -171,7 +171,9 @@ _SIGN = np.array([[1.0] * 6, [1.0] + [-1.0] * 5, [1.0] + [-1.0] * 5, [1.0] * 6])
 
 
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, for w_WB_W (3, ...), rad/s."""
+    """Return the rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, for w_WB_W (3, ...),
+    rad/s.
+    """
     (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
     return np.array(
         [
@@ -302,7 +304,8 @@ def rpy_motion(
 
 
 def rpy_of(quaternions: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (..., 3), rad, of quaternions (..., 4) of any norm, as in ``rpy_motion``.
+    """Return roll, pitch, yaw (..., 3), rad, of quaternions (..., 4) of any norm, as in
+    ``rpy_motion``.
 
     Half the sum and half the difference of yaw and roll are the angles of two vectors, of which one
     vanishes at a pitch of +-90 degrees: then only the other counts, and this one's is zero.

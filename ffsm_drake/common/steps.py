@@ -19,6 +19,6 @@ def step(name: str | Callable[[], str]) -> Iterator[None]:
 
 
 def current_step() -> str:
-    """The outermost step with the steps within it in parentheses; empty between steps."""
+    """Return the outermost step with the steps within it in parentheses; empty between steps."""
     first, *within = [name if isinstance(name, str) else name() for name in _steps] or [""]
     return f"{first} ({': '.join(within)})" if within else first

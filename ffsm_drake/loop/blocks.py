@@ -269,7 +269,7 @@ class _Making:
                 )
 
     def parts(self) -> tuple[dict[str, PlacedPart], ...]:
-        """The parts of each copy. Raises NotAlike: their signals differ."""
+        """Return the parts of each copy. Raises NotAlike: their signals differ."""
         parts = tuple(
             dict(_place_sections(own, setup, self.blocks, len(self._setups))) | placed
             for own, setup, placed in zip(self._owns, self._setups, self._placed, strict=True)
@@ -308,7 +308,7 @@ def _place_sections(
 def _make_block(
     factories: Sequence[Factory], setups: Sequence[BlockSetup], fed: Collection[str], *, place: str
 ) -> Any:
-    """The system of all copies; None of an ideal actuator."""
+    """Return the system of all copies; None of an ideal actuator."""
     if len(setups) > 1 and all(setup.settings == setups[0].settings for setup in setups):
         wide = call_wide_factory(factories[0], setups, place=place)
         if wide is not None:
@@ -327,7 +327,7 @@ def _make_block(
 
 
 def _fed(blocks: Mapping[str, System], split: StateSplit) -> set[str]:
-    """The input ports connected in a loop, given the outputs of the blocks before."""
+    """Return the input ports connected in a loop, given the outputs of the blocks before."""
     fed = {name for ports in BLOCKS.values() for name in (*ports.inputs, "state", "true_state")}
     optional = {name for ports in BLOCKS.values() for name in ports.optional_outputs}
     fed |= {"applied_force", *(("hidden_state",) if split.names else ())}
@@ -349,7 +349,7 @@ def _check_names(given: Iterable[str]) -> None:
 
 
 def _in_order(names: Collection[str]) -> tuple[str, ...]:
-    """The blocks of a loop, with the stages and forces among some names."""
+    """Return the blocks of a loop, with the stages and forces among some names."""
     stages, forces = (
         dict.fromkeys(name for name in names if name.startswith(f"{kind}."))
         for kind in ("sensing", "forces")
@@ -361,8 +361,8 @@ def _in_order(names: Collection[str]) -> tuple[str, ...]:
 
 
 def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
-    """The scenario with its faults drawn, from the possible ones of its parts. Raises the errors of
-    ``settled``.
+    """Return the scenario with its faults drawn, from the possible ones of its parts. Raises the
+    errors of ``settled``.
     """
     known: dict[str, Sequence[str]] = {}
     if scenario.faults is None:
@@ -378,7 +378,8 @@ def is_rehearsed(scenario: Scenario) -> bool:
 
 
 def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
-    """The factory of any block except the controller: a part with its settings, or another factory.
+    """Return the factory of any block except the controller: a part with its settings, or another
+    factory.
 
     Args:
       name: block name.
@@ -415,8 +416,8 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
 
 
 def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict[str, Part]:
-    """The parts in a scenario's blocks that replace its own sections, by block. Arguments and
-    errors: see ``factory_of``.
+    """Return the parts in a scenario's blocks that replace its own sections, by block. Arguments
+    and errors: see ``factory_of``.
     """
     given = given or {}
     found = {

@@ -128,7 +128,9 @@ class ClosedLoop:
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """The port of a signal of SIGNALS; ``disturbance_force`` sums the external forces."""
+        """Return the port of a signal of SIGNALS; ``disturbance_force`` sums the external
+        forces.
+        """
         system, name = self.sources[signal]
         return system.GetOutputPort(name)
 
@@ -173,13 +175,13 @@ class ClosedLoop:
         self.set_whole_states(root_context, np.array(rows))
 
     def true_model(self, scenario: Scenario) -> PlantModel:
-        """The plant of one spacecraft in a new context with a scenario's true masses."""
+        """Return the plant of one spacecraft in a new context with a scenario's true masses."""
         context = self.single.CreateDefaultContext()
         set_true_masses(self.single, context, scenario)
         return dataclasses.replace(self.model(context), plant=self.single)
 
     def model(self, plant_context: Context) -> PlantModel:
-        """The plant in one of its contexts, for computations."""
+        """Return the plant in one of its contexts, for computations."""
         return PlantModel(
             plant=self.plant,
             context=plant_context,
@@ -220,7 +222,7 @@ class ClosedLoop:
         self.set_blocks(root_context, known[0] if self.copies is None else known)
 
     def whole_states(self, root_context: Context) -> np.ndarray:
-        """The plant's own [q; v] of each copy (B, nq + nv)."""
+        """Return the plant's own [q; v] of each copy (B, nq + nv)."""
         context = self.plant.GetMyContextFromRoot(root_context)
         state: np.ndarray = self.plant.GetPositionsAndVelocities(context)
         return state[None] if self.copies is None else self.copies.rows(state)
@@ -369,7 +371,7 @@ def _add_plant(
     plant: MultibodyPlant | None,
     dynamics: Dynamics,
 ) -> tuple[MultibodyPlant, Copies | None]:
-    """The plant of all scenarios, unless there is one, and of several the copies in it."""
+    """Return the plant of all scenarios, unless there is one, and of several the copies in it."""
     model = scenarios[0].model
     if len(scenarios) > 1:
         copies = dynamics.copies(model, len(scenarios))
@@ -529,7 +531,7 @@ class _Wiring:
                 self._builder.Connect(_port(found[name]), stage.GetInputPort(name))
 
     def _supervise(self, supervisor: System) -> Source:
-        """The command of a supervisor, from the law's force and the blocks' requests."""
+        """Return the command of a supervisor, from the law's force and the blocks' requests."""
         self._connect("estimated_state", supervisor.GetInputPort("estimated_state"))
         self._connect("generalized_force", supervisor.GetInputPort("generalized_force"))
         asking = [each for each in self._blocks.values() if each.HasOutputPort(ABORT)]
@@ -616,7 +618,7 @@ class _Wiring:
             self._connect(name, system.GetInputPort(name))
 
     def _hold(self, source: str, name: str) -> Source:
-        """The value of a signal at the last control sample."""
+        """Return the value of a signal at the last control sample."""
         port = _port(self.sources[source])
         hold = self._builder.AddNamedSystem(name, ZeroOrderHold(self._sample_time, port.size()))
         self._builder.Connect(port, hold.get_input_port())
@@ -654,7 +656,7 @@ class _Wiring:
         return whole, "whole_force"
 
     def _add_states(self) -> dict[str, Source]:
-        """The known and the hidden state, of each copy, taken from the plant's."""
+        """Return the known and the hidden state, of each copy, taken from the plant's."""
         size = self._plant.num_multibody_states()
         rows = np.arange(size) if self._copies is None else self._copies.rows(np.arange(size))
         parts = {"state": self._split.known_part(rows)}
@@ -668,14 +670,14 @@ class _Wiring:
     def _select(
         self, name: str, inputs: Mapping[str, int], outputs: Mapping[str, list[tuple[int, int]]]
     ) -> Selector:
-        """A system with entries of its inputs as outputs: for each, the input and the place in
-        it.
+        """Return a system with entries of its inputs as outputs: for each, the input and the place
+        in it.
         """
         selector: Selector = self._builder.AddNamedSystem(name, make_selector(inputs, outputs))
         return selector
 
     def _sum(self, name: str, terms: list[Source]) -> Source:
-        """The sum of ports; a single port is returned unchanged."""
+        """Return the sum of ports; a single port is returned unchanged."""
         if len(terms) == 1:
             return terms[0]
         ports = list(map(_port, terms))

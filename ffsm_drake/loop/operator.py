@@ -26,7 +26,7 @@ from ffsm_drake.systems.setup import BlockSetup
 def make_operated_disturbance(
     setup: BlockSetup, *, initial: np.ndarray, poll: Callable[[float, np.ndarray], np.ndarray]
 ) -> Diagram:
-    """The force ``disturbance`` of a scenario, scaled by an operator, who also adds pushes.
+    """Return the force ``disturbance`` of a scenario, scaled by an operator, who also adds pushes.
 
     Args:
       setup: the force's setup.

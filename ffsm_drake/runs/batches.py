@@ -80,7 +80,7 @@ def usual_batch(dynamics: Dynamics | None = None, *, samples: int = 1) -> int:
 
 
 def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[list[int]]:
-    """The indices of the scenarios that run side by side, at most ``batch`` at once."""
+    """Return the indices of the scenarios that run side by side, at most ``batch`` at once."""
     most = usual_batch() if batch is None else batch
     groups: dict[str, list[int]] = {}
     for index, scenario in enumerate(scenarios):
@@ -145,7 +145,7 @@ class _Runs:
             yield self._by_itself(scenario) if log is None else log
 
     def _side_by_side(self, scenarios: Sequence[Scenario]) -> Sequence[RunLog | None]:
-        """The log of each run; None: repeat the run separately."""
+        """Return the log of each run; None: repeat the run separately."""
         try:
             self._dynamics.check(scenarios[0])
             rollout = self._together.rollout(scenarios, scenarios[0])
@@ -174,7 +174,9 @@ class _Runs:
         return result
 
     def _doubled(self, scenario: Scenario) -> RunLog | None:
-        """The log of a run next to a copy of itself, for dynamics that compute several copies."""
+        """Return the log of a run next to a copy of itself, for dynamics that compute several
+        copies.
+        """
         self._dynamics.check(scenario)
         if _group(scenario) is None:
             raise NotCovered("a run that cannot go side by side with others")
@@ -204,7 +206,7 @@ class Kept:
         self._make, self._rollout = make, None
 
     def rollout(self, scenario: Any, first: Scenario) -> Any:
-        """The rollout of a scenario or of several, with the same blocks as the first."""
+        """Return the rollout of a scenario or of several, with the same blocks as the first."""
         if self._rollout is None or user_supplied(first) or not self._rollout.accepts(scenario):
             self.drop()
             self._rollout = self._make(scenario)
@@ -218,7 +220,9 @@ class Kept:
 
 
 def _group(scenario: Scenario) -> str | None:
-    """Key that is equal for runs that can run side by side; None: run this one separately."""
+    """Return the key that is equal for runs that can run side by side; None: run this one
+    separately.
+    """
     config = scenario.simulator_config
     if (
         config.use_error_control
@@ -255,7 +259,7 @@ def _group(scenario: Scenario) -> str | None:
 
 
 def _without_springs(model: Model) -> Model:
-    """A model without springs and dampers of hinges, whose values are in a context."""
+    """Return a model without springs and dampers of hinges, whose values are in a context."""
     hinged = ("panel", "pendulum")
     parts = {
         name: dataclasses.replace(part, frequency=None, stiffness=None, damping_ratio=0.0)

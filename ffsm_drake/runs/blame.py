@@ -40,7 +40,7 @@ def failure_of(
     suspects: Mapping[str, str],
     root_context: Context,
 ) -> BlockError:
-    """The error that names the source block of an exception.
+    """Return the error that names the source block of an exception.
 
     Args:
       error: the exception.
@@ -62,7 +62,7 @@ def failure_of(
 
 
 def unconnected(error: BaseException, loop: ClosedLoop) -> str:
-    """The problem of a block that reads an input port to which nothing is connected; empty:
+    """Return the problem of a block that reads an input port to which nothing is connected; empty:
     another failure.
     """
     text = one_line(error)
@@ -76,7 +76,9 @@ def unconnected(error: BaseException, loop: ClosedLoop) -> str:
 
 
 def _bad_now(loop: ClosedLoop, suspects: Mapping[str, str], root_context: Context) -> str:
-    """The problem of the first user-supplied block whose output cannot be used; empty: none."""
+    """Return the problem of the first user-supplied block whose output cannot be used; empty:
+    none.
+    """
     for name, block in suspects.items():
         for port, is_state in _OUTPUTS.get(kind_of(name), {}).values():
             system = loop.blocks[name]
@@ -116,8 +118,8 @@ def _systems(block: System | None) -> Iterator[System]:
 def bad_output(
     sound: np.ndarray, series: Mapping[str, np.ndarray], suspects: Mapping[str, str]
 ) -> BadOutput | None:
-    """The first unusable output of a user-supplied block, other than the controller, while the
-    state is within bounds; None: there is none.
+    """Return the first unusable output of a user-supplied block, other than the controller, while
+    the state is within bounds; None: there is none.
 
     Args:
       sound: whether the state is within bounds, at each control sample (n,).

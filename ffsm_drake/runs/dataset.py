@@ -25,7 +25,7 @@ from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_o
 
 
 def make_table(log: RunLog) -> Table:
-    """The labelled time series of a run."""
+    """Return the labelled time series of a run."""
     scenario, coordinates = log.scenario, log.coordinates
     model = make_flexible_plant(scenario)
     states = log.whole_states
@@ -70,7 +70,8 @@ def make_table(log: RunLog) -> Table:
 
 
 def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.ndarray]:
-    """The variables of ``SIGNALS`` that a run has, and each external force where several act.
+    """Return the variables of ``SIGNALS`` that a run has, and each external force where several
+    act.
 
     Args:
       log: the run.
@@ -105,7 +106,7 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
 
 
 def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
-    """The table with the signals of a part. Raises BlockError if a name is taken."""
+    """Return the table with the signals of a part. Raises BlockError if a name is taken."""
     for signal in part.signals:
         place = f"blocks.{part.name}: signal '{signal.name}'"
         if signal.name in table:
@@ -131,8 +132,8 @@ def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
 
 
 def _with_roles(table: Table, log: RunLog) -> Table:
-    """The table with the roles of the parts' signals in the balances of momentum and energy as
-    attributes; ``angular_momentum`` includes the momentum that parts store.
+    """Return the table with the roles of the parts' signals in the balances of momentum and energy
+    as attributes; ``angular_momentum`` includes the momentum that parts store.
     """
     roles = {role: " ".join(with_role(log.parts, role)) for role in ROLES}
     table = dataclasses.replace(
@@ -145,7 +146,7 @@ def _with_roles(table: Table, log: RunLog) -> Table:
 
 
 def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
-    """The table with the pose error of the frame that has a reference."""
+    """Return the table with the pose error of the frame that has a reference."""
     meaning = {
         "long_name": "true pose error of the frame (rotation vector, position; world)",
         "units": "rad, m",
@@ -161,8 +162,8 @@ def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of
-    states (n, nq + nv).
+    """Return the momentum about the world's origin (n, 6; angular, then linear) and kinetic energy
+    (n) of states (n, nq + nv).
     """
     plant, context = model.plant, model.context
     origin = np.zeros(3)
@@ -198,7 +199,9 @@ def _through_the_grasp(
 def _with_phases(
     table: Table, grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray
 ) -> Table:
-    """The table with the coordinate ``phase`` along time and the target's pose, held or not."""
+    """Return the table with the coordinate ``phase`` along time and the target's pose, held or
+    not.
+    """
     count = grasp.sample
     body = find_body(model.plant, scenario.payload.body, key="payload.body")
     held = frame_poses(model, states[count:, : model.plant.num_positions()], body.body_frame())

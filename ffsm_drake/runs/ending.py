@@ -88,7 +88,7 @@ def ending_of(
     tracked: Callable[[], Tracked],
     signals: Signals,
 ) -> Ending:
-    """The ending of a run with an outcome and its parts' signals. Other arguments: see
+    """Return the ending of a run with an outcome and its parts' signals. Other arguments: see
     ``ending_of_completed``.
     """
     if outcome.completed:
@@ -113,7 +113,7 @@ def ending_of(
 def ending_of_completed(
     scenario: Scenario, time: np.ndarray, tracked: Tracked, *, given_up: str = ""
 ) -> Ending:
-    """The ending of a completed run.
+    """Return the ending of a completed run.
 
     Settled: over the last second every tracked error is within its tolerance. Growing: from each of
     the last three seconds to the next the peak of a coordinate rises by half, or fivefold at once,
@@ -175,7 +175,7 @@ def ending_of_completed(
 
 
 def _largest_by_unit(errors: np.ndarray, units: Sequence[str]) -> str:
-    """The largest of errors (k) in rad and in m, as text."""
+    """Return the largest of errors (k) in rad and in m, as text."""
     largest = {
         unit: max(
             error for error, other in zip(errors.tolist(), units, strict=True) if other == unit
@@ -187,14 +187,14 @@ def _largest_by_unit(errors: np.ndarray, units: Sequence[str]) -> str:
 
 
 def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.ndarray:
-    """The largest of each column (k) over the samples from ``end - length`` to ``end``."""
+    """Return the largest of each column (k) over the samples from ``end - length`` to ``end``."""
     chosen = (time >= end - length - 1e-9) & (time <= end + 1e-9)
     peaks: np.ndarray = size[chosen].max(axis=0, initial=0.0)
     return peaks
 
 
 def _growing(size: np.ndarray, time: np.ndarray, *, begin: float, notable: float) -> np.ndarray:
-    """Mask (k) of the columns growing at the end of a leg with a given start time."""
+    """Return the mask (k) of the columns growing at the end of a leg with a given start time."""
     end = float(time[-1])
     length = min(SETTLED_OVER, (end - begin) / (_WINDOWS + 1))
     if not length > 0.0:

@@ -30,8 +30,8 @@ INSTANTS = 51  # at which the clearance of a plan is evaluated; twice as many fo
 
 
 def run_remarks(record: RunRecord) -> list[str]:
-    """A line for each kind of exceeded limit, one for saturated forces, and one for each balance
-    violated by the integrator.
+    """Return a line for each kind of exceeded limit, one for saturated forces, and one for each
+    balance violated by the integrator.
 
     Raises:
       ModelError: the scenario's model does not load any more.
@@ -61,9 +61,9 @@ def run_remarks(record: RunRecord) -> list[str]:
 
 
 def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
-    """A line for each kind of exceeded limit without enforcement: positions, rates and applied
-    forces of the joints, limits of parts, clearance. Such a run does not go as planned, settled or
-    not.
+    """Return a line for each kind of exceeded limit without enforcement: positions, rates and
+    applied forces of the joints, limits of parts, clearance. Such a run does not go as planned,
+    settled or not.
 
     Raises:
       ModelError: the scenario's model does not load any more.
@@ -101,7 +101,7 @@ class Closest(Nearest):
 
 
 def run_clearance(record: RunRecord) -> list[Closest]:
-    """The smallest distance in each phase of a run, evaluated at a hundred samples of each.
+    """Return the smallest distance in each phase of a run, evaluated at a hundred samples of each.
 
     Raises ModelError: as ``plan_clearance``.
     """

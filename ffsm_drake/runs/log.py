@@ -48,7 +48,9 @@ class GraspLog:
         return [name for name, samples in self.legs for _ in range(samples)]
 
     def ledger(self, time: np.ndarray, coordinates: Coordinates) -> dict[str, Any] | None:
-        """The grasp in plain numbers, where there was one; ``time`` (n; s) are the samples."""
+        """Return the grasp in plain numbers, where there was one; ``time`` (n; s) are the
+        samples.
+        """
         return None
 
 
@@ -83,7 +85,7 @@ class RunLog:
     dynamics: str = DRAKE  # name of what computed the spacecraft's motion
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A signal at the samples (n, its width), or (n) for a single number."""
+        """Return a signal at the samples (n, its width), or (n) for a single number."""
         values = self.series.get(name)
         signal = next((each for each in signals_of(self.parts) if each.name == name), None)
         if signal is not None and signal.of is not None:
@@ -124,7 +126,7 @@ class RunLog:
         )
 
     def with_role(self, role: str) -> np.ndarray | None:
-        """The sum of the signals with a role (n, 3); None without such signals."""
+        """Return the sum of the signals with a role (n, 3); None without such signals."""
         names = with_role(self.parts, role)
         return sum(self[name] for name in names) if names else None  # type: ignore[return-value]
 

@@ -106,7 +106,7 @@ def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict
 
 
 def phases_of(dataset: _Some) -> dict[str, _Some]:
-    """The parts of a run with a capture, by phase; empty for one without."""
+    """Return the parts of a run with a capture, by phase; empty for one without."""
     if "phase" not in dataset.coords:
         return {}
     phase = dataset["phase"].values.astype(str)
@@ -149,7 +149,7 @@ def _of_group(figure: str, group: str, run: Tracking, unit: str = "") -> float |
 
 
 def _of_unit(figure: str, unit: str, run: Tracking) -> float:
-    """The largest tracked error in a unit; NaN if there is none."""
+    """Return the largest tracked error in a unit; NaN if there is none."""
     error = np.abs(run.tracked.error[:, [each == unit for each in run.tracked.units]])
     error = error[-1] if figure == "final_error" else error
     return float(error.max()) if error.size else math.nan
@@ -291,14 +291,14 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
 
 
 def _usable_start(dataset: "Labelled", names: Sequence[str]) -> "Labelled":
-    """The samples before the first that is not ``usable``; at least one."""
+    """Return the samples before the first that is not ``usable``; at least one."""
     good = np.logical_and.reduce([usable(dataset[name].values) for name in names])
     count = good.size if good.all() else max(1, int(np.argmin(good)))
     return dataset.isel(time=slice(0, count))
 
 
 def _of_base(dataset: "Labelled", name: str, part: str, *, along: str = "coordinate") -> np.ndarray:
-    """A variable of the base's rotation or position (n, 3)."""
+    """Return a variable of the base's rotation or position (n, 3)."""
     names = dataset[along].values.astype(str).tolist()
     values: np.ndarray = dataset[name].values
     return values[:, [names.index(f"base_{part}_{axis}") for axis in "xyz"]]

@@ -116,7 +116,7 @@ class Mission:
         return [None if copy in self._lost else self._joined(copy) for copy in copies]
 
     def _loop_of(self, phase: Phase, scenarios: list[Scenario]) -> Rollout:
-        """The loop of a phase; a new one is released at the end of the run."""
+        """Return the loop of a phase; a new one is released at the end of the run."""
         own: dict[str, Factory] = {}
         if phase.motion is not None:
             own["reference"] = functools.partial(_along, phase.motion)
@@ -169,7 +169,7 @@ class Mission:
         self.failed[copy] = Outcome(status=status, time=0.0, message=message)
 
     def _joined(self, copy: int) -> RunLog:
-        """The log of all phases of a run; NaN in the phases without a series."""
+        """Return the log of all phases of a run; NaN in the phases without a series."""
         logs = self.logs[copy]
         last, time_of = logs[-1], np.concatenate([log.time for log in logs])
         empty = {
@@ -196,7 +196,7 @@ class Mission:
         )
 
     def _legs(self, samples: int) -> tuple[tuple[str, int], ...]:
-        """Name and number of samples of the parts before a number of samples."""
+        """Return name and number of samples of the parts before a number of samples."""
         legs, first = list[tuple[str, int]](), 0
         for name, last in self._names:
             if (count := min(last, samples) - first) > 0:
@@ -206,5 +206,5 @@ class Mission:
 
 
 def _along(motion: PlannedMotion, setup: BlockSetup) -> Diagram:
-    """The reference of a motion."""
+    """Return the reference of a motion."""
     return reference_from([motion], [], setup.coordinates, sample_time=setup.sample_time)

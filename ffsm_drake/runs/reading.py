@@ -83,7 +83,7 @@ def digest_of(path: Path) -> str:
 
 
 def read_record(directory: Path) -> tuple[str, dict[str, Any]]:
-    """The SHA-256 of a run's dataset, and the fields of its record.
+    """Return the SHA-256 of a run's dataset, and the fields of its record.
 
     Warns (StaleReportWarning) of a report of another run.
 
@@ -152,7 +152,7 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
 
 
 def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
-    """The fields of a record in its manifest. Raises the errors of wrong contents."""
+    """Return the fields of a record in its manifest. Raises the errors of wrong contents."""
     scenario = scenario_from_dict(scenario_of(manifest), source=str(path))
     changed = optional(SERVICES, "changed_inputs") or (lambda directory, inputs: ())
     for line in changed(path.parent, manifest.get("inputs")):
@@ -181,14 +181,18 @@ def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _fitting(value: Any, shape: Any, place: str) -> Any:
-    """A value of a manifest. Raises TypeError unless it has a shape; see ``shapes.misfit``."""
+    """Return a value of a manifest. Raises TypeError unless it has a shape; see
+    ``shapes.misfit``.
+    """
     if problem := misfit(value, shape, place):
         raise TypeError(problem)
     return value
 
 
 def _checked_outcome(data: Any) -> Outcome:
-    """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
+    """Return the outcome of a manifest. Raises TypeError or ValueError for one that no run
+    writes.
+    """
     outcome: Outcome = _fitting(Outcome(**data), Outcome, "outcome")
     if outcome.status not in OUTCOMES:
         raise ValueError(
@@ -198,7 +202,7 @@ def _checked_outcome(data: Any) -> Outcome:
 
 
 def _read_dataset(path: Path, fields: dict[str, Any]) -> "xr.Dataset":
-    """The dataset of a run with the other fields of its record. Raises RecordError."""
+    """Return the dataset of a run with the other fields of its record. Raises RecordError."""
     import xarray as xr
 
     scenario = fields["scenario"]
@@ -267,8 +271,8 @@ def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
 def _coordinates_of(
     dataset: "xr.Dataset", scenario: Scenario
 ) -> tuple[Coordinates, StateSplit | None]:
-    """The coordinates of the scenario's model; the dataset's joints without hidden coordinates if
-    the model no longer loads, for displays without the model.
+    """Return the coordinates of the scenario's model; the dataset's joints without hidden
+    coordinates if the model no longer loads, for displays without the model.
     """
     try:
         model = make_flexible_plant(scenario)
@@ -404,8 +408,8 @@ def _of_parts(
 
 
 def _grasp_shape(names: tuple[str, ...]) -> dict[str, Any]:
-    """The shape of ``RunRecord.grasp`` (``GraspLog.ledger``, ``MomentumBudget``); ``names`` of the
-    coordinates.
+    """Return the shape of ``RunRecord.grasp`` (``GraspLog.ledger``, ``MomentumBudget``); ``names``
+    of the coordinates.
     """
     side = {
         **dict.fromkeys(("linear_momentum", "angular_momentum", "spin"), _VECTOR),
@@ -442,7 +446,7 @@ def _grasp_shape(names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _unread(path: Path, error: BaseException, *, remedy: str = "run it again") -> RecordError:
-    """The error of a file that cannot be read, with what helps."""
+    """Return the error of a file that cannot be read, with what helps."""
     told = "no such file" if isinstance(error, FileNotFoundError) else one_line(error)
     if isinstance(error, PermissionError):
         told, remedy = "no permission", f"chmod u+r {shlex.quote(str(path))}"

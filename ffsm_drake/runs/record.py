@@ -100,7 +100,7 @@ class RunRecord:
         return f"RunRecord({self.scenario!r}: {self.ending.sentence})"
 
     def positions(self, of: str = "position") -> "xr.Dataset":
-        """Generalized positions in their parts, each with its unit.
+        """Return generalized positions in their parts, each with its unit.
 
         Args:
           of: the variable of ``dataset``: position, measured_position or desired_position.

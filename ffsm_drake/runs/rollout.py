@@ -350,8 +350,8 @@ class Rollout:
         return interrupted, failure, time.perf_counter() - start
 
     def _failure(self, error: BaseException, context: Context) -> BlockError:
-        """The error of a block. Without a user-supplied one, Drake's reason for stopping is raised,
-        or the error itself.
+        """Return the error of a block. Without a user-supplied one, Drake's reason for stopping is
+        raised, or the error itself.
         """
         if isinstance(error, BlockError):
             return error
@@ -382,8 +382,8 @@ class Rollout:
     def _first_beyond(
         self, bounded: Callable[[np.ndarray], np.ndarray], copy: int = 0
     ) -> int | None:
-        """The first sample of the log at which a copy's known state is not within its bounds, or is
-        not finite.
+        """Return the first sample of the log at which a copy's known state is not within its
+        bounds, or is not finite.
         """
         log = self._logger.FindLog(self._simulator.get_context())
         states = log.data()[_part_of(self._rows["state"], copy, self.loop)].T
@@ -436,7 +436,7 @@ class Rollout:
 
 
 def _part_of(part: slice, copy: int, loop: ClosedLoop) -> slice:
-    """The part of a copy of the spacecraft in the rows of all copies."""
+    """Return the part of a copy of the spacecraft in the rows of all copies."""
     size = (part.stop - part.start) // (loop.copies.number if loop.copies else 1)
     return slice(part.start + copy * size, part.start + (copy + 1) * size)
 
@@ -468,7 +468,7 @@ def _make_log(
 def _outcome(
     monitor: Monitor, time: float, failure: BlockError | None, *, interrupted: bool
 ) -> Outcome:
-    """The outcome of a run whose log ends at a time, s."""
+    """Return the outcome of a run whose log ends at a time, s."""
     if failure is not None:
         return Outcome(status=FAILED, time=time, message=str(failure))
     if monitor.coordinate:
@@ -483,7 +483,7 @@ def _outcome(
 def user_supplied(
     scenario: Scenario, blocks: Mapping[str, Factory] | None = None
 ) -> dict[str, str]:
-    """The user-supplied blocks of a closed loop, in words by name."""
+    """Return the user-supplied blocks of a closed loop, in words by name."""
     names = {name: choice.system for name, choice in scenario.blocks.choices().items()}
     names["controller"] = scenario.controller
     names = {name: own for name, own in names.items() if not is_shipped(kind_of(name), own)}
@@ -500,7 +500,8 @@ def user_supplied(
 def _add_logger(
     builder: DiagramBuilder, loop: ClosedLoop
 ) -> tuple[VectorLogSink, dict[str, slice]]:
-    """A logger of the loop's signals at every control sample, and each one's rows in its log.
+    """Return a logger of the loop's signals at every control sample, and each one's rows in its
+    log.
 
     One logger behind a multiplexer costs less than one for each.
     """
@@ -532,8 +533,8 @@ def _is_sound(monitor: Monitor | CopiesMonitor, context: Context) -> bool:
 
 
 def _built_from(scenario: Scenario) -> dict[str, Any]:
-    """The part of a scenario that the build depends on, as plain data; a run's context holds the
-    rest.
+    """Return the part of a scenario that the build depends on, as plain data; a run's context holds
+    the rest.
     """
     neutral = Scenario()
     changes = {name: getattr(neutral, name) for name in _OF_THE_CONTEXT}
@@ -555,8 +556,8 @@ def make_rollout(
     meshcat: Meshcat | None = None,
     dynamics: Dynamics | None = None,
 ) -> Any:
-    """The rollout of a scenario, or of several with the same blocks: a ``Rollout``, or with a
-    capture one with the same methods. Arguments and errors: see ``Rollout``.
+    """Return the rollout of a scenario, or of several with the same blocks: a ``Rollout``, or with
+    a capture one with the same methods. Arguments and errors: see ``Rollout``.
     """
     first = scenario if isinstance(scenario, Scenario) else scenario[0]
     kind = service("capture_rollout", "capture") if first.grasps else Rollout

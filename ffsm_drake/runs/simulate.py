@@ -269,7 +269,7 @@ def simulate_many(
 
 
 def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Scenario:
-    """The scenario from which a run can be repeated.
+    """Return the scenario from which a run can be repeated.
 
     All gains of its controller are written out, the factories given in Python are named (one
     without an address by its own name), and ``python_path`` leads to their modules.

@@ -50,15 +50,15 @@ class Table:
         }
 
     def assign(self, variables: Mapping[str, Given]) -> "Table":
-        """The table with further variables, or others in their place."""
+        """Return the table with further variables, or others in their place."""
         return dataclasses.replace(self, variables={**self.variables, **_columns(variables)})
 
     def assign_coords(self, coords: Mapping[str, Given]) -> "Table":
-        """The table with further coordinates, or others in their place."""
+        """Return the table with further coordinates, or others in their place."""
         return dataclasses.replace(self, coords={**self.coords, **_columns(coords)})
 
     def isel(self, *, time: Any) -> "Table":
-        """The table at some of its samples: a slice, a mask or indices."""
+        """Return the table at some of its samples: a slice, a mask or indices."""
 
         def part(column: Column) -> Column:
             if "time" not in column.dims:
@@ -73,7 +73,7 @@ class Table:
         )
 
     def to_dataset(self) -> "xr.Dataset":
-        """The table as an xarray Dataset."""
+        """Return the table as an xarray Dataset."""
         import xarray as xr
 
         return xr.Dataset(self.variables, coords=self.coords, attrs=self.attrs)
@@ -86,19 +86,21 @@ class Values:
     data: "Labelled"
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The values of a variable."""
+        """Return the values of a variable."""
         values: np.ndarray = self.data[name].values
         return values
 
 
 def with_role(dataset: "Labelled", role: str) -> list[str]:
-    """The variables that have a role in the balances of momentum and energy (``part.ROLES``)."""
+    """Return the variables that have a role in the balances of momentum and energy
+    (``part.ROLES``).
+    """
     return [name for name in str(dataset.attrs.get(role, "")).split() if name in dataset]
 
 
 def held_force(dataset: "Labelled") -> np.ndarray:
-    """The force (n, nv) held over each sample: actuators' forces, and external forces with that
-    role.
+    """Return the force (n, nv) held over each sample: actuators' forces, and external forces with
+    that role.
     """
     total: np.ndarray = dataset["applied_force"].values
     for name in with_role(dataset, HELD_FORCE):
@@ -107,7 +109,7 @@ def held_force(dataset: "Labelled") -> np.ndarray:
 
 
 def driven_of(dataset: "Labelled") -> np.ndarray:
-    """Mask (nv) of the coordinates that actuators move."""
+    """Return the mask (nv) of the coordinates that actuators move."""
     everything: np.ndarray = np.ones(dataset.sizes["coordinate"], dtype=bool)
     return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
 

@@ -38,8 +38,8 @@ class Tracked:
 
 
 def frame_rows(scenario: Scenario) -> np.ndarray:
-    """Mask of the prescribed FRAME_COORDINATES (6); all for a frame that follows the coordinates'
-    plan.
+    """Return the mask of the prescribed FRAME_COORDINATES (6); all for a frame that follows the
+    coordinates' plan.
     """
     goal, rows = scenario.reference.frame, np.zeros(6, dtype=bool)
     rows[TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]] = True
@@ -54,7 +54,7 @@ def frame_error(
     q_d: np.ndarray,
     desired: np.ndarray | None,
 ) -> np.ndarray:
-    """The pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN if q is not
+    """Return the pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN if q is not
     ``usable``.
 
     Args:
@@ -70,8 +70,8 @@ def frame_error(
 
 
 def frame_poses(model: PlantModel, q: np.ndarray, frame: Frame) -> np.ndarray:
-    """Poses (n, 7; quaternion, position) of a frame in configurations q (n, nq); NaN if q is not
-    ``usable``.
+    """Return poses (n, 7; quaternion, position) of a frame in configurations q (n, nq); NaN if q is
+    not ``usable``.
     """
     result, finite = np.full((len(q), 7), np.nan), usable(q)
     if finite.any():
@@ -89,7 +89,7 @@ def tracked(
     frame: np.ndarray | None,
     rows: np.ndarray,
 ) -> Tracked:
-    """Tracked errors: driven coordinates; a tracked frame replaces the joints.
+    """Return tracked errors: driven coordinates; a tracked frame replaces the joints.
 
     Args:
       error: e of all coordinates (n, nv).
@@ -118,7 +118,7 @@ def tracked(
 
 
 def tracked_of(dataset: "Labelled") -> Tracked:
-    """Tracked errors of a recorded run."""
+    """Return tracked errors of a recorded run."""
     has_frame = "frame_error" in dataset
     names, groups, units = (
         tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit")

@@ -385,7 +385,7 @@ class Actuation:
 
 @functools.cache
 def thruster_layouts() -> dict[str, dict[str, Thruster]]:
-    """The shipped layouts of thrusters: layout -> name -> thruster."""
+    """Return the shipped layouts of thrusters: layout -> name -> thruster."""
     text = Path(__file__).with_name("thruster_layouts.yaml").read_text(encoding="utf-8")
     return {
         layout: {name: Thruster(**values) for name, values in units.items()}
@@ -394,5 +394,5 @@ def thruster_layouts() -> dict[str, dict[str, Thruster]]:
 
 
 def thrusters_of(settings: Thrusters) -> dict[str, Thruster]:
-    """The thrusters described by the settings, by name."""
+    """Return the thrusters described by the settings, by name."""
     return settings.units if settings.layout is None else thruster_layouts()[settings.layout]

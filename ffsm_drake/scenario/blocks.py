@@ -85,7 +85,7 @@ class Blocks:
     )
 
     def choices(self) -> dict[str, Block]:
-        """The blocks that are filled here in place of their own section, by name."""
+        """Return the blocks that are filled here in place of their own section, by name."""
         named = {name: getattr(self, name) for name in ("reference", "actuation")}
         for name, stage in self.sensing.items():  # one called sensing replaces the section
             named[name if name == "sensing" else f"sensing.{name}"] = stage
@@ -101,5 +101,5 @@ class Blocks:
 
 
 def kind_of(name: str) -> str:
-    """The kind of a block with that name: "forces" for "forces.friction"."""
+    """Return the kind of a block with that name: "forces" for "forces.friction"."""
     return name.partition(".")[0]

@@ -17,22 +17,22 @@ ZERO = {"all": 0.0}
 
 
 def unitless(default: Any, meaning: str, **limits: Any) -> Any:
-    """A setting that has no unit: a share, a text, a list of names."""
+    """Return a setting that has no unit: a share, a text, a list of names."""
     return setting(default, "", meaning, **limits)
 
 
 def choice_of(default: str | None, meaning: str, *one_of: str) -> Any:
-    """A setting that is one of several words."""
+    """Return a setting that is one of several words."""
     return unitless(default, meaning, one_of=one_of)
 
 
 def in_samples(default: Any, meaning: str, least: int = 0) -> Any:
-    """A setting that is a number of control samples."""
+    """Return a setting that is a number of control samples."""
     return setting(default, "control samples", meaning, least=least, most=1000)
 
 
 def vector_in(default: list[float] | None, unit: str, meaning: str, **limits: Any) -> Any:
-    """A setting of three numbers."""
+    """Return a setting of three numbers."""
     return setting(default, unit, meaning, size=(3, 3), **limits)
 
 
@@ -43,8 +43,8 @@ def name_problems(name: str, key: str) -> Problems:
 
 
 def policy_parts(controller: str) -> tuple[str, str] | None:
-    """The file of ``policy:FILE@LAW`` and the law that the policy changes (empty if the file names
-    it); None for any other controller.
+    """Return the file of ``policy:FILE@LAW`` and the law that the policy changes (empty if the file
+    names it); None for any other controller.
     """
     found = _POLICY.fullmatch(controller)
     return found and (found["file"], found["law"] or "")

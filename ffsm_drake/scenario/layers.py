@@ -49,7 +49,7 @@ class Layer:
         return isinstance(self.given, Mapping) and is_overridden(key, flatten(self.given))
 
     def onto(self, schema: Any, below: "Stack") -> "Stack":
-        """The layers below with this one on top, checked except for conditions on several
+        """Return the layers below with this one on top, checked except for conditions on several
         settings.
         """
         try:
@@ -79,12 +79,12 @@ class Stack:
 
 
 def shipped_scenarios() -> dict[str, Path]:
-    """The scenarios that ship with the package: name -> file."""
+    """Return the scenarios that ship with the package: name -> file."""
     return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
 
 
 def assembled(schema: Any, layers: Sequence[Layer]) -> Any:
-    """The scenario of some layers, checked.
+    """Return the scenario of some layers, checked.
 
     Raises:
       ScenarioError: named first is the layer that holds the wrong value.
@@ -101,7 +101,7 @@ def assembled(schema: Any, layers: Sequence[Layer]) -> Any:
 
 
 def override_layers(overrides: Iterable[Override]) -> list[Layer]:
-    """A layer for each override; the dotted keys of a mapping are nested."""
+    """Return a layer for each override; the dotted keys of a mapping are nested."""
     layers = []
     for override in overrides:
         if isinstance(override, str):
@@ -255,7 +255,9 @@ def anchor_paths(data: dict[str, Any], folder: Path) -> None:
 
 
 def related_policy(controller: str, folder: Path) -> str:
-    """A controller with the file of a policy relative to a folder, unless it is searched for."""
+    """Return a controller with the file of a policy relative to a folder, unless it is searched
+    for.
+    """
     file, law = policy_parts(controller) or ("", "")
     if not Path(file).is_absolute():
         return controller
@@ -263,8 +265,8 @@ def related_policy(controller: str, folder: Path) -> str:
 
 
 def anchored_policy(controller: str, folder: Path) -> str:
-    """A controller with the absolute file of a policy, if that is in a folder; elsewhere it is
-    searched for.
+    """Return a controller with the absolute file of a policy, if that is in a folder; elsewhere it
+    is searched for.
     """
     file, law = policy_parts(controller) or ("", "")
     path = (folder / file).resolve()
@@ -276,7 +278,7 @@ def _policy(file: str, law: str) -> str:
 
 
 def _at_fault(schema: Any, layers: Sequence[Layer], error: ScenarioError) -> str:
-    """The source of the layer with a wrong value, or of the later layer that made the value
+    """Return the source of the layer with a wrong value, or of the later layer that made the value
     wrong.
     """
     gave = max((k for k, layer in enumerate(layers) if layer.gives(error.key)), default=0)

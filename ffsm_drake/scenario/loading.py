@@ -79,25 +79,25 @@ def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] =
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
-    """The whole scenario as plain data, which ``scenario_from_dict`` accepts unchanged."""
+    """Return the whole scenario as plain data, which ``scenario_from_dict`` accepts unchanged."""
     data: dict[str, Any] = as_dict(scenario)
     return data
 
 
 def differing_keys(*scenarios: Scenario) -> list[str]:
-    """The dotted keys, except the description, in which scenarios differ."""
+    """Return the dotted keys, except the description, in which scenarios differ."""
     flat = [flatten(scenario_to_dict(scenario)) for scenario in scenarios]
     keys = {key for one in flat for key in one} - {"description"}
     return sorted(key for key in keys if len({repr(one.get(key)) for one in flat}) > 1)
 
 
 def scenario_to_yaml(scenario: Scenario) -> str:
-    """The whole scenario as YAML text, which ``load_scenario`` reads from a file."""
+    """Return the whole scenario as YAML text, which ``load_scenario`` reads from a file."""
     return write_yaml(scenario_to_dict(scenario))
 
 
 def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """The whole scenario as plain data for a file in ``folder``, with paths relative to the
+    """Return the whole scenario as plain data for a file in ``folder``, with paths relative to the
     folder.
     """
     data = scenario_to_dict(scenario)

@@ -38,8 +38,8 @@ def as_dict(value: Any) -> Any:
 
 @functools.cache
 def schema_fields(schema: Any) -> dict[str, Any] | None:
-    """Name -> type of the settings of a dataclass or of one of Drake's parameter structs; None for
-    anything else.
+    """Return name -> type of the settings of a dataclass or of one of Drake's parameter structs;
+    None for anything else.
     """
     names = settings_of(schema)
     if not names:
@@ -52,7 +52,9 @@ def schema_fields(schema: Any) -> dict[str, Any] | None:
 
 
 def without_null(schema: Any) -> Any:
-    """The type of an optional value; any other type unchanged. A schema has no further unions."""
+    """Return the type of an optional value; any other type unchanged. A schema has no further
+    unions.
+    """
     if typing.get_origin(schema) not in (typing.Union, types.UnionType):
         return schema
     return next(kind for kind in typing.get_args(schema) if kind is not types.NoneType)
@@ -274,7 +276,7 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
 
 
 def _child_schema(schema: Any, part: str, path: str) -> Any:
-    """The type of one step down a dotted key."""
+    """Return the type of one step down a dotted key."""
     if schema is Any:
         return schema
     fields = schema_fields(schema)

@@ -201,7 +201,7 @@ class Scenario:
         return f"Scenario({title}{self.controller}, {self.duration:g} s, seed {self.random_seed})"
 
     def replace(self, **changes: Any) -> "Scenario":
-        """A new scenario with some settings changed; this one is unchanged.
+        """Return a new scenario with some settings changed; this one is unchanged.
 
         Args:
           changes: by key, as in a file that extends this scenario: mappings merge
@@ -301,7 +301,7 @@ class Scenario:
         )
 
     def tolerance_of(self, *names: str) -> float:
-        """The tolerance under the first known of several names (a coordinate's own, its
+        """Return the tolerance under the first known of several names (a coordinate's own, its
         group's).
         """
         return next(
@@ -331,8 +331,8 @@ _OF_THE_RUN = (
 
 
 def planned_part(scenario: Scenario, *, with_target: bool = False) -> Scenario:
-    """The scenario with defaults for all settings without influence on its planned motion, or on
-    the target's before a grasp (``with_target``), which a clear start depends on.
+    """Return the scenario with defaults for all settings without influence on its planned motion,
+    or on the target's before a grasp (``with_target``), which a clear start depends on.
 
     Runs that differ in nothing else, such as those of several controllers, share the results
     computed from it.
@@ -353,7 +353,7 @@ def planned_part(scenario: Scenario, *, with_target: bool = False) -> Scenario:
 
 
 def controller_key(controller: str) -> str:
-    """The key in ``controllers`` of a controller: its name, the part after the colon of
+    """Return the key in ``controllers`` of a controller: its name, the part after the colon of
     ``module:attribute``, or the file name of ``policy:FILE`` without ending, with underscores for
     characters other than letters, digits and dashes.
     """

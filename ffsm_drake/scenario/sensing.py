@@ -205,7 +205,7 @@ class Sensing:
     position_period_time: PerCoordinate | None = _time("position_period")
 
     def at(self, sample_time: float) -> "Sensing":
-        """The sensors with their densities and times as values of control samples."""
+        """Return the sensors with their densities and times as values of control samples."""
         found: dict[str, Any] = {}
         for name in (*DENSITIES, *TIMES):
             dense, least = name in DENSITIES, int(name.endswith("period"))

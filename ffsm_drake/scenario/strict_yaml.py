@@ -62,7 +62,7 @@ class _StrictLoader(yaml.SafeLoader):
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
     def construct_text(self, node: yaml.ScalarNode) -> str:
-        """A text; escaped characters beyond U+FFFF may be surrogate pairs, as in JSON."""
+        """Return a text; escaped characters beyond U+FFFF may be surrogate pairs, as in JSON."""
         text = str(self.construct_scalar(node))
         return text.encode("utf-16", "surrogatepass").decode("utf-16", "surrogatepass")
 

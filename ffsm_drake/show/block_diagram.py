@@ -27,7 +27,7 @@ NO_GRAPHVIZ = (
 
 
 def closed_loop_dot(scenario: Scenario, *, logged: bool = False) -> str:
-    """The closed loop as Graphviz text; equal wiring gives equal text.
+    """Return the closed loop as Graphviz text; equal wiring gives equal text.
 
     Only the connected ports of the plant and the visualizer are drawn: the others depend on Drake's
     release.
@@ -131,7 +131,7 @@ def write_diagram(dot: str, path: Path) -> str:
 
 
 def shipped_diagrams() -> dict[str, str]:
-    """File stem -> Graphviz text of the diagrams in ``diagrams/``."""
+    """Return the file stem -> Graphviz text of the diagrams in ``diagrams/``."""
     scenario = load_scenario("postcapture")
     return {"closed_loop": closed_loop_dot(scenario), "controller": controller_dot(scenario)}
 

@@ -84,8 +84,8 @@ class Chart:
 def merged(
     charts: Sequence[Chart], title: str, *, dashes: Mapping[str, str] = MappingProxyType({})
 ) -> Chart:
-    """The charts of one run on common axes: a colour for each chart, dashes for each group, and
-    the references (curves of no run) dashed in black.
+    """Return the charts of one run on common axes: a colour for each chart, dashes for each group,
+    and the references (curves of no run) dashed in black.
     """
     curves = [
         dataclasses.replace(curve, style=Style(BLACK, "dash"), name="")

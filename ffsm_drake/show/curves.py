@@ -8,7 +8,9 @@ RMS_WINDOW = 1.0  # s
 
 
 def thinned(values: np.ndarray, points: int) -> np.ndarray:
-    """Indices of at most ``points`` values (n,): first, last, and the extremes of each interval."""
+    """Return the indices of at most ``points`` values (n,): first, last, and the extremes of each
+    interval.
+    """
     if values.size <= points:
         return np.arange(values.size)
     width = -(-values.size // ((points - 2) // 2))

@@ -31,7 +31,7 @@ class Section:
 
 
 def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_drake.show") -> str:
-    """A self-contained page, or a section of one, as text.
+    """Return a self-contained page, or a section of one, as text.
 
     ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content``
     its variables; ``plots``, from ``embedded``, adds plotly.js.
@@ -41,7 +41,7 @@ def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_dr
 
 @functools.cache
 def _environment(package: str) -> Environment:
-    """The environment of a package's templates; it compiles each once."""
+    """Return the environment of a package's templates; it compiles each once."""
     folders = dict.fromkeys((package, "ffsm_drake.show"))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name, "templates") for name in folders]),
@@ -60,7 +60,9 @@ def plotly_script() -> Markup:
 
 
 def embedded(sections: Mapping[str, Iterable[View]]) -> Markup:
-    """Figures of a page's sections as JSON, keyed by section, view and panel (``error-0-3``)."""
+    """Return figures of a page's sections as JSON, keyed by section, view and panel
+    (``error-0-3``).
+    """
     figures = {
         f"{key}-{i}-{k}": panel.figure.to_plotly_json()
         for key, views in sections.items()
@@ -88,5 +90,5 @@ def _finite(value: Any) -> Any:
 
 
 def symbols(text: str) -> Markup:
-    """Text with subscripts of symbols as HTML."""
+    """Return text with subscripts of symbols as HTML."""
     return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))

@@ -92,7 +92,7 @@ class Thinning:
     longest: int = 0
 
     def __call__(self, curve: Curve) -> tuple[np.ndarray, np.ndarray]:
-        """A thinned curve in single precision, enough for a screen."""
+        """Return a thinned curve in single precision, enough for a screen."""
         self.longest = max(self.longest, curve.x.size)
         kept = thinned(curve.y, curve.points or self.points)
         with np.errstate(over="ignore"):
@@ -103,12 +103,12 @@ Trace = dict[str, Any]  # Plotly's; a Figure checks it once, on adding
 
 
 def escape(text: str) -> str:
-    """Text for a Plotly label, with tags escaped: none may come from a scenario."""
+    """Return text for a Plotly label, with tags escaped: none may come from a scenario."""
     return html.escape(text, quote=False)
 
 
 def figure(traces: Sequence[Trace], *, x: str, y: str, **layout: Any) -> go.Figure:
-    """A figure; the page has the template. ``xaxis`` and ``yaxis`` extend the axes."""
+    """Return a figure; the page has the template. ``xaxis`` and ``yaxis`` extend the axes."""
     axes = {
         name: {"title": {"text": escape(title)}, **layout.pop(name, {})}
         for name, title in (("xaxis", x), ("yaxis", y))
@@ -125,7 +125,9 @@ def panels(charts: Iterable[Chart], thin: Thinning) -> list[Panel]:
 
 
 def panel(chart: Chart, thin: Thinning, *, before: Sequence[Trace] = (), **layout: Any) -> Panel:
-    """A chart as Plotly draws it, above the traces ``before``; ``layout`` extends Plotly's."""
+    """Return a chart as Plotly draws it, above the traces ``before``; ``layout`` extends
+    Plotly's.
+    """
     axes = {
         "xaxis": _axis(chart.log_x, chart.range_x, ticks=3),
         "yaxis": _axis(chart.log_y, chart.range, ticks=4),
@@ -152,12 +154,12 @@ def _axis(log: str, extent: Sequence[float] | None, *, ticks: int) -> dict[str, 
 
 
 def log_axis(form: str, *, ticks: int) -> dict[str, Any]:
-    """A logarithmic axis; the format writes labels in full, so that none appears twice."""
+    """Return a logarithmic axis; the format writes labels in full, so that none appears twice."""
     return {"type": "log", "tickformat": form, "nticks": ticks}
 
 
 def _trace(curve: Curve, thin: Thinning) -> Trace:
-    """A line, markers or both, as Plotly has them."""
+    """Return a line, markers or both, as Plotly has them."""
     x, y = thin(curve)
     color = curve.style.color
     modes = ["lines"] * (curve.line and x.size != 1)

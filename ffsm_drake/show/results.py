@@ -61,14 +61,14 @@ class Result:
 
 
 def results_of(records: Sequence[RunRecord]) -> list[Result]:
-    """Every run with a name and a colour of its own."""
+    """Return every run with a name and a colour of its own."""
     styles = styles_of([record.scenario.controller for record in records])
     return [_result(*named) for named in zip(records, labels_of(records), styles, strict=True)]
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
-    """The best first: completed runs by their figure, then interrupted ones, then those that did
-    not capture the target, diverged or failed.
+    """Return the best first: completed runs by their figure, then interrupted ones, then those that
+    did not capture the target, diverged or failed.
     """
     kinds = (COMPLETED, INTERRUPTED, *NOT_CAPTURED, DIVERGED, FAILED)
     order = {status: place for place, status in enumerate(kinds)}
@@ -90,7 +90,7 @@ def actuators_act(results: Sequence[Result]) -> bool:
 
 
 def values_of(record: RunRecord, name: str) -> np.ndarray | None:
-    """A variable of the record; None if it has none or no sample."""
+    """Return a variable of the record; None if it has none or no sample."""
     if name not in record.dataset or record.dataset.sizes.get("time", 0) == 0:
         return None
     values: np.ndarray = record.dataset[name].values

@@ -31,7 +31,9 @@ def run_curve(
     style: Style | None = None,
     **look: Any,
 ) -> Curve:
-    """A curve of run i in its style, over time unless x is given; ``look`` as of ``Curve``."""
+    """Return a curve of run i in its style, over time unless x is given; ``look`` as of
+    ``Curve``.
+    """
     run = results[i]
     names = filter(None, (run.label if len(results) > 1 else "", name))
     return Curve(
@@ -41,7 +43,7 @@ def run_curve(
 
 
 def coordinate_charts(results: Sequence[Result], variable: str, unit: str) -> list[Chart]:
-    """A chart for each coordinate of any run; overlays the runs with the variable.
+    """Return a chart for each coordinate of any run; overlays the runs with the variable.
 
     In ``unit``, {unit} is the coordinate's own and {effort} the unit of its force or torque.
     """
@@ -55,8 +57,8 @@ def coordinate_charts(results: Sequence[Result], variable: str, unit: str) -> li
 
 
 def rms_charts(results: Sequence[Result]) -> list[Chart]:
-    """The rms of each coordinate's error over a second; of a run alone with the error's magnitude
-    behind it.
+    """Return the rms of each coordinate's error over a second; of a run alone with the error's
+    magnitude behind it.
     """
     charts = []
     for (name, group, unit), columns in _by_coordinate(results, "error").items():
@@ -78,7 +80,7 @@ def rms_charts(results: Sequence[Result]) -> list[Chart]:
 
 
 def step_charts(results: Sequence[Result]) -> list[Chart]:
-    """The rms over a second of the change of each force from one sample to the next."""
+    """Return the rms over a second of the change of each force from one sample to the next."""
     return [
         Chart(
             title=name,
@@ -93,7 +95,7 @@ def step_charts(results: Sequence[Result]) -> list[Chart]:
 
 
 def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0) -> Curve:
-    """The moving rms of values that start ``late`` samples after the run."""
+    """Return the moving rms of values that start ``late`` samples after the run."""
     size = moving_rms(values, results[i].record.scenario.sample_time)
     return run_curve(
         results, i, size, x=results[i].time[late:][: size.size], width=1.8,
@@ -102,7 +104,7 @@ def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0
 
 
 def frame_charts(results: Sequence[Result]) -> list[Chart]:
-    """The pose error of the frame that has a reference."""
+    """Return the pose error of the frame that has a reference."""
     having = [i for i, result in enumerate(results) if "frame_error" in result.record.dataset]
     return [
         _chart(
@@ -115,7 +117,7 @@ def frame_charts(results: Sequence[Result]) -> list[Chart]:
 
 
 def attitude_charts(results: Sequence[Result]) -> list[Chart]:
-    """Roll, pitch and yaw of the base, and their references."""
+    """Return roll, pitch and yaw of the base, and their references."""
     places = [{"Roll": 0, "Pitch": 1, "Yaw": 2}] * len(results)
     return _tracked(results, "base_rpy", places, dict.fromkeys(places[0], "rad"))
 
@@ -179,7 +181,7 @@ def _chart(
     behind: Sequence[Curve] = (),
     **look: Any,
 ) -> Chart:
-    """A chart of the runs' values."""
+    """Return a chart of the runs' values."""
     curves = [run_curve(results, i, values, **look) for i, values in columns]
     return Chart(
         title=title.replace("_", " "), group=GROUP_TITLES.get(group, group), y=unit,
@@ -208,7 +210,7 @@ def _by_coordinate(
 
 
 def _roughest_first(results: Sequence[Result], variable: str) -> list[int]:
-    """The runs with a variable, the roughest first, so that none covers a smoother one."""
+    """Return the runs with a variable, the roughest first, so that none covers a smoother one."""
     rough = {}
     for i, result in enumerate(results):
         values = values_of(result.record, variable)

@@ -94,15 +94,15 @@ _SPARE = (
 
 
 def label_of(controller: str) -> str:
-    """A controller's display name; the class for ``module:Class``."""
+    """Return a controller's display name; the class for ``module:Class``."""
     return (
         _CONTROLLERS[controller][0] if controller in _CONTROLLERS else controller.rpartition(":")[2]
     )
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:
-    """A style for each controller of a figure, all different while spare ones last; dashes separate
-    runs, and a single one is solid.
+    """Return a style for each controller of a figure, all different while spare ones last; dashes
+    separate runs, and a single one is solid.
     """
     styles: list[Style] = []
     spares = itertools.cycle(_SPARE)
@@ -113,7 +113,9 @@ def styles_of(controllers: Sequence[str]) -> list[Style]:
 
 
 def labels_of(records: Sequence[RunRecord]) -> list[str]:
-    """A name for each run: its controller's, with the distinguishing settings if it repeats."""
+    """Return a name for each run: its controller's, with the distinguishing settings if it
+    repeats.
+    """
     labels = [label_of(record.scenario.controller) for record in records]
     if len(set(labels)) < len(labels):
         flat = [flatten(scenario_to_dict(record.scenario)) for record in records]
@@ -133,7 +135,7 @@ def labels_of(records: Sequence[RunRecord]) -> list[str]:
 
 
 def _short(key: str) -> str:
-    """The telling part of a dotted key: k_s_max of controllers.tde_aismc.k_s_max.all."""
+    """Return the telling part of a dotted key: k_s_max of controllers.tde_aismc.k_s_max.all."""
     return re.sub(r"^controllers\.[^.]*\.", "", key).removesuffix(".all")
 
 

@@ -56,7 +56,7 @@ def _csv(columns: Sequence[Column]) -> str:
 
 
 def _latex(columns: Sequence[Column]) -> str:
-    """A tabular in booktabs' style: texts to the left, numbers to the right."""
+    """Return a tabular in booktabs' style: texts to the left, numbers to the right."""
     cells = [[_latex_cell(cell, column.digits) for cell in column.cells] for column in columns]
     texts = (any(isinstance(cell, str) for cell in column.cells) for column in columns)
     heads = [[_escaped(column.name) for column in columns]]

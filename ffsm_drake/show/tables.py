@@ -33,7 +33,7 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 def results_columns(
     records: Sequence[RunRecord], distances: Sequence[float] | None = None
 ) -> list[Column]:
-    """The figures of merit, a row for each run; ``distances`` to the LQG limit, if known."""
+    """Return the figures of merit, a row for each run; ``distances`` to the LQG limit, if known."""
     runs = [tracking_of(record.dataset) for record in records]
     columns = [
         Column(name="controller", cells=[record.scenario.controller for record in records]),
@@ -60,7 +60,7 @@ def results_columns(
 
 
 def results_table(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> str:
-    """The table of ``results_columns`` as plain text, a line per run, and notes below it."""
+    """Return the table of ``results_columns`` as plain text, a line per run, and notes below it."""
     columns = results_columns(records, distances)
     cells = [
         [column.name, column.unit, *(_cell(cell, column.digits) for cell in column.cells)]
@@ -97,7 +97,7 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
 
 
 def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:
-    """Figures of parts for the ranking of runs, from the first run with each."""
+    """Return figures of parts for the ranking of runs, from the first run with each."""
     found = {
         (figure.part, figure.key): figure
         for record in reversed(records)
@@ -108,7 +108,7 @@ def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:
 
 
 def size_of(record: RunRecord, figure: Figure) -> float:
-    """A figure of another run in this one, in the unit that it is shown in; NaN if there is
+    """Return a figure of another run in this one, in the unit that it is shown in; NaN if there is
     none.
     """
     same = (each for each in record.figures if (each.part, each.key) == (figure.part, figure.key))
@@ -160,7 +160,7 @@ def _final_and_largest(figures: Mapping[str, Any]) -> Iterator[str]:
 def results_data(
     records: Sequence[RunRecord], distances: Sequence[float] | None = None
 ) -> list[dict[str, Any]]:
-    """The results of the table above as plain data."""
+    """Return the results of the table above as plain data."""
     of_each = (
         [{}] * len(records)
         if distances is None

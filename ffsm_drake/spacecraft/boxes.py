@@ -7,7 +7,7 @@ from pydrake.geometry import GeometryId, Obb, SceneGraphInspector
 
 
 def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
-    """The box around a geometry, in its frame; None if it is unbounded or COLLADA."""
+    """Return the box around a geometry, in its frame; None if it is unbounded or COLLADA."""
     try:
         return inspector.GetObbInGeometryFrame(geometry)
     except RuntimeError:
@@ -15,7 +15,7 @@ def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | No
 
 
 def box_corners(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """The corners (8, 3) of that box in the geometry's body, m."""
+    """Return the corners (8, 3) of that box in the geometry's body, m."""
     box = box_around(inspector, geometry)
     if box is None:
         return None

@@ -94,13 +94,13 @@ class Faults(list[str]):
 
 
 def header_of(text: str) -> str:
-    """The comments before a root element."""
+    """Return the comments before a root element."""
     before = re.match(r"(?:\s|\ufeff|<\?.*?\?>|<!--.*?-->)*", text, re.DOTALL)
     return "\n".join(re.findall(r"<!--.*?-->", before[0] if before else "", re.DOTALL))
 
 
 def read_xml(path: Path, what: str) -> tuple[Element, str]:
-    """The root element and the text of an XML file. Raises ModelError: it is none."""
+    """Return the root element and the text of an XML file. Raises ModelError: it is none."""
     try:
         check_regular(path, limit=MAX_URDF)
         content = path.read_bytes()
@@ -119,8 +119,8 @@ def read_xml(path: Path, what: str) -> tuple[Element, str]:
 
 
 def decoded(content: bytes) -> str:
-    """The text of a file in UTF-8, as which Drake reads any. Raises ModelError: it is none, or the
-    encoding that it declares gives another text.
+    """Return the text of a file in UTF-8, as which Drake reads any. Raises ModelError: it is none,
+    or the encoding that it declares gives another text.
     """
     try:
         text = content.decode()
@@ -137,7 +137,9 @@ def decoded(content: bytes) -> str:
 
 
 def number(element: Element, attribute: str, place: str, default: str = "") -> float:
-    """An attribute as a number; ModelError, which begins with the place, for anything else."""
+    """Return an attribute as a number; ModelError, which begins with the place, for anything
+    else.
+    """
     text = element.get(attribute, default)
     try:
         value = float(text)

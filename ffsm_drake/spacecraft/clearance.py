@@ -181,7 +181,7 @@ class Clearance:
             yield each.body.scoped_name().get_full(), each.shape, each.pose
 
     def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
-        """The smallest distance in configuration q (n), if below ``below`` (m).
+        """Return the smallest distance in configuration q (n), if below ``below`` (m).
 
         A smaller ``below`` is faster.
         """
@@ -222,7 +222,7 @@ class Clearance:
         self._solids.place(np.array([pose.GetAsMatrix34() for pose in poses]))
 
     def _solids_of(self, first: RigidBody, second: RigidBody) -> list[tuple[int, int]]:
-        """The pairs of shapes of two bodies."""
+        """Return the pairs of shapes of two bodies."""
         one, other = (
             [k for k, each in enumerate(self._shapes) if each.body is body]
             for body in (first, second)
@@ -230,8 +230,8 @@ class Clearance:
         return [*itertools.product(one, other)]
 
     def along(self, positions: np.ndarray, *, enough: float = -np.inf) -> Approach:
-        """The closest approach along configurations (n, nq); those not ``usable`` are skipped, and
-        all after the first that is as near as ``enough`` (m).
+        """Return the closest approach along configurations (n, nq); those not ``usable`` are
+        skipped, and all after the first that is as near as ``enough`` (m).
         """
         known = np.flatnonzero(usable(positions))
         if not known.size:
@@ -251,7 +251,7 @@ class Clearance:
         return set()
 
     def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
-        """The pairs of bodies with shapes that must keep clear of each other."""
+        """Return the pairs of bodies with shapes that must keep clear of each other."""
         plant = self.plant
         part_of: dict[BodyIndex, int] = {}  # body -> number of its rigid part
         for body in self._bodies[1:]:
@@ -302,7 +302,7 @@ class Clearance:
     def _between(
         joints_at: dict[int, list[tuple[int, Joint]]], start: int, end: int
     ) -> tuple[Joint, ...]:
-        """The joints between two rigid parts."""
+        """Return the joints between two rigid parts."""
         ways: dict[int, tuple[Joint, ...]] = {start: ()}
         pending = [start]
         for part in pending:  # grows during the loop
@@ -391,8 +391,8 @@ class ApproachClearance(Clearance):
 
 
 def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
-    """The collision shapes of a scenario's model, flexible parts included; ``apart``: its target
-    is not grasped yet.
+    """Return the collision shapes of a scenario's model, flexible parts included; ``apart``: its
+    target is not grasped yet.
     """
     model, hands = scenario.model, tuple(each.effector for each in scenario.contacts.values())
     return _loaded(model, model_files(model), scenario.payload.body if apart else None, hands)
@@ -402,7 +402,7 @@ def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
 def _loaded(
     model: Model, files: tuple[Path, ...], apart: str | None, hands: tuple[str, ...]
 ) -> Clearance:
-    """The shapes of a model; ``files`` are part of the key."""
+    """Return the shapes of a model; ``files`` are part of the key."""
     if apart is None:
         return Clearance(model, flexible=True, hands=hands)
     return ApproachClearance(model, apart, flexible=True, hands=hands)

@@ -37,7 +37,7 @@ NUM_BASE_VELOCITIES = 6  # w_WB, v_WB, both in the world frame
 
 
 def joints_of(plant: MultibodyPlant) -> list[Joint]:
-    """The joints of a finalized plant with one degree of freedom, in the order of v."""
+    """Return the joints of a finalized plant with one degree of freedom, in the order of v."""
     joints = map(plant.get_joint, plant.GetJointIndices())
     return sorted(
         (joint for joint in joints if joint.num_velocities() == 1),
@@ -104,7 +104,7 @@ class Coordinates:
     def vector(
         self, values: Mapping[str, float], *, key: str, default: float | None = None
     ) -> np.ndarray:
-        """Vector (nv) from a mapping by ``all``, group or coordinate name.
+        """Return the vector (nv) from a mapping by ``all``, group or coordinate name.
 
         A coordinate's own name overrides its group, a group overrides ``all``; ``default`` is for
         coordinates not mentioned. Raises ScenarioError, naming ``key``, for an unknown name or a
@@ -130,7 +130,9 @@ class Coordinates:
         return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
 
     def indices(self, names: Iterable[str], *, key: str) -> np.ndarray:
-        """Indices in v, ascending, of groups and coordinates. Raises ScenarioError for others."""
+        """Return the indices in v, ascending, of groups and coordinates. Raises ScenarioError for
+        others.
+        """
         wanted = dict.fromkeys(names)
         self.check_names(wanted, key=key)
         both = zip(self.names, self.group_of, strict=True)
@@ -169,7 +171,7 @@ class StateSplit:
     hidden: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
 
     def whole(self, state: np.ndarray, hidden_state: np.ndarray | None = None) -> np.ndarray:
-        """The plant's [q; v] from known and hidden states; hidden default: zero."""
+        """Return the plant's [q; v] from known and hidden states; hidden default: zero."""
         if not self.names:
             return state
         result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))
@@ -179,7 +181,7 @@ class StateSplit:
         return result
 
     def whole_positions(self, q: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
-        """The plant's q from known and hidden positions; hidden default: zero."""
+        """Return the plant's q from known and hidden positions; hidden default: zero."""
         if not self.names:
             return q
         known = np.concatenate([q, np.zeros_like(q[..., 1:])], axis=-1)
@@ -187,7 +189,7 @@ class StateSplit:
         return self.whole(known, at_rest)[..., : q.shape[-1] + len(self.names)]
 
     def whole_velocities(self, v: np.ndarray) -> np.ndarray:
-        """The plant's v from known velocities (nv); the hidden ones are zero."""
+        """Return the plant's v from known velocities (nv); the hidden ones are zero."""
         if not self.names:
             return v
         result = np.zeros(v.size + len(self.names))
@@ -195,15 +197,15 @@ class StateSplit:
         return result
 
     def known_part(self, state: np.ndarray) -> np.ndarray:
-        """The known state in the plant's [q; v]."""
+        """Return the known state in the plant's [q; v]."""
         return state[..., self.known_state] if self.names else state
 
     def hidden_part(self, state: np.ndarray) -> np.ndarray:
-        """The hidden state in the plant's [q; v]."""
+        """Return the hidden state in the plant's [q; v]."""
         return state[..., self.hidden_state]
 
     def known_velocities(self, v: np.ndarray) -> np.ndarray:
-        """The known part of vectors along the plant's v."""
+        """Return the known part of vectors along the plant's v."""
         return v[..., self.known] if self.names else v
 
     def whole_names(self, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -214,7 +216,7 @@ class StateSplit:
 
 
 def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Tracking error e (nv) from configuration q to q_d: rotation vector (world), then
+    """Return the tracking error e (nv) from configuration q to q_d: rotation vector (world), then
     differences.
     """
     error = np.empty(q.size - 1)
@@ -224,8 +226,8 @@ def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def error_rate(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rate (nv) of a tracking error, for velocities v_d and v (nv): ``rotation_error_rate``, then
-    differences.
+    """Return the rate (nv) of a tracking error, for velocities v_d and v (nv):
+    ``rotation_error_rate``, then differences.
     """
     rate = v_d - v
     rate[:3] = rotation_error_rate(tuple(error[:3].tolist()), v_d[:3], v[:3])

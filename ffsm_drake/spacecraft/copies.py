@@ -40,7 +40,7 @@ class Copies:
 
     @classmethod
     def of(cls, model: Model, number: int, *, flexible: bool = False) -> "Copies":
-        """The copies of a model. Raises ModelError: it does not load, or Drake orders its
+        """Return the copies of a model. Raises ModelError: it does not load, or Drake orders its
         coordinates in another way.
         """
         copies = cls(
@@ -98,7 +98,7 @@ class Copies:
                 own.SetStiffness(context, spring.GetStiffness(source))
 
     def _instance(self, copy: int, element: Any) -> ModelInstanceIndex:
-        """A copy's model instance of an element of the plant of one."""
+        """Return a copy's model instance of an element of the plant of one."""
         name = self.single.GetModelInstanceName(element.model_instance())
         return self.plant.GetModelInstanceByName(copy_instance(copy, name))
 
@@ -140,7 +140,7 @@ class CopiesModel(PlantModel):
         self.copies.set_parameters(self.context, copy, own.plant, own.context)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """The mass matrices (B, nv, nv) in configurations q (B, nq)."""
+        """Return the mass matrices (B, nv, nv) in configurations q (B, nq)."""
         if not math.isfinite(np.add.reduce(q, axis=None)):  # Drake would end the process
             raise ValueError("a configuration q is not finite")
         self.plant.SetPositions(self.context, q.reshape(-1))
@@ -151,7 +151,7 @@ class CopiesModel(PlantModel):
         return np.ndarray((len(q), size, size), float, whole.T, 0, strides)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The Coriolis and centrifugal terms (B, nv), N m and N."""
+        """Return the Coriolis and centrifugal terms (B, nv), N m and N."""
         if not math.isfinite(np.add.reduce(q, axis=None) + np.add.reduce(v, axis=None)):
             raise ValueError("a configuration q or a velocity v is not finite")
         self.plant.SetPositions(self.context, q.reshape(-1))
@@ -160,7 +160,7 @@ class CopiesModel(PlantModel):
         return bias
 
     def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """The Jacobians (B, 6, nv) of a frame of the plant of one."""
+        """Return the Jacobians (B, 6, nv) of a frame of the plant of one."""
         return np.stack([own.calc_jacobian(*at, frame) for own, *at in self._at(q)])
 
     def calc_bias_acceleration(
@@ -170,11 +170,11 @@ class CopiesModel(PlantModel):
         return np.stack([own.calc_bias_acceleration(*at, frame) for own, *at in self._at(q, v)])
 
     def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """The poses (B, 7) of a frame of the plant of one."""
+        """Return the poses (B, 7) of a frame of the plant of one."""
         return np.stack([own.calc_frame_pose(*at, frame) for own, *at in self._at(q)])
 
     def _at(self, *rows: np.ndarray) -> Iterator[tuple[Any, ...]]:
-        """Each copy's own model, with its rows."""
+        """Return each copy's own model, with its rows."""
         return zip(self.models, *rows, strict=True)
 
 
@@ -184,7 +184,7 @@ class ReducedCopiesModel(ReducedModel, CopiesModel):
 
 
 def copies_of(models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
-    """The nominal models of several runs as one.
+    """Return the nominal models of several runs as one.
 
     Args:
       models: of each run (``make_nominal_plant``, ``driven_model``, ``make_flexible_plant``).

@@ -18,7 +18,7 @@ _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
 def vertices_of(shape: Convex | Mesh) -> np.ndarray:
-    """The vertices (n, 3) of a mesh's convex hull, m. Raises RuntimeError: it has none."""
+    """Return the vertices (n, 3) of a mesh's convex hull, m. Raises RuntimeError: it has none."""
     hull = shape.GetConvexHull()
     return np.array([hull.vertex(k) for k in range(hull.num_vertices())])
 
@@ -91,8 +91,8 @@ class Solids:
         self._halves = (np.abs(turns) @ self._box[:, 1, :, None])[..., 0]
 
     def least(self, pairs: np.ndarray, most: float = np.inf) -> tuple[float, int]:
-        """The smallest distance (m) of pairs (n, 2), if below ``most``, and the pair's number;
-        infinity and -1 without one.
+        """Return the smallest distance (m) of pairs (n, 2), if below ``most``, and the pair's
+        number; infinity and -1 without one.
         """
         apart, found = self._apart(pairs), -1
         near = np.flatnonzero(apart < most)
@@ -117,8 +117,8 @@ class Solids:
         return float(self._calc(self._model, self._data, *pair, min(most, _MOST), points))
 
     def _apart(self, pairs: np.ndarray) -> np.ndarray:
-        """The signed distances (n), m, of the boxes about the solids of pairs, along the world's
-        axes; those of the solids are not smaller.
+        """Return the signed distances (n), m, of the boxes about the solids of pairs, along the
+        world's axes; those of the solids are not smaller.
         """
         i, j = pairs.T
         gaps = np.abs(self._centres[i] - self._centres[j]) - self._halves[i] - self._halves[j]

@@ -33,11 +33,11 @@ class Dynamics:
         """Raise NotCovered for a run that these dynamics do not compute."""
 
     def copies(self, model: Model, number: int) -> Copies:
-        """The true spacecraft, with its flexible parts. Raises ModelError, NotCovered."""
+        """Return the true spacecraft, with its flexible parts. Raises ModelError, NotCovered."""
         return Copies.of(model, number, flexible=True)
 
     def models(self, models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
-        """The models of several laws as one; arguments as ``copies_of``."""
+        """Return the models of several laws as one; arguments as ``copies_of``."""
         return copies_of(models, scenario)
 
 
@@ -49,7 +49,7 @@ class Chosen(NamedTuple):
 
 
 def find_dynamics(name: str) -> Chosen:
-    """The dynamics of a name: ``drake``, or a plug-in's, such as ``generated``, or with
+    """Return the dynamics of a name: ``drake``, or a plug-in's, such as ``generated``, or with
     ``generated_else_drake`` Drake's for the runs that it does not cover.
 
     Raises:

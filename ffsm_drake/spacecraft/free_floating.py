@@ -123,7 +123,7 @@ class FreeFloating:
         return v
 
     def momentum(self, v: np.ndarray) -> np.ndarray:
-        """The momentum (..., 6) of velocities v (..., nv)."""
+        """Return the momentum (..., 6) of velocities v (..., nv)."""
         return applied(self.momentum_map, v)
 
     def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
@@ -280,7 +280,9 @@ class ReducedModel(PlantModel):
 
 
 def driven_model(model: PlantModel) -> PlantModel:
-    """A control law's model of the plant: a ReducedModel if it is underactuated, else itself."""
+    """Return a control law's model of the plant: a ReducedModel if it is underactuated, else
+    itself.
+    """
     if not model.coordinates.undriven:
         return model
     return ReducedModel(

@@ -21,7 +21,7 @@ class Grasp:
 
 
 def shift_moment(momentum_or_impulse: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """A momentum or impulse (6; angular, linear) about a point ``offset`` (3, m) away."""
+    """Return a momentum or impulse (6; angular, linear) about a point ``offset`` (3, m) away."""
     shifted = momentum_or_impulse.copy()
     shifted[:3] -= np.cross(offset, momentum_or_impulse[3:])
     return shifted

@@ -16,8 +16,8 @@ MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def without_rounding(matrix: np.ndarray) -> np.ndarray:
-    """A symmetric matrix (3, 3) with the least principal moment raised where the largest exceeds
-    the sum of the others by no more than ROUNDING.
+    """Return a symmetric matrix (3, 3) with the least principal moment raised where the largest
+    exceeds the sum of the others by no more than ROUNDING.
     """
     moments, axes = np.linalg.eigh(matrix)
     excess = moments[2] - moments[1] - moments[0]
@@ -80,7 +80,9 @@ def read_mass(link: Element) -> float:
 
 
 def rotational_inertia(matrix: np.ndarray) -> RotationalInertia:
-    """The inertia of a symmetric matrix (3, 3), kg m^2. Raises RuntimeError: it is not physical."""
+    """Return the inertia of a symmetric matrix (3, 3), kg m^2. Raises RuntimeError: it is not
+    physical.
+    """
     return RotationalInertia(*without_rounding(matrix)[SIX])
 
 

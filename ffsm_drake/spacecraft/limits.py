@@ -42,7 +42,7 @@ class Limit:
         upper: np.ndarray,
         lower: np.ndarray | None = None,
     ) -> "Limit":
-        """A limit of all coordinates (nv); ``lower`` defaults to -``upper``."""
+        """Return a limit of all coordinates (nv); ``lower`` defaults to -``upper``."""
         units = tuple(_UNITS[quantity].get(unit, unit) for unit in coordinates.units)
         return cls(
             quantity=quantity, source=source, names=coordinates.names, units=units,
@@ -55,7 +55,7 @@ class Limit:
         return self.lower[NUM_BASE_VELOCITIES:], self.upper[NUM_BASE_VELOCITIES:]
 
     def used(self, values: np.ndarray) -> np.ndarray:
-        """The used share of values (samples, n): 1 at a bound, more beyond it; -inf for NaN.
+        """Return the used share of values (samples, n): 1 at a bound, more beyond it; -inf for NaN.
 
         Its unit is half the distance of the bounds, or 1 where only one is finite.
         """
@@ -93,7 +93,8 @@ def tightest(limits: Sequence[Limit], quantity: str) -> Limit:
 
 
 def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
-    """Positions, rates and forces of a model's joints; a zero velocity or effort means unknown.
+    """Return positions, rates and forces of a model's joints; a zero velocity or effort means
+    unknown.
 
     Drake drops effort limits of joints without a transmission, so all are read from the URDFs.
 

@@ -40,7 +40,7 @@ _NAMES = re.compile(
 
 
 def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Path, ...]:
-    """The file of a model with all files named in it, regular and not too large.
+    """Return the file of a model with all files named in it, regular and not too large.
 
     Drake reports missing files.
 
@@ -67,7 +67,7 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
 
 @memoized(maxsize=64)  # plants are made many times
 def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path, ...]]:
-    """The first problem of a file and the files that it names, or "", and the files."""
+    """Return the first problem of a file and the files that it names, or "", and the files."""
     pending = [first]
     for path in pending:  # grows during the loop
         try:
@@ -110,7 +110,7 @@ def mended(files: Iterable[Path]) -> Iterator[dict[Path, Path]]:
 
 @memoized(maxsize=64)
 def _mended(file: Path) -> str:
-    """The text of a URDF without the rounding of its inertias; "" if there is none."""
+    """Return the text of a URDF without the rounding of its inertias; "" if there is none."""
     root = _parsed(file)
     if not mend(root):
         return ""
@@ -122,8 +122,8 @@ def _mended(file: Path) -> str:
 
 
 def _parsed(path: Path) -> ElementTree.Element:
-    """The root element of a URDF. Raises ModelError: it is none, or its names, numbers or inertias
-    cannot be used; it names link or joint, element and attribute.
+    """Return the root element of a URDF. Raises ModelError: it is none, or its names, numbers or
+    inertias cannot be used; it names link or joint, element and attribute.
     """
     root, _ = read_xml(path, "the URDF of base and arm")
     is_xacro = any("xacro" in element.tag for element in root.iter())

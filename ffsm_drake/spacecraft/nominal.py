@@ -30,7 +30,9 @@ Calc = TypeVar("Calc", bound=Callable[..., np.ndarray])
 
 
 def stacked(calc: Calc) -> Calc:
-    """A method of one configuration (and velocity), made to take arrays (..., nq) of many, too."""
+    """Return a method of one configuration (and velocity), made to take arrays (..., nq) of many,
+    too.
+    """
 
     @functools.wraps(calc)
     def calc_each(model: "PlantModel", q: np.ndarray, *rest: Any) -> np.ndarray:
@@ -73,12 +75,13 @@ class PlantModel:
 
     @stacked
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """The mass matrix H (..., nv, nv) in configurations q (..., nq)."""
+        """Return the mass matrix H (..., nv, nv) in configurations q (..., nq)."""
         self._set_state(q)
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """Apparent mass matrix (nv, nv) of the known coordinates at high frequency, at q (nq).
+        """Return the apparent mass matrix (nv, nv) of the known coordinates at high frequency, at q
+        (nq).
 
         Without flexible parts it is H itself; see ``_apparent``. Deflections are zero.
         """
@@ -86,7 +89,9 @@ class PlantModel:
         return _apparent(mass_matrix, self.split) if self.split.names else mass_matrix
 
     def modes(self, q: np.ndarray) -> list[Any]:
-        """Modes of vibration (``VibrationMode``) at rest in configuration q (nq), slowest first."""
+        """Return modes of vibration (``VibrationMode``) at rest in configuration q (nq), slowest
+        first.
+        """
         if not self.split.names:
             return []
         self._set_state(self.split.whole_positions(q))
@@ -94,14 +99,16 @@ class PlantModel:
 
     @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The Coriolis and centrifugal term C (..., nv) of H dv/dt + C = tau + tau_d, N m and N."""
+        """Return the Coriolis and centrifugal term C (..., nv) of H dv/dt + C = tau + tau_d, N m
+        and N.
+        """
         self._set_state(q, v)
         return self.plant.CalcBiasTerm(self.context)
 
     @stacked
     def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """The Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF; v_WF] = J
-        v, world axes.
+        """Return the Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF;
+        v_WF] = J v, world axes.
 
         v_WF is the velocity of F's origin.
 
@@ -146,7 +153,8 @@ class PlantModel:
     def calc_frame_motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str
     ) -> np.ndarray:
-        """A frame's pose, twist, acceleration (..., 19) for q, v, dv/dt: the rows of ``FramePath``.
+        """Return a frame's pose, twist, acceleration (..., 19) for q, v, dv/dt: the rows of
+        ``FramePath``.
 
         [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as
         ``calc_jacobian``.
@@ -157,11 +165,13 @@ class PlantModel:
         return np.concatenate([self.calc_frame_pose(q, frame), twist, acceleration], axis=-1)
 
     def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
+        """Return the force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
         return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
 
     def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Actuator force (..., nv) along a motion: inverse dynamics and the joints' damping."""
+        """Return the actuator force (..., nv) along a motion: inverse dynamics and the joints'
+        damping.
+        """
         return self.calc_inverse_dynamics(q, v, a) + damping_of(self.plant) * v
 
     def _frame(self, frame: Frame | str) -> Frame:
@@ -178,7 +188,7 @@ class PlantModel:
 
 
 def damping_of(plant: MultibodyPlant) -> np.ndarray:
-    """The joints' damping (nv), N m s or N s/m."""
+    """Return the joints' damping (nv), N m s or N s/m."""
     damping = np.zeros(plant.num_velocities())
     for joint in joints_of(plant):
         damping[joint.velocity_start()] = joint.default_damping()
@@ -271,8 +281,8 @@ def _set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None
 
 
 def _apparent(mass_matrix: np.ndarray, split: StateSplit) -> np.ndarray:
-    """Apparent mass matrix of the known coordinates (a) at high frequency, before the springs of
-    hidden ones (u) act: H_aa - H_au H_uu^-1 H_ua, from H (..., n, n).
+    """Return the apparent mass matrix of the known coordinates (a) at high frequency, before the
+    springs of hidden ones (u) act: H_aa - H_au H_uu^-1 H_ua, from H (..., n, n).
     """
     known, hidden = split.known, split.hidden
     known_rows, hidden_rows = mass_matrix[..., known, :], mass_matrix[..., hidden, :]

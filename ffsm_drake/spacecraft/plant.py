@@ -59,7 +59,7 @@ _CONDITIONS = {  # Drake's C++ text -> plain words
 
 @functools.cache
 def models_dir() -> Path:
-    """The folder of ``package://ffsm_drake/``: inside the package when installed, else the
+    """Return the folder of ``package://ffsm_drake/``: inside the package when installed, else the
     checkout's.
     """
     package = Path(__file__).parents[1]
@@ -68,7 +68,7 @@ def models_dir() -> Path:
 
 
 def resolve_package(address: str) -> Path:
-    """The file at a path or ``package://ffsm_drake/`` address."""
+    """Return the file at a path or ``package://ffsm_drake/`` address."""
     return (
         models_dir() / address.removeprefix(OWN_PACKAGE)
         if address.startswith(OWN_PACKAGE)
@@ -105,7 +105,9 @@ def add_combined_plant(
 
 
 def flexible_parts() -> Any:
-    """The plug-in that adds the parts of ``model.flexible``. Raises BlockError without it."""
+    """Return the plug-in that adds the parts of ``model.flexible``. Raises BlockError without
+    it.
+    """
     return service("flexible", "model.flexible")
 
 
@@ -136,7 +138,7 @@ def check_pictures(model: Model) -> None:
 def make_plant(
     model: Model, *, flexible: bool = False, copies: int = 1, jointless: bool = False
 ) -> MultibodyPlant:
-    """The finalized plant without a diagram, for computations. Arguments and errors: see
+    """Return the finalized plant without a diagram, for computations. Arguments and errors: see
     ``add_combined_plant``. A ``jointless`` plant may lack moving joints.
 
     Each of several ``copies`` of the spacecraft has its own model instances, named
@@ -148,7 +150,7 @@ def make_plant(
 
 
 def copy_instance(copy: int, name: str) -> str:
-    """The model instance of a copy, for that of the only one."""
+    """Return the model instance of a copy, for that of the only one."""
     return f"copy_{copy}::{name}"
 
 
@@ -275,7 +277,9 @@ def _add_drives(plant: MultibodyPlant) -> None:
 
 
 def _package_folders(model: Model) -> dict[str, str]:
-    """Folder of each package:// name, except Drake's own, whose files come over the network."""
+    """Return the folder of each package:// name, except Drake's own, whose files come over the
+    network.
+    """
     found = PackageMap.MakeEmpty()
     found.PopulateFromRosPackagePath()
     for name, folder in model.packages.items():
@@ -288,7 +292,7 @@ def _package_folders(model: Model) -> dict[str, str]:
 
 
 def model_files(model: Model) -> tuple[Path, ...]:
-    """The files that a model is made from. Raises ModelError: one of them cannot be read."""
+    """Return the files that a model is made from. Raises ModelError: one of them cannot be read."""
     folders = _package_folders(model)
     addresses = [model.directives] if model.servicer is None else [model.servicer, model.debris]
     return tuple(
@@ -299,12 +303,14 @@ def model_files(model: Model) -> tuple[Path, ...]:
 
 
 def urdfs_of(model: Model) -> tuple[Path, ...]:
-    """The URDFs among ``model_files``; errors as there."""
+    """Return the URDFs among ``model_files``; errors as there."""
     return tuple(path for path in model_files(model) if path.suffix.lower() == ".urdf")
 
 
 def files_read(scenario: Scenario) -> tuple[Path, ...]:
-    """The files that a scenario's model and plan are read from; errors as ``model_files``."""
+    """Return the files that a scenario's model and plan are read from; errors as
+    ``model_files``.
+    """
     plan = scenario.reference.plan if scenario.reference.kind == "optimal" else None
     return (*model_files(scenario.model), *(() if plan is None else (resolve_package(plan),)))
 
@@ -367,7 +373,7 @@ def _added(
 
 
 def base_body(plant: MultibodyPlant) -> RigidBody:
-    """The floating base."""
+    """Return the floating base."""
     (index,) = plant.GetFloatingBaseBodies()
     return plant.get_body(index)
 
@@ -375,7 +381,7 @@ def base_body(plant: MultibodyPlant) -> RigidBody:
 def coordinates_of(
     plant: MultibodyPlant, *, undriven: tuple[str, ...] = (), jointless: bool = False
 ) -> Coordinates:
-    """Names of the plant's generalized velocities, with the undriven groups.
+    """Return names of the plant's generalized velocities, with the undriven groups.
 
     Raises ModelError for a layout that the package cannot control.
     """
@@ -416,7 +422,7 @@ def coordinates_of(
 
 
 def split_of(plant: MultibodyPlant) -> StateSplit:
-    """The hidden coordinates of a plant; empty if it was made without them."""
+    """Return the hidden coordinates of a plant; empty if it was made without them."""
     joints = joints_of(plant)
     hidden = [joint for joint in joints if joint.name().startswith(HIDDEN)]
     if not hidden:
@@ -441,21 +447,21 @@ def split_of(plant: MultibodyPlant) -> StateSplit:
 
 
 def find_body(plant: MultibodyPlant, name: str, *, key: str) -> RigidBody:
-    """The body with a scoped name such as ``debris::debris``. Raises ModelError naming the valid
-    ones.
+    """Return the body with a scoped name such as ``debris::debris``. Raises ModelError naming the
+    valid ones.
     """
     return _find("body", plant.GetBodyIndices, plant.get_body, plant, name, key)
 
 
 def find_frame(plant: MultibodyPlant, name: str, *, key: str) -> Frame:
-    """The frame with a scoped name such as ``servicer::end_effector``. Raises ModelError naming the
-    valid ones.
+    """Return the frame with a scoped name such as ``servicer::end_effector``. Raises ModelError
+    naming the valid ones.
     """
     return _find("frame", plant.GetFrameIndices, plant.get_frame, plant, name, key)
 
 
 def hand_frame(plant: MultibodyPlant, model: Model) -> Frame:
-    """The frame that holds the target, ``model.end_effector``."""
+    """Return the frame that holds the target, ``model.end_effector``."""
     return find_frame(plant, model.end_effector, key="model.end_effector")
 
 
@@ -486,7 +492,7 @@ def _find(
 
 
 def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.ndarray:
-    """Generalized positions q (nq) of a posture; ``key`` is its place in the scenario, for
+    """Return generalized positions q (nq) of a posture; ``key`` is its place in the scenario, for
     errors.
     """
     coordinates = coordinates_of(plant)
@@ -498,12 +504,12 @@ def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.nd
 
 
 def base_rpy(q: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (..., 3) of the base in configurations q (..., nq), rad."""
+    """Return roll, pitch, yaw (..., 3) of the base in configurations q (..., nq), rad."""
     return rpy_of(q[..., :4])
 
 
 def posture_of(q: np.ndarray, coordinates: Coordinates) -> Posture:
-    """The posture of a configuration q (nq)."""
+    """Return the posture of a configuration q (nq)."""
     joints = zip(coordinates.names[NUM_BASE_VELOCITIES:], q[NUM_BASE_POSITIONS:], strict=True)
     return Posture(
         base_position=q[4:NUM_BASE_POSITIONS].tolist(),

@@ -22,8 +22,8 @@ def _share(time: np.ndarray | float, duration: float) -> np.ndarray:
 
 
 def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
-    """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside
-    [0, duration].
+    """Return the blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant
+    outside [0, duration].
     """
     x = _share(time, duration)
     return (
@@ -100,12 +100,12 @@ class Impulses:
         )
 
     def reversed(self) -> "Impulses":
-        """The shaper of a reversed motion."""
+        """Return the shaper of a reversed motion."""
         return Impulses(tuple(self.length - delay for delay in self.delays), self.shares)
 
 
 def make_impulses(shaper: Shaper | None) -> Impulses:
-    """The shaper of a scenario: one for each frequency, in series.
+    """Return the shaper of a scenario: one for each frequency, in series.
 
     ZV leaves no vibration at its frequency: two copies, half a damped period apart, with shares in
     the ratio 1 : K, K = exp(-pi z / sqrt(1 - z^2)). ZVD, two of them in series, leaves little near

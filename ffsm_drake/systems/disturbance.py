@@ -19,18 +19,18 @@ class HarmonicDisturbance(Part):
     title = "Disturbance"
 
     def build(self, setup: BlockSetup) -> Diagram:
-        """The force."""
+        """Return the force."""
         return self.build_wide([setup])
 
     def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram:
-        """The forces of several copies, see ``systems.side_by_side``."""
+        """Return the forces of several copies, see ``systems.side_by_side``."""
         settings = [setup.scenario.disturbance for setup in setups]
         return make_disturbance(settings, setups[0].coordinates)
 
 
 def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) -> Diagram:
-    """A source with output ``generalized_force``: amplitude sin(frequency t + phase) + bias, N m
-    and N, (nv) of each of the settings.
+    """Return a source with output ``generalized_force``: amplitude sin(frequency t + phase) + bias,
+    N m and N, (nv) of each of the settings.
 
     The scales multiply amplitudes and biases, and frequencies (phases stay), so that the paper's
     tau_d2 is ``frequency_scale: 3`` and tau_d3 is ``amplitude_scale: 3``.

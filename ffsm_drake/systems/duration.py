@@ -26,7 +26,7 @@ _LEAST_SHAPED = 1.05
 def shortest_duration(
     scenario: Scenario, motion_in: Callable[[float], "PlannedMotion"], *, shaped_by: float = 0.0
 ) -> float:
-    """The shortest duration, in s and whole control samples, of a motion within every limit.
+    """Return the shortest duration, in s and whole control samples, of a motion within every limit.
 
     The limits are forces (actuators and URDFs) and joint velocities (URDFs and drives), both less
     ``reference.reserve``, and the URDFs' joint positions. The force comes from inverse dynamics

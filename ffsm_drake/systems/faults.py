@@ -16,7 +16,7 @@ Known = Mapping[str, Sequence[str]]  # unit, such as "thrusters.a_x" -> the kind
 
 
 def settled(scenario: Scenario, known: Known) -> Scenario:
-    """The scenario with every unit, kind and time of its faults drawn.
+    """Return the scenario with every unit, kind and time of its faults drawn.
 
     Raises ScenarioError: nothing of a name can break, or not so.
     """

@@ -37,7 +37,7 @@ class FramePath:
         return self.blend.duration
 
     def rows(self, times: np.ndarray) -> np.ndarray:
-        """Rows (n, 19) at times (n,), s; at rest outside the motion.
+        """Return rows (n, 19) at times (n,), s; at rest outside the motion.
 
         [quaternion wxyz of R_WF (4), p_WF (3), w_WF (3), v_WF (3), alpha_WF (3), a_WF (3)].
         """
@@ -69,7 +69,7 @@ class FramePath:
 
 
 def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
-    """The frame of ``reference.frame``. Raises ModelError: there is no such frame."""
+    """Return the frame of ``reference.frame``. Raises ModelError: there is no such frame."""
     goal = scenario.reference.frame or FrameGoal()
     if goal.frame is None:
         return hand_frame(plant, scenario.model)
@@ -79,7 +79,7 @@ def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
 def make_frame_path(
     scenario: Scenario, model: PlantModel, *, duration: float | None = None
 ) -> FramePath:
-    """The path of ``reference.frame`` from its pose in ``initial_posture``.
+    """Return the path of ``reference.frame`` from its pose in ``initial_posture``.
 
     Args:
       scenario: the scenario; without ``reference.frame`` the hand stays where it is.

@@ -35,7 +35,7 @@ class BaseLimits:
 
 
 def base_limits(scenario: Scenario) -> BaseLimits:
-    """The limits of a scenario's base actuators. Raises the errors of ``make_actuation``."""
+    """Return the limits of a scenario's base actuators. Raises the errors of ``make_actuation``."""
     torque = helped = force = np.full(len(DIRECTIONS), np.inf)
     names = list[str]()
     for part in own_actuators(scenario):
@@ -52,7 +52,7 @@ def base_limits(scenario: Scenario) -> BaseLimits:
 
 
 def _span(most: np.ndarray, unit: str) -> str:
-    """The envelope over all directions (n), in words; empty if there is none."""
+    """Return the envelope over all directions (n), in words; empty if there is none."""
     known = most[np.isfinite(most)]
     return f"{known.min():.3g} to {known.max():.3g} {unit}" if known.size else ""
 
@@ -87,7 +87,8 @@ def limits_of(
     *,
     helped: bool = False,
 ) -> list[Limit]:
-    """The limits of a scenario, one for each source; ``tightest`` joins the limits of a quantity.
+    """Return the limits of a scenario, one for each source; ``tightest`` joins the limits of a
+    quantity.
 
     ``parts`` default to the scenario's own actuators; ``helped``: see ``actuation_limit``.
 
@@ -111,9 +112,9 @@ def joint_limits(
 
 
 def actuation_limit(scenario: Scenario, coordinates: Coordinates, *, helped: bool = False) -> Limit:
-    """The largest forces within ``actuation.limit`` and the capability of the base's actuators in
-    any direction; ``helped``: for a while, wheels with the thrusters' help. Raises the errors of
-    ``limits_of``.
+    """Return the largest forces within ``actuation.limit`` and the capability of the base's
+    actuators in any direction; ``helped``: for a while, wheels with the thrusters' help. Raises the
+    errors of ``limits_of``.
     """
     key, base = "actuation.limit", base_limits(scenario)
     force = coordinates.vector(scenario.actuation.limit or {}, key=key, default=np.inf)

@@ -68,7 +68,7 @@ class View(Protocol):
         """Whether a signal of that name exists."""
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A signal at the control samples: (n, components), or (n) without components.
+        """Return a signal at the control samples: (n, components), or (n) without components.
 
         Available are the closed loop's signals (``state``, ``applied_force``, ...) and those of
         every part.
@@ -191,7 +191,7 @@ class Figure(_Named):
     value: Values
 
     def text(self, name: str = "", *, digits: int = 4) -> str:
-        """The value, or the value of one name, as displayed, without its unit."""
+        """Return the value, or the value of one name, as displayed, without its unit."""
         value = self.value.get(name) if isinstance(self.value, Mapping) else self.value
         if self.shown == "%":
             return percent(value)
@@ -265,7 +265,7 @@ class Signals(Protocol):
     """Values of signals by name."""
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The values of a signal."""
+        """Return the values of a signal."""
 
 
 class MomentumStorage(Protocol):
@@ -282,13 +282,13 @@ class MomentumStorage(Protocol):
         """``capacity`` along the worst direction, N m s."""
 
     def capacity(self, direction: np.ndarray) -> float:
-        """The largest angular momentum along a direction (3), N m s."""
+        """Return the largest angular momentum along a direction (3), N m s."""
 
     def filled(self, momentum: np.ndarray) -> np.ndarray:
-        """The share of its limit (..., n) to which a momentum (..., 3) fills each unit."""
+        """Return the share of its limit (..., n) to which a momentum (..., 3) fills each unit."""
 
     def most(self, direction: np.ndarray) -> float:
-        """The largest available multiple of a torque (3), N m."""
+        """Return the largest available multiple of a torque (3), N m."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -414,7 +414,7 @@ class Part:
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Part | None":
-        """The part for a scenario's own section; None without that section."""
+        """Return the part for a scenario's own section; None without that section."""
         return cls()
 
     @classmethod
@@ -452,11 +452,13 @@ class Part:
         return ()
 
     def metrics(self) -> Sequence[Metric]:
-        """Figures of merit."""
+        """Return figures of merit."""
         return ()
 
     def sentence(self, figures: Sequence[Figure]) -> str | None:
-        """Text below the table of a run; "": none, None: the figures with a row, one by one."""
+        """Return text below the table of a run; "": none, None: the figures with a row, one by
+        one.
+        """
         return None
 
     def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
@@ -494,7 +496,7 @@ class Part:
         yield from ()
 
     def storage(self, scenario: Scenario) -> "MomentumStorage | None":
-        """The part's storage of angular momentum in the base; None if it has none."""
+        """Return the part's storage of angular momentum in the base; None if it has none."""
         return None
 
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
@@ -504,11 +506,13 @@ class Part:
         return ()
 
     def locked(self, scenario: Scenario) -> Scenario:
-        """The scenario with the part's rotating masses fixed to their body, for gravity."""
+        """Return the scenario with the part's rotating masses fixed to their body, for gravity."""
         return scenario
 
     def linear(self) -> "Part":
-        """The part's stand-in in the linearisation: without limits, which have no derivative."""
+        """Return the part's stand-in in the linearisation: without limits, which have no
+        derivative.
+        """
         return self
 
 
@@ -570,7 +574,7 @@ def place_part(
 
 
 def components_of(role: str, coordinates: int) -> int | None:
-    """The number of components of a signal with a role; None: any, also a single number."""
+    """Return the number of components of a signal with a role; None: any, also a single number."""
     return {STORED_MOMENTUM: 3, INTERNAL_TORQUE: 3, HELD_FORCE: coordinates}.get(role)
 
 
@@ -619,7 +623,7 @@ def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
 
 
 def _plain(value: Any) -> Values:
-    """A number, or numbers by name, in the form of JSON. Raises TypeError or ValueError."""
+    """Return a number, or numbers by name, in the form of JSON. Raises TypeError or ValueError."""
     if isinstance(value, Mapping):
         return {str(name): _plain(each) for name, each in value.items()}  # type: ignore[misc]
     if value is None:
@@ -648,7 +652,7 @@ def nested(figures: Sequence[Figure]) -> dict[str, Any]:
 
 
 def values_of(signal: Signal, view: View) -> np.ndarray | None:
-    """A signal over a run in the form of its variable; None if the run lacks it."""
+    """Return a signal over a run in the form of its variable; None if the run lacks it."""
     values = view[signal.name] if signal.of is None else signal.of(view)
     if values is None:
         return None
@@ -658,7 +662,7 @@ def values_of(signal: Signal, view: View) -> np.ndarray | None:
 
 
 def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
-    """The data of a part for the record of a run, with its figures."""
+    """Return the data of a part for the record of a run, with its figures."""
     part, sentence = placed.part, placed.part.sentence(figures)
     table = tuple(map(tuple, part.table(figures)))
     place = f"blocks.{placed.name} '{type(part).__name__}'"
@@ -681,7 +685,7 @@ def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
 
 
 def by_key(figures: Sequence[Figure]) -> dict[str, Any]:
-    """The values of figures by key, or by column without one; NaN for values that are not
+    """Return the values of figures by key, or by column without one; NaN for values that are not
     finite.
     """
 
@@ -694,14 +698,14 @@ def by_key(figures: Sequence[Figure]) -> dict[str, Any]:
 
 
 def _as_yaml(value: Any) -> str:
-    """A number, text, or numbers by name, in the form of an override."""
+    """Return a number, text, or numbers by name, in the form of an override."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{name}: {_as_yaml(each)}' for name, each in value.items())}}}"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _listed(title: str, figures: Sequence[Figure]) -> str:
-    """The figures with a row, in one line."""
+    """Return the figures with a row, in one line."""
     texts = []
     for figure in figures:
         name = f"{figure.label[:1].lower()}{figure.label[1:]}"
@@ -713,7 +717,7 @@ def _listed(title: str, figures: Sequence[Figure]) -> str:
 
 
 def _drawing(signal: Signal, title: str) -> Drawing:
-    """The drawing of a signal in the report, for a part of that title."""
+    """Return the drawing of a signal in the report, for a part of that title."""
     panels = signal.panels
     if panels is None:
         titles = signal.components or (signal.panel or signal.name,)
@@ -751,7 +755,7 @@ def state_signals(
 
 
 def with_role(parts: Parts, role: str) -> list[str]:
-    """Names of the signals that have a role."""
+    """Return names of the signals that have a role."""
     return [signal.name for signal in signals_of(parts) if signal.role == role]
 
 
@@ -762,7 +766,8 @@ def signals_of(parts: Parts) -> Iterator[Signal]:
 
 
 def pulses_of(opened: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """The pulses of a valve from its open share (n) of each sample; it opens at the sample's start.
+    """Return the pulses of a valve from its open share (n) of each sample; it opens at the sample's
+    start.
 
     Returns: the samples in which pulses start, and their lengths, s.
     """

@@ -119,7 +119,7 @@ class _MotionSource(LeafSystem):
 
 
 def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
-    """The planned motion of a scenario.
+    """Return the planned motion of a scenario.
 
     With a capture it starts at the velocity after the grasp of the nominal payload; without one,
     with the goal ``stop``, at ``initial_velocity``. Undriven
@@ -179,8 +179,8 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
 def _follow(
     scenario: Scenario, make_nominal: Callable[[], PlantModel], motion: PlannedMotion
 ) -> PlannedMotion:
-    """A motion along a prescribed frame path: joints follow the frame, undriven coordinates the
-    conservation of momentum. A closed chain's follow its target.
+    """Return a motion along a prescribed frame path: joints follow the frame, undriven coordinates
+    the conservation of momentum. A closed chain's follow its target.
     """
     if len(scenario.contacts) > 1:
         chain: PlannedMotion = service("closed_chain_motion", "contacts")(motion, scenario)
@@ -215,7 +215,9 @@ def _follow(
 
 
 def timed(scenario: Scenario) -> Scenario:
-    """The scenario with a duration of ``auto`` replaced by seconds; errors as ``make_motion``."""
+    """Return the scenario with a duration of ``auto`` replaced by seconds; errors as
+    ``make_motion``.
+    """
     if scenario.reference.duration is not None:
         return scenario
     motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
@@ -232,12 +234,12 @@ class PlannedReference(Part):
     """The section ``reference``."""
 
     def build(self, setup: BlockSetup) -> Diagram:
-        """The reference of a scenario."""
+        """Return the reference of a scenario."""
         return make_reference([setup.scenario], setup.coordinates)
 
     def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram | None:
-        """The references of several copies of the spacecraft, see ``systems.side_by_side``; None
-        where only some prescribe a frame.
+        """Return the references of several copies of the spacecraft, see ``systems.side_by_side``;
+        None where only some prescribe a frame.
         """
         if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:
             return None
@@ -245,7 +247,7 @@ class PlannedReference(Part):
 
 
 def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> Diagram:
-    """A source of the planned motion, a function of time only.
+    """Return a source of the planned motion, a function of time only.
 
     Outputs, of each of the scenarios:
       desired_state: [q_d; v_d] (nq + nv).
@@ -298,7 +300,7 @@ def reference_from(
 
 
 def _make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
-    """The path of the frame whose pose is prescribed along a planned motion, if one is."""
+    """Return the path of the frame whose pose is prescribed along a planned motion, if one is."""
     if not _prescribes_frame(scenario):
         return None
     path = make_frame_path(

@@ -83,7 +83,7 @@ ENTRY_POINT_GROUPS = {
 
 @functools.cache  # searches the installed packages once per process
 def block_names(block: str) -> tuple[str, ...]:
-    """Names of the systems that can fill a block: shipped, then installed."""
+    """Return names of the systems that can fill a block: shipped, then installed."""
     own = SHIPPED.get(block, {})
     offering = entry_points(group=ENTRY_POINT_GROUPS[block])
     offered = {each.name for each in offering if not is_deleted(each)} - {*own}
@@ -91,7 +91,7 @@ def block_names(block: str) -> tuple[str, ...]:
 
 
 def shipped_names(block: str) -> tuple[str, ...]:
-    """Names of the systems of this package, its plug-ins included, that can fill a block."""
+    """Return names of the systems of this package, its plug-ins included, that can fill a block."""
     return tuple(name for name in block_names(block) if is_shipped(block, name))
 
 
@@ -109,8 +109,8 @@ def _of_plugins(block: str) -> frozenset[str]:
 def section_parts(
     scenario: Scenario, given: Iterable[str] = (), *, of: str = ""
 ) -> dict[str, Part]:
-    """The parts of a scenario's own sections, by block and section; none for a block with another
-    factory, such as those ``given``.
+    """Return the parts of a scenario's own sections, by block and section; none for a block with
+    another factory, such as those ``given``.
 
     ``of``: only the parts within one block, such as the actuators of ``actuation``.
     """
@@ -126,13 +126,15 @@ def section_parts(
 
 
 def own_actuators(scenario: Scenario) -> list[Part]:
-    """The parts of a scenario's section ``actuation``; none where a block replaces it."""
+    """Return the parts of a scenario's section ``actuation``; none where a block replaces it."""
     return [*section_parts(scenario, of="actuation").values()]
 
 
 @functools.cache
 def section_kind(name: str) -> type[Part]:
-    """The part of a section of the scenario. Raises BlockError: its plug-in has been deleted."""
+    """Return the part of a section of the scenario. Raises BlockError: its plug-in has been
+    deleted.
+    """
     own: dict[str, str] = SHIPPED["section"]
     kind: type[Part]
     if name in own:
@@ -152,7 +154,7 @@ def section_kinds() -> Iterator[type[Part]]:
 def find_factory(
     block: str, name: str, *, key: str = "", python_path: Sequence[str] = ()
 ) -> Factory:
-    """The factory of a block.
+    """Return the factory of a block.
 
     Args:
       block: "controller", "sensing", ... as in ``ENTRY_POINT_GROUPS``.
@@ -224,13 +226,15 @@ def address_of(factory: Factory) -> str:
 
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
-    """The result of a factory for a setup. Raises BlockError naming ``place`` if it fails."""
+    """Return the result of a factory for a setup. Raises BlockError naming ``place`` if it
+    fails.
+    """
     return _called(factory, "from_setup", setup, place)
 
 
 def call_wide_factory(factory: Any, setups: Sequence[BlockSetup], *, place: str) -> Any:
-    """The result of a factory's ``build_wide`` (``systems.side_by_side``) for several setups, None
-    where it has none; errors as ``call_factory``.
+    """Return the result of a factory's ``build_wide`` (``systems.side_by_side``) for several
+    setups, None where it has none; errors as ``call_factory``.
     """
     return _called(factory, "build_wide", setups, place) if hasattr(factory, "build_wide") else None
 
@@ -247,7 +251,7 @@ def _called(factory: Any, method: str, given: Any, place: str) -> Any:
 
 
 def _policy_file(name: str, file: str, place: str, python_path: Sequence[str]) -> Path:
-    """The file of a policy, from the current folder or one of ``python_path``."""
+    """Return the file of a policy, from the current folder or one of ``python_path``."""
     for folder in (Path.cwd(), *map(Path, python_path)):
         if (found := folder / file).is_file():
             _POLICIES[name] = folder, found
@@ -257,8 +261,8 @@ def _policy_file(name: str, file: str, place: str, python_path: Sequence[str]) -
 
 
 def module_file(address: str) -> Path | None:
-    """File of the imported module in ``module:attribute``, or of a policy; None for an installed
-    package.
+    """Return the file of the imported module in ``module:attribute``, or of a policy; None for an
+    installed package.
     """
     if address in _POLICIES:
         return _POLICIES[address][1]
@@ -269,8 +273,8 @@ def module_file(address: str) -> Path | None:
 
 
 def module_folder(address: str) -> Path | None:
-    """Folder to add to Python's path for ``module:attribute``; None under the conditions of
-    ``module_file``.
+    """Return the folder to add to Python's path for ``module:attribute``; None under the conditions
+    of ``module_file``.
     """
     if address in _POLICIES:
         return _POLICIES[address][0]

@@ -8,7 +8,7 @@ from pydrake.systems.primitives import Selector, SelectorParams
 def make_selector(
     inputs: Mapping[str, int], outputs: Mapping[str, Sequence[tuple[int, int]]]
 ) -> Selector:
-    """A system with entries of its inputs as outputs.
+    """Return a system with entries of its inputs as outputs.
 
     Args:
       inputs: size of each input by name.

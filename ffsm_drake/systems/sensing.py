@@ -227,13 +227,13 @@ class Sensors(Part):
     """The section ``sensing``."""
 
     def build(self, setup: BlockSetup) -> Sensing:
-        """The sensors of a scenario."""
+        """Return the sensors of a scenario."""
         settings = [setup.scenario.sensing]
         return make_sensing(settings, setup.coordinates, sample_time=setup.sample_time)
 
     def build_wide(self, setups: Sequence[BlockSetup]) -> Sensing | None:
-        """The sensors of several copies of the spacecraft, see ``systems.side_by_side``; None if
-        only some sensors are slow, or drift, or have errors in the base's axes.
+        """Return the sensors of several copies of the spacecraft, see ``systems.side_by_side``;
+        None if only some sensors are slow, or drift, or have errors in the base's axes.
         """
         settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
         each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
@@ -253,7 +253,7 @@ class Sensors(Part):
 def make_sensing(
     settings: Sequence[SensingSettings], coordinates: Coordinates, *, sample_time: float
 ) -> Sensing:
-    """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv), of each of the
+    """Return a diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv), of each of the
     settings.
 
     With a sensor of a longer period than the controller's there is an output ``measurement_is_new``
@@ -288,7 +288,7 @@ class _Errors:
     sample_time: float
 
     def of(self, key: str, default: float = 0.0) -> np.ndarray:
-        """A setting by coordinate (nv)."""
+        """Return a setting by coordinate (nv)."""
         for further in (f"{key}_density", f"{key}_time"):
             if isinstance(given := getattr(self.settings, further, None), dict):
                 self.coordinates.vector(given, key=f"sensing.{further}")
@@ -296,7 +296,7 @@ class _Errors:
         return self.coordinates.vector(values, key=f"sensing.{key}", default=default)
 
     def pair(self, name: str, default: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Values of positions and of velocities (nv each)."""
+        """Return values of positions and of velocities (nv each)."""
         return self.of(f"position_{name}", default), self.of(f"velocity_{name}", default)
 
     def drift_gains(self) -> np.ndarray:
@@ -337,7 +337,7 @@ class _Errors:
 
 
 def _of_state(position: np.ndarray, velocity: np.ndarray, *, quaternion: float = 0.0) -> np.ndarray:
-    """Values along [q; v] (nq + nv) from those of the coordinates (nv each)."""
+    """Return values along [q; v] (nq + nv) from those of the coordinates (nv each)."""
     return np.concatenate([np.full(4, quaternion), position[3:], velocity])
 
 
@@ -354,7 +354,7 @@ def _deviations(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 def _build_stage(
     name: str, builder: DiagramBuilder, before: InputPort, after: OutputPort
 ) -> Diagram:
-    """The diagram of a stage with one input and one output port for the state."""
+    """Return the diagram of a stage with one input and one output port for the state."""
     builder.ExportInput(before, "state")
     builder.ExportOutput(after, "estimated_state")
     stage = builder.Build()
@@ -363,7 +363,7 @@ def _build_stage(
 
 
 def _make_stage(name: str, system: System) -> Diagram:
-    """A system with one input and one output as a stage."""
+    """Return a system with one input and one output as a stage."""
     builder = DiagramBuilder()
     builder.AddNamedSystem(f"{name}_of_state", system)
     return _build_stage(name, builder, system.get_input_port(), system.get_output_port())

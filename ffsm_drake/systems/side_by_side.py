@@ -107,7 +107,7 @@ class SideBySide(Diagram):
         return [system.CreateDefaultContext() for system in self.systems]
 
     def each(self, context: Context) -> list[tuple[System, Context]]:
-        """The systems, each with its own context."""
+        """Return the systems, each with its own context."""
         return [(system, self._of(system, context)) for system in self.systems]
 
     def _of(self, system: System, context: Context) -> Context:
@@ -136,7 +136,7 @@ class _Rearranged(LeafSystem):
 
 
 def _sizes(system: Any) -> list[tuple[str, str, int]]:
-    """Every port of a system: input or output, name, size."""
+    """Return every port of a system: input or output, name, size."""
     return [
         (kind, port.get_name(), port.size())
         for kind, count, at in (

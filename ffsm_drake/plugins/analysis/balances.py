@@ -82,7 +82,7 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
 
 
 def _summed(dataset: "xr.Dataset", role: str) -> np.ndarray:
-    """The sum (n) of the signals with a role, over their components."""
+    """Return the sum (n) of the signals with a role, over their components."""
     samples = dataset.sizes["time"]
     given = [dataset[name].values.reshape(samples, -1) for name in with_role(dataset, role)]
     return sum((each.sum(axis=1) for each in given), np.zeros(samples))
@@ -115,7 +115,8 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
 
 
 def exchanged_momentum(run: Evidence) -> dict[str, float]:
-    """Largest momentum of the joint velocities, exchanged with the base: ``linear``, ``angular``.
+    """Return the largest momentum of the joint velocities, exchanged with the base: ``linear``,
+    ``angular``.
 
     About the base's origin, N s and N m s; the scale for a momentum residual when no external
     force acts.

@@ -52,7 +52,7 @@ def split_variance(
 
 
 def detrended(values: np.ndarray) -> np.ndarray:
-    """Values (..., n) without their linear trend: the least-squares line is subtracted."""
+    """Return values (..., n) without their linear trend: the least-squares line is subtracted."""
     time = np.arange(values.shape[-1]) - 0.5 * (values.shape[-1] - 1)
     centred = values - values.mean(axis=-1, keepdims=True)
     slope = centred @ time / max(time @ time, 1.0)

@@ -237,8 +237,8 @@ def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: flo
 
 
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """The samples before the first that is not ``usable``, which ends the record of a diverged
-    run.
+    """Return the samples before the first that is not ``usable``, which ends the record of a
+    diverged run.
     """
     good = np.ones(dataset.sizes["time"], dtype=bool)
     for variable in dataset.data_vars.values():
@@ -247,7 +247,7 @@ def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
 
 
 def largest(values: np.ndarray) -> np.ndarray:
-    """Largest magnitude along the first axis (m, nv) -> (nv); NaN if m is 0."""
+    """Return the largest magnitude along the first axis (m, nv) -> (nv); NaN if m is 0."""
     return np.abs(values).max(axis=0) if len(values) else np.full(values.shape[1], np.nan)
 
 

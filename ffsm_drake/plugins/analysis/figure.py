@@ -68,7 +68,7 @@ def plot_analysis(analysis: Analysis) -> Figure:
 
 
 def _draw(part: SubFigure, panel: _Panel, analysis: Analysis) -> Axes:
-    """The charts of a panel, and the verdicts; returns the uppermost axes."""
+    """Return the charts of a panel, and the verdicts; returns the uppermost axes."""
     charts = panel.charts(analysis)
     heights = (1.0, 1.6)[: len(charts)]
     stack = part.subplots(len(charts), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
@@ -286,13 +286,13 @@ def _interval_maxima(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _groups(analysis: Analysis) -> list[str]:
-    """The driven groups that have coordinates."""
+    """Return the driven groups that have coordinates."""
     driven = analysis.series["group"].values[analysis.series["driven"].values]
     return [name for name in GROUP_TITLES if name in driven]
 
 
 def _largest(analysis: Analysis, name: str, time: str) -> list[Curve]:
-    """The largest magnitude of every group's coordinates over time."""
+    """Return the largest magnitude of every group's coordinates over time."""
     series, curves = analysis.series, []
     for key in _groups(analysis):
         sizes = np.abs(series[name].values[:, series["group"].values == key]).max(axis=1)

@@ -63,13 +63,13 @@ class Analysis:
     series: "xr.Dataset"
 
     def __str__(self) -> str:
-        """The findings as plain text, one paragraph each."""
+        """Return the findings as plain text, one paragraph each."""
         return "\n".join(
             f"[{item.verdict}] {item.title}\n    {item.statement}" for item in self.findings
         )
 
     def finding(self, key: str) -> Finding:
-        """The finding with a key. Raises KeyError naming the valid keys."""
+        """Return the finding with a key. Raises KeyError naming the valid keys."""
         for finding in self.findings:
             if finding.key == key:
                 return finding
@@ -77,7 +77,9 @@ class Analysis:
 
 
 def finding(key: str, statement: str, numbers: Numbers, *, holds: bool | None = None) -> Finding:
-    """A finding; ``statement`` is a format string over ``numbers``. Without ``holds``: measured."""
+    """Return a finding; ``statement`` is a format string over ``numbers``. Without ``holds``:
+    measured.
+    """
     verdict: Verdict = "measured" if holds is None else "holds" if holds else "does not hold"
     return Finding(
         key=key,

@@ -12,7 +12,7 @@ from ffsm_drake.plugins.analysis.findings import Finding, Numbers, finding, not_
 
 
 def outside(s: np.ndarray, k_s: np.ndarray, *, beta: np.ndarray, epsilon: float) -> np.ndarray:
-    """Mask (n, nv) of the coordinates outside |s_i| <= max(K_si / beta_i, epsilon)."""
+    """Return the mask (n, nv) of the coordinates outside |s_i| <= max(K_si / beta_i, epsilon)."""
     return np.abs(s) > np.maximum(k_s / beta, epsilon)
 
 
@@ -63,7 +63,7 @@ def lyapunov(
 def ultimate_bound(
     *, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np.ndarray, epsilon: float
 ) -> float:
-    """The bound on ||s||_2 of equation (16). Infinite if a gain does not adapt."""
+    """Return the bound on ||s||_2 of equation (16). Infinite if a gain does not adapt."""
     with np.errstate(divide="ignore", invalid="ignore"):
         squares = np.maximum(bound / beta, epsilon) ** 2 + bound**2 / alpha + bound**2 / phi
     return float(np.sqrt(np.where(np.isnan(squares), np.inf, squares).sum()))

@@ -86,7 +86,9 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
     s, (k_s, g), late = run.values("sliding_variable"), run.gains, run.after_start_up
 
     def evaluate(disturbance: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The bounds (nv), and largest |s_i| over bound (nv), on the samples of ``part`` (n)."""
+        """Return the bounds (nv), and largest |s_i| over bound (nv), on the samples of ``part``
+        (n).
+        """
         if not part[:-1].any():
             return (np.full(s.shape[1], np.nan),) * 2
         k_s_min, g_min = k_s[part].min(axis=0), g[part].min(axis=0)

@@ -47,7 +47,7 @@ def make_cases(spec: Spec) -> Iterator[Case]:
 
 
 def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
-    """The case with given values of all parameters and factors.
+    """Return the case with given values of all parameters and factors.
 
     Raises:
       CampaignError: a rule cannot be applied to its sources.
@@ -76,7 +76,7 @@ def _operand(spec: Spec, values: Mapping[str, Any], source: str) -> Value:
 
 
 def scenario_of(spec: Spec, case: Case, controller: str) -> Scenario:
-    """The scenario of one case for one controller, checked as any other.
+    """Return the scenario of one case for one controller, checked as any other.
 
     Raises:
       CampaignError, ScenarioError: a key is unknown, or a value cannot be used.

@@ -92,7 +92,7 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
 
 
 def _differences(findings: Findings) -> list[Panel]:
-    """The distribution of each pair's ITAE ratio on the same cases: quartiles and the middle
+    """Return the distribution of each pair's ITAE ratio on the same cases: quartiles and the middle
     90 %.
     """
     pairs = [item for item in findings.differences if item.ratios.size]
@@ -187,8 +187,8 @@ def _sensitivity(findings: Findings) -> Panel:
 
 
 def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
-    """The groups of runs to distinguish: mask, label, color and symbol; failed runs by the first
-    limit they left.
+    """Return the groups of runs to distinguish: mask, label, color and symbol; failed runs by the
+    first limit they left.
     """
     failed = ~runs.settled
     marked = [(runs.settled, "settled", SETTLED, "circle")]
@@ -205,7 +205,7 @@ def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str
 
 
 def limits_of(runs: Runs) -> dict[str, int]:
-    """The limits that failed runs left first, "" for none, and how many; the most frequent
+    """Return the limits that failed runs left first, "" for none, and how many; the most frequent
     first.
     """
     if runs.first_limit is None:

@@ -33,7 +33,7 @@ Value = float | list[float]
 
 
 def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.ndarray:
-    """Points (cases, dimensions) in the open unit cube."""
+    """Return points (cases, dimensions) in the open unit cube."""
     if dimensions == 0:
         return np.empty((cases, 0))
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
@@ -73,7 +73,8 @@ _DISTRIBUTIONS = {
 
 
 def parse_distribution(data: Any, *, place: str) -> Distribution:
-    """The distribution that one entry of the specification describes; ``place`` names it in errors.
+    """Return the distribution that one entry of the specification describes; ``place`` names it in
+    errors.
 
     Raises:
       CampaignError: an unknown distribution or field, a missing one, or numbers out of range.
@@ -114,7 +115,7 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
 
 
 def _levels(data: Any, *, place: str) -> dict[str, Any]:
-    """The values of a choice or list by name; values without names are their own."""
+    """Return the values of a choice or list by name; values without names are their own."""
     if not isinstance(data, (list, Mapping)) or not data:
         raise CampaignError(f"{place}: must be a list of at least one value, or values by name")
     if isinstance(data, Mapping):
@@ -215,7 +216,7 @@ def _single(value: Value) -> float:
 
 
 def number(data: Any, *, place: str) -> float:
-    """A finite number, also from text such as 1e-7, which YAML reads as a string."""
+    """Return a finite number, also from text such as 1e-7, which YAML reads as a string."""
     try:
         if isinstance(data, bool) or not isinstance(data, (int, float, str)):
             raise ValueError
@@ -266,7 +267,9 @@ def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -
 def _kind_of(
     data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, place: str, example: str
 ) -> str:
-    """The kind named under ``key``; the entry's other keys must be the fields of that kind."""
+    """Return the kind named under ``key``; the entry's other keys must be the fields of that
+    kind.
+    """
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping such as {{{example}}}")
     kind = data.get(key)
@@ -288,7 +291,9 @@ def _names(data: Any, *, place: str) -> tuple[str, ...]:
 
 
 def _tidy(value: Any, *, place: str) -> Any:
-    """A value for the scenario; numbers, also nested ones and those in text, must be finite."""
+    """Return a value for the scenario; numbers, also nested ones and those in text, must be
+    finite.
+    """
     if isinstance(value, Mapping):
         return {name: _tidy(item, place=f"{place}.{name}") for name, item in value.items()}
     if isinstance(value, list):
@@ -304,7 +309,7 @@ def _tidy(value: Any, *, place: str) -> Any:
 
 
 def get_value(data: Any, key: str) -> Any:
-    """The value in plain data at a dotted key, such as ``payload.truth.center_of_mass.0``.
+    """Return the value in plain data at a dotted key, such as ``payload.truth.center_of_mass.0``.
 
     Raises:
       CampaignError: there is none.

@@ -60,12 +60,12 @@ NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot b
 
 
 def texts_of(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign that hold text of a run's limits: those of a capture."""
+    """Return the columns of a campaign that hold text of a run's limits: those of a capture."""
     return (FIRST_LIMIT,) if spec.scenario.grasps else ()
 
 
 def dynamics_columns(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign on the dynamics of its runs; none with Drake's."""
+    """Return the columns of a campaign on the dynamics of its runs; none with Drake's."""
     return () if spec.dynamics == DRAKE else (DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE)
 
 
@@ -178,14 +178,14 @@ _OF_DRIFT = {
 
 
 def metric_tables(spec: Spec) -> list[tuple[Metric, ...]]:
-    """The metrics of a campaign's runs, by table of its page."""
+    """Return the metrics of a campaign's runs, by table of its page."""
     of_capture, *others = _judged(spec)
     of_parts = (tuple(part.metrics()) for part in parts_of_campaign(spec))
     return [(*RUN_METRICS, _SETTLED), of_capture, *of_parts, *others]
 
 
 def _judged(spec: Spec) -> list[tuple[Metric, ...]]:
-    """The metrics beside _SETTLED that read a ``Judged`` run."""
+    """Return the metrics beside _SETTLED that read a ``Judged`` run."""
     return [
         _OF_CAPTURE if texts_of(spec) else (),
         *(_OF_FRAME[part] for part in _frame_parts(spec)),
@@ -194,13 +194,13 @@ def _judged(spec: Spec) -> list[tuple[Metric, ...]]:
 
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign that a run's metrics fill."""
+    """Return the columns of a campaign that a run's metrics fill."""
     metrics = itertools.chain(*metric_tables(spec))
     return tuple(metric.column_name for metric in metrics if metric.column_name)
 
 
 def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
-    """The parts of a campaign's scenario."""
+    """Return the parts of a campaign's scenario."""
     return (*section_parts(spec.scenario).values(), *parts_of(spec.scenario).values())
 
 
@@ -212,7 +212,9 @@ def _frame_parts(spec: Spec) -> tuple[str, ...]:
 
 
 def predictions_of(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign's predictions; all below 1: the run is predicted to settle."""
+    """Return the columns of a campaign's predictions; all below 1: the run is predicted to
+    settle.
+    """
     load = (LOAD,) if texts_of(spec) else ()
     return (*PREDICTIONS, *load, *((DIVERGENCE,) if is_rehearsed(spec.scenario) else ()))
 
@@ -282,7 +284,7 @@ class Evaluator:
         )
 
     def evaluate_batch(self, batch: Batch) -> list[Row]:
-        """The rows of a batch, as the function ``evaluate`` returns them."""
+        """Return the rows of a batch, as the function ``evaluate`` returns them."""
         start = time.perf_counter()
         logs = self._side_by_side(batch)
         share = (time.perf_counter() - start) / max(len(logs), 1)
@@ -295,7 +297,9 @@ class Evaluator:
         return rows
 
     def _foreseen(self, logs: Mapping[int, RunLog]) -> dict[int, Foreseen]:
-        """The predictions of the runs with these logs, all at once; none if that takes too long."""
+        """Return the predictions of the runs with these logs, all at once; none if that takes too
+        long.
+        """
         if not self._spec.predictions:
             return {}
         scenarios = [log.scenario for log in logs.values()]
@@ -305,7 +309,7 @@ class Evaluator:
         return {}
 
     def _side_by_side(self, batch: Batch) -> dict[int, RunLog]:
-        """The logs of those cases that can run side by side, by their number."""
+        """Return the logs of those cases that can run side by side, by their number."""
         scenarios: dict[int, Scenario] = {}
         for case in batch.cases if len(batch.cases) > 1 else ():
             with contextlib.suppress(Exception):  # the row reports the error
@@ -333,8 +337,8 @@ class Evaluator:
         log: RunLog | None = None,
         foreseen: Foreseen | None = None,
     ) -> Row:
-        """The row of one case; ``log`` is that of its run, if it has run, and ``foreseen`` its
-        predictions.
+        """Return the row of one case; ``log`` is that of its run, if it has run, and ``foreseen``
+        its predictions.
         """
         start = time.perf_counter()
         own = dynamics_columns(self._spec)
@@ -361,7 +365,7 @@ class Evaluator:
         }
 
     def _predicted(self, scenario: Scenario, message: str, foreseen: Foreseen | None) -> Row:
-        """The predictions; if there are none, the message gives the reason."""
+        """Return the predictions; if there are none, the message gives the reason."""
         try:
             (found,) = [foreseen] if foreseen else predict_many([scenario])
             if isinstance(found, Exception):
@@ -372,7 +376,7 @@ class Evaluator:
             return {"message": "; ".join(filter(None, (message, why)))}
 
     def _dynamics_of(self, log: RunLog, case: Case) -> Row:
-        """The columns ``dynamics_columns`` of a run."""
+        """Return the columns ``dynamics_columns`` of a run."""
         if self._spec.dynamics == DRAKE:
             return {}
         row: Row = {DYNAMICS: log.dynamics}
@@ -433,13 +437,13 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
 
 
 def described(error: BaseException) -> str:
-    """An exception on one line, its type in front."""
+    """Return an exception on one line, its type in front."""
     text, kind = one_line(error), type(error).__name__
     return text if text.startswith(kind) else f"{kind}: {text}"
 
 
 def error_row(message: str) -> Row:
-    """The results in the row of a run that failed."""
+    """Return the results in the row of a run that failed."""
     return {"outcome": "error", "outcome_time": None, "message": message, FIRST_LIMIT: None}
 
 

@@ -103,7 +103,7 @@ def _write(store: Store, findings: Findings, directory: Path) -> list[Path]:
 
 
 def _columns(findings: Findings) -> list[Column]:
-    """A row for each controller: success in percent, and the medians of the settled runs."""
+    """Return a row for each controller: success in percent, and the medians of the settled runs."""
     runs_of, rates = findings.table.runs, findings.success.values()
     columns = [
         Column(name="controller", cells=[findings.spec.label(name) for name in runs_of]),
@@ -223,7 +223,7 @@ def _controller_tables(findings: Findings) -> dict[str, Any]:
 
 
 def _grid_table(findings: Findings) -> dict[str, Any]:
-    """A row for each point of the grid."""
+    """Return a row for each point of the grid."""
     header = [*findings.spec.distributions, "controller", "outcome", *GRID_METRICS.values()]
     rows = []
     for point in findings.grid:
@@ -277,7 +277,7 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
 
 
 def _command(*words: object) -> str:
-    """A command of campaigns as a shell takes it."""
+    """Return a command of campaigns as a shell takes it."""
     return f"ffsm campaign {shlex.join(map(str, words))}"
 
 

@@ -27,7 +27,7 @@ _WINDOW = 1000  # runs over which memory is averaged
 
 
 def plan_text(spec: Spec, *, workers: int) -> str:
-    """A summary of the cases and an estimate of the duration, for which cases are run until
+    """Return a summary of the cases and an estimate of the duration, for which cases are run until
     one reaches its end.
 
     Raises:

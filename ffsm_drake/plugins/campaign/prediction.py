@@ -74,13 +74,13 @@ def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exce
 
 
 def expected_radius(scenario: Scenario) -> float:
-    """The second value of ``predict`` alone. Raises the same errors."""
+    """Return the second value of ``predict`` alone. Raises the same errors."""
     with Linearizer(scenario) as linearizer:
         return _radii(linearizer)[1]
 
 
 def _radii(linearizer: Linearizer) -> list[float]:
-    """The first two of ``predict``."""
+    """Return the first two of ``predict``."""
     time = most_overestimated(linearizer.planned)
     loop = linearizer.at(time)
     starting = expected = loop.spectral_radius
@@ -116,7 +116,9 @@ class StabilityMap:
     fixed: Mapping[str, object]  # the other sampled values
 
     def side(self, controller: str) -> np.ndarray:
-        """The radius (n, m) clipped to 1 +- 0.1: the boundary lies midway between grid points."""
+        """Return the radius (n, m) clipped to 1 +- 0.1: the boundary lies midway between grid
+        points.
+        """
         radius = self.radius[controller]
         if np.isnan(radius).all():  # no prediction for this controller, so no boundary
             return np.full_like(radius, 0.9)
@@ -223,7 +225,7 @@ def _fill(fill: Callable[[int, int], None], grid: np.ndarray, finer: int) -> Non
 
 
 def _filled(grid: np.ndarray) -> np.ndarray:
-    """The grid with the nearest known value at unknown points; NaN where there is none."""
+    """Return the grid with the nearest known value at unknown points; NaN where there is none."""
     known = np.argwhere(grid != _UNKNOWN)
     if not len(known):
         return np.full_like(grid, np.nan)

@@ -90,7 +90,7 @@ class Progress:
 
 
 def duration_text(seconds: float) -> str:
-    """A duration in seconds, minutes or hours."""
+    """Return a duration in seconds, minutes or hours."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)

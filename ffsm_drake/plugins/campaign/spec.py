@@ -141,7 +141,7 @@ class Spec:
         return str(self.data.get("description", ""))
 
     def label(self, controller: str) -> str:
-        """The name of a controller in tables and figures."""
+        """Return the name of a controller in tables and figures."""
         labels: Mapping[str, str] = self.data.get("labels", {})
         return labels.get(controller) or label_of(controller)
 
@@ -167,7 +167,7 @@ class Spec:
         return strides
 
     def level(self, name: str, case: int) -> str:
-        """The name of the value that a list has in a case."""
+        """Return the name of the value that a list has in a case."""
         names = tuple(self.distributions[name].levels)
         return names[case // self.strides[name] % len(names)]
 
@@ -176,7 +176,9 @@ class Spec:
         return self.cases * len(self.controllers)
 
     def to_json(self, folder: Path | None = None) -> str:
-        """The specification as text; for a file in ``folder``, with paths relative to that."""
+        """Return the specification as text; for a file in ``folder``, with paths relative to
+        that.
+        """
         data = copy.deepcopy(dict(self.data))
         if folder is not None:
             relate_paths(data["base"], folder)
@@ -196,7 +198,7 @@ class Spec:
 
 
 def shipped_campaigns() -> dict[str, Path]:
-    """The campaigns that ship with the package: name -> file."""
+    """Return the campaigns that ship with the package: name -> file."""
     return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
 
 
@@ -252,7 +254,9 @@ def _with_python_path(spec: Spec) -> Spec:
 
 
 def spec_from_json(text: str, folder: Path | None = None) -> Spec:
-    """The inverse of ``Spec.to_json`` for the same folder. Raises CampaignError for other text."""
+    """Return the inverse of ``Spec.to_json`` for the same folder. Raises CampaignError for other
+    text.
+    """
     try:
         data = json.loads(text)
     except ValueError as error:
@@ -271,7 +275,7 @@ def _anchor_policies(data: dict[str, Any], folder: Path) -> None:
 
 
 def spec_from_data(data: Mapping[str, Any]) -> Spec:
-    """The specification of plain data whose ``base`` holds the resolved scenario."""
+    """Return the specification of plain data whose ``base`` holds the resolved scenario."""
     seed = _whole(data.get("seed", 0), place="seed", least=0, most=_LARGEST_SEED)
     time_limit = number(data.get("time_limit", _TIME_LIMIT), place="time_limit")
     if not 0.0 < time_limit <= 1e6:
@@ -339,7 +343,8 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
 
 
 def parse_settled(data: Any, scenario: Scenario) -> Settled:
-    """The criterion under ``settled``; groups that it leaves out have the scenario's tolerance.
+    """Return the criterion under ``settled``; groups that it leaves out have the scenario's
+    tolerance.
 
     Raises CampaignError for an unknown key or a value out of range.
     """
@@ -373,7 +378,7 @@ def _positive(data: Any, *, place: str) -> float:
 
 
 def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
-    """The resolved scenario as plain data, fixed overrides included."""
+    """Return the resolved scenario as plain data, fixed overrides included."""
     name = data.get("scenario", "postcapture")
     if not isinstance(name, str):
         raise CampaignError(f"scenario: must be a shipped name or a file, not {shown(name)}")
@@ -404,7 +409,7 @@ def _whole(data: Any, *, place: str, least: int, most: int) -> int:
 
 
 def _grid_size(distributions: Mapping[str, Distribution]) -> int:
-    """The number of combinations of the values of lists."""
+    """Return the number of combinations of the values of lists."""
     for name, distribution in distributions.items():
         if not distribution.levels:
             raise CampaignError(f"{name}: must be a list, because sampling is grid")

@@ -143,7 +143,7 @@ class Difference:
 
 
 def paired_differences(table: Table) -> list[Difference]:
-    """Every pair of controllers."""
+    """Return every pair of controllers."""
     return [
         _difference(first, second)
         for first, second in itertools.combinations(table.runs.values(), 2)
@@ -190,8 +190,8 @@ def _paired_proportions(first: int, second: int, cases: int) -> Interval:
 
 
 def _median(sample: np.ndarray) -> Interval:
-    """The median, with the interval between order statistics, which no distribution is assumed
-    for.
+    """Return the median, with the interval between order statistics, which no distribution is
+    assumed for.
     """
     # typed wrongly in SciPy's stubs
     found: Any = stats.quantile_test(sample, p=0.5).confidence_interval(CONFIDENCE)
@@ -246,7 +246,7 @@ def _explained(bins: np.ndarray, failed: np.ndarray) -> float:
 
 
 def most_influential(found: list[Sensitivity]) -> list[str]:
-    """The names by the share they explain, summed over the controllers, largest first."""
+    """Return the names by the share they explain, summed over the controllers, largest first."""
     names = list(dict.fromkeys(item.name for item in found))
     total = {name: np.nansum([item.share for item in found if item.name == name]) for name in names}
     return sorted(names, key=lambda name: -total[name])
@@ -286,7 +286,9 @@ def agreement(runs: Runs) -> Agreement:
 
 
 def worst_runs(runs: Runs) -> np.ndarray:
-    """Positions of the five worst runs: errors, earliest divergences, largest final errors."""
+    """Return positions of the five worst runs: errors, earliest divergences, largest final
+    errors.
+    """
     errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
     final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
     kinds = ("error", "diverged", *NOT_CAPTURED, "growing", "not_settled", "refused")
@@ -317,7 +319,9 @@ class GridPoint:
 
 
 def grid_points(spec: Spec, table: Table) -> list[GridPoint]:
-    """Every combination and controller that was run; none where the sampling is not a grid."""
+    """Return every combination and controller that was run; none where the sampling is not a
+    grid.
+    """
     if spec.sampling != "grid":
         return []
     return [

@@ -173,7 +173,7 @@ class Store:
         return CampaignError(f"{self.path}: is damaged: {problem}")
 
     def sampled(self, name: str) -> list[Any]:
-        """A sampled or derived value as the database keeps it, for every case in order."""
+        """Return a sampled or derived value as the database keeps it, for every case in order."""
         return [
             row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")
         ]
@@ -225,8 +225,8 @@ class Store:
                 ) from None
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
-        """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it
-        is not there yet.
+        """Return the stored row of one run, by column of the view ``runs``. Raises CampaignError
+        when it is not there yet.
         """
         for row in self.query(
             "SELECT * FROM runs WHERE case_index = ? AND controller = ?", (case, controller)
@@ -244,7 +244,7 @@ class Store:
         return table
 
     def note(self, key: str) -> str | None:
-        """A text that ``keep`` has kept."""
+        """Return a text that ``keep`` has kept."""
         for (text,) in self.query("SELECT value FROM campaign WHERE key = ?", (key,)):
             return str(text)
         return None
@@ -316,7 +316,7 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """The shard written as I/N. Raises CampaignError for other text."""
+        """Return the shard written as I/N. Raises CampaignError for other text."""
         match = re.fullmatch(r"([1-9][0-9]{0,6})/([1-9][0-9]{0,6})", text)
         if match is None or int(match[1]) > int(match[2]):
             raise CampaignError(f"--shard: must be I/N with I from 1 to N, not {text!r}")
@@ -470,7 +470,7 @@ def _check_schema(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _view(spec: Spec) -> str:
-    """The statement that makes the view ``runs``."""
+    """Return the statement that makes the view ``runs``."""
     values = [_quoted(name) for name in spec.names]
     shown = [f"cases.{name}" for name in values]
     shown += [f"results.{name}" for name in result_columns(spec)]
@@ -566,7 +566,7 @@ def _one_line_errors(path: Path) -> Iterator[None]:
 
 
 def result_columns(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign's results, in their order."""
+    """Return the columns of a campaign's results, in their order."""
     numbers = (*metrics_of(spec), *predictions_of(spec))
     return (
         "outcome",
@@ -598,7 +598,7 @@ def _looks_like_json(text: str) -> bool:
 
 
 def _from_column(value: Any) -> Any:
-    """The inverse of _to_column."""
+    """Return the inverse of _to_column."""
     return json.loads(value) if isinstance(value, str) and _looks_like_json(value) else value
 
 

@@ -325,8 +325,8 @@ class CoupledEstimator(Estimator):
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
 
     def gain_at(self, q_d: np.ndarray) -> np.ndarray:
-        """The gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
-        base's rotation and the joints' positions, rad or m.
+        """Return the gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle
+        of the base's rotation and the joints' positions, rad or m.
         """
         if isinstance(self.gain, tuple):
             each = zip(self.gain, self.postures, q_d, strict=True)
@@ -375,7 +375,7 @@ class CoupledEstimator(Estimator):
 
 
 def _stacked(gain: np.ndarray | tuple[np.ndarray, ...]) -> np.ndarray:
-    """A gain, or (B, ...) those of several runs."""
+    """Return a gain, or (B, ...) those of several runs."""
     return np.stack(gain) if isinstance(gain, tuple) else gain
 
 
@@ -396,7 +396,7 @@ def _axes_matter(axes: Sequence[SensedAxis]) -> bool:
 
 
 def _turned(R: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (..., nv) along the coordinates, the base's vectors turned by R (..., 3, 3)."""
+    """Return values (..., nv) along the coordinates, the base's vectors turned by R (..., 3, 3)."""
     turned, base = values.copy(), values[..., :NUM_BASE_VELOCITIES]
     vectors = product(base.reshape(*base.shape[:-1], 2, 3), np.swapaxes(R, -1, -2))  # as rows
     turned[..., :NUM_BASE_VELOCITIES] = vectors.reshape(base.shape)

@@ -127,8 +127,8 @@ class SensedAxis:
 
 
 def late_gains(axis: SensedAxis, *, sample_time: float) -> np.ndarray:
-    """Gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e, e', d,
-    b, past].
+    """Return gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e,
+    e', d, b, past].
 
     One gain per kind of sample (nothing, velocity, position, both new). If the stationary filter's
     gain differs between samples of one kind, it is the mean over the sensors' common period.
@@ -196,7 +196,9 @@ class _LateFilter:
         return found
 
     def mean_gains(self, kinds: list[int]) -> np.ndarray:
-        """The stationary filter's gains (4, size, 2) by what is new: the mean over the period."""
+        """Return the stationary filter's gains (4, size, 2) by what is new: the mean over the
+        period.
+        """
         covariance, sums = self._stationary(kinds), np.zeros((4, *self.output.T.shape))
         for kind in kinds:
             seen = np.flatnonzero([kind // 2, kind % 2])
@@ -209,7 +211,7 @@ class _LateFilter:
         return sums / np.maximum(np.bincount(kinds, minlength=4), 1)[:, None, None]
 
     def _stationary(self, kinds: list[int]) -> np.ndarray:
-        """The covariance before the first sample of the common period."""
+        """Return the covariance before the first sample of the common period."""
         one, output = np.eye(len(self.transition)), self.output
         whole = _Riccati(one, 0.0 * one, 0.0 * one)
         for kind in kinds:
@@ -233,8 +235,8 @@ class _LateFilter:
 
 
 def _at_present(gains: np.ndarray, axis: SensedAxis, *, step: float) -> np.ndarray:
-    """Gains of the present, and of all that was, from those (4, size, 2) at the time of the younger
-    measurement; in SI units.
+    """Return gains of the present, and of all that was, from those (4, size, 2) at the time of the
+    younger measurement; in SI units.
     """
     common = min(axis.delay)
     steps = [np.linalg.matrix_power(_CORE, count) @ gains[:, :4] for count in range(common + 1)]
@@ -256,7 +258,7 @@ class _Riccati(NamedTuple):
     h: np.ndarray
 
     def then(self, other: "_Riccati") -> "_Riccati":
-        """The composition: this map, then the other."""
+        """Return the composition: this map, then the other."""
         inverse = np.linalg.inv(np.eye(len(self.a)) + self.h @ other.g)
         g = self.g + self.a.T @ other.g @ inverse @ self.a
         h = other.h + other.a @ inverse @ self.h @ other.a.T

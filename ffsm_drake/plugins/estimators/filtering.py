@@ -44,7 +44,7 @@ class FilteredLaw(ControlLaw):
         return is_wide(self.law)
 
     def initial_state(self) -> State:
-        """The law's state, and that of filters at rest."""
+        """Return the law's state, and that of filters at rest."""
         zeros = np.zeros_like(self.share)
         return {**self.law.initial_state(), **dict.fromkeys(_MEMORY, zeros)}
 
@@ -63,7 +63,7 @@ class FilteredLaw(ControlLaw):
         return self.law.reaching_gain
 
     def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """The switching gain of the law."""
+        """Return the switching gain of the law."""
         return self.law.switching_gain_after(s, g)
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
@@ -97,7 +97,7 @@ _MEMORY = ("low_passed_force", "notch_first", "notch_second")
 def make_filtered(
     law: ControlLaw, settings: CommandFilter, coordinates: Coordinates, *, sample_time: float
 ) -> ControlLaw:
-    """A law with the filters of a scenario, if it has any; else the law itself.
+    """Return a law with the filters of a scenario, if it has any; else the law itself.
 
     Raises ScenarioError: an unknown coordinate, or a frequency above half the control rate.
     """

@@ -61,8 +61,8 @@ class FreeDynamics:
     def linearized(
         self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The results of ``calc``, and their derivatives by z_a, rate and acceleration (3, m, na,
-        n; row, column).
+        """Return the results of ``calc``, and their derivatives by z_a, rate and acceleration (3,
+        m, na, n; row, column).
         """
         wanted = [(order, i) for order in range(3) for i in range(len(z))]
         return complex_step(self.calc, (z, rate, acceleration), wanted)
@@ -71,7 +71,7 @@ class FreeDynamics:
 def turned(
     w: np.ndarray, alpha: np.ndarray, by: np.ndarray, steps: np.ndarray, by_steps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The rotations of a body since the first of some instants, and how they change.
+    """Return the rotations of a body since the first of some instants, and how they change.
 
     Each step is a rotation by h/2 (w_0 + w_1) + h^2/12 (alpha_0 - alpha_1 + w_0 x w_1), of fourth
     order.

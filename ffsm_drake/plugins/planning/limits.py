@@ -67,8 +67,8 @@ class Margin:
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
-    """The limits of a scenario: its actuators, URDFs, drives, and ``planning``; none for undriven
-    coordinates.
+    """Return the limits of a scenario: its actuators, URDFs, drives, and ``planning``; none for
+    undriven coordinates.
 
     Raises ScenarioError for a missing or undriven coordinate, ModelError for an unreadable URDF.
     """

@@ -176,7 +176,9 @@ class _Planner:
                 )
 
     def plan(self) -> PlannedMotionReport:
-        """The plan from the first guess that leads to one. Raises PlanningError if none does."""
+        """Return the plan from the first guess that leads to one. Raises PlanningError if none
+        does.
+        """
         undriven = bool(self._scenario.undriven)
         dynamics = FreeDynamics(self._dynamics, self._model.coordinates) if undriven else None
         # An impulse limit leaves no room for a detour; without, that comes first.
@@ -223,8 +225,8 @@ class _Planner:
         return start, np.r_[rotation_error(goal[:4], self._start[:4]), goal[4:]][driven]
 
     def _first_guess(self, problem: PlanningProgram, angle: float) -> np.ndarray:
-        """The fifth-order polynomial from the start, at its rate, to rest, in the shortest feasible
-        of a few times, with a detour of the base's attitude, rad.
+        """Return the fifth-order polynomial from the start, at its rate, to rest, in the shortest
+        feasible of a few times, with a detour of the base's attitude, rad.
 
         Without a detour a solver never leaves the plane of its first guess.
         """
@@ -261,7 +263,7 @@ class _Planner:
     def _solved(
         self, problem: PlanningProgram, unknowns: np.ndarray
     ) -> tuple[PlannedMotionReport, str]:
-        """A plan from a first guess, with the solver's message.
+        """Return a plan from a first guess, with the solver's message.
 
         Between the solver's instants a limit may be exceeded: the search then continues with a
         smaller share of it.
@@ -287,7 +289,7 @@ class _Planner:
         return found, said
 
     def _plan_of(self, unknowns: np.ndarray) -> Plan:
-        """The plan with these unknowns.
+        """Return the plan with these unknowns.
 
         Columns of undriven coordinates hold position and rate at the start alone, by which a run
         knows their momentum.
@@ -383,7 +385,8 @@ class _Planner:
             )  # fmt: skip
 
     def _settled(self, found: PlannedMotionReport) -> PlannedMotionReport:
-        """The plan with the shortest time for the rates at its end to die away within limits.
+        """Return the plan with the shortest time for the rates at its end to die away within
+        limits.
 
         Raises PlanningError if none is.
         """

@@ -277,8 +277,8 @@ class PlanningProgram:
         ).evaluator()
 
     def _turned(self, values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The base's rotation vector at every instant but the first, and its small rotations by
-        the unknowns.
+        """Return the base's rotation vector at every instant but the first, and its small rotations
+        by the unknowns.
         """
         w, alpha = np.split(values[:, self._size : self._size + 6], 2, axis=1)
         slope = by[:, self._size : self._size + 6]
@@ -358,7 +358,7 @@ class PlanningProgram:
         x: np.ndarray,
         chosen: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     ) -> np.ndarray:
-        """Values ``chosen`` from all values, with their gradient.
+        """Return values ``chosen`` from all values, with their gradient.
 
         x either has no derivatives or, from the solver, those by itself.
         """
@@ -370,7 +370,7 @@ class PlanningProgram:
         return InitializeAutoDiff(result[:, None], gradient.reshape(result.size, -1))
 
     def _evaluate(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (instants, rows) for [P, h] and their gradient (instants, rows, unknowns).
+        """Return values (instants, rows) for [P, h] and their gradient (instants, rows, unknowns).
 
         The rows are force, what else the dynamics give, and z.
         """
@@ -401,7 +401,7 @@ class PlanningProgram:
         return self._cache[1:]
 
     def worst(self, unknowns: np.ndarray) -> float:
-        """The largest share of a force limit in use."""
+        """Return the largest share of a force limit in use."""
         force = self._evaluate(unknowns)[0][:, : self._size]
         return float(np.max(np.abs(force) / self._limits.force))
 
@@ -434,7 +434,7 @@ class PlanningProgram:
         return np.r_[points.ravel(), duration, 0.0 * even]
 
     def solve(self, guess: np.ndarray, *, moving: bool) -> tuple[np.ndarray, str]:
-        """The best unknowns found, with the solver's message; knots keep their shares of
+        """Return the best unknowns found, with the solver's message; knots keep their shares of
         the duration unless they are ``moving``.
 
         Where joints turn the base further than they may, a limit on it at once is not found to be
@@ -498,7 +498,7 @@ class PlanningProgram:
 
 
 def spline_basis(window: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The four cubic B-splines of the middle one of five segments, with two derivatives.
+    """Return the four cubic B-splines of the middle one of five segments, with two derivatives.
 
     Args:
       window: lengths of the segments (5, n), s; zero beyond the ends of the spline.
@@ -513,7 +513,7 @@ def spline_basis(window: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _splines(window: np.ndarray, place: np.ndarray, _: np.ndarray) -> np.ndarray:
-    """Values and derivatives (12, n), by the recursion of Cox and de Boor."""
+    """Return values and derivatives (12, n), by the recursion of Cox and de Boor."""
     own, within = window[2], place[0]
     left = np.cumsum([within * own, window[1], window[0]], axis=0)
     right = np.cumsum([(1.0 - within) * own, window[3], window[4]], axis=0)
@@ -529,8 +529,8 @@ def _splines(window: np.ndarray, place: np.ndarray, _: np.ndarray) -> np.ndarray
 
 
 def _distances(clearance: Clearance, q: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
-    """The distances (n) below ``most`` (m) in a configuration, and their derivatives (n, nv) along
-    the plant's velocities.
+    """Return the distances (n) below ``most`` (m) in a configuration, and their derivatives (n, nv)
+    along the plant's velocities.
     """
     plant, context = clearance.plant, clearance.plant_context
     found, rates = list[float](), [np.empty((0, plant.num_velocities()))]

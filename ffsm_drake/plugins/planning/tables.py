@@ -51,7 +51,7 @@ def plan_table(found: PlannedMotionReport) -> str:
 
 
 def plan_data(found: PlannedMotionReport) -> dict[str, Any]:
-    """The text of the plan as plain data."""
+    """Return the text of the plan as plain data."""
     return {
         "duration": found.plan.duration,
         "settle": found.plan.settle,

@@ -151,7 +151,7 @@ def _gains_of(
 def linearized(
     model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A (2 nv, 2 nv) and B (2 nv, nv) of [e; e']' = A [e; e'] + B u about a motion."""
+    """Return a (2 nv, 2 nv) and B (2 nv, nv) of [e; e']' = A [e; e'] + B u about a motion."""
     nv = v.size
     mass_matrix, force = model.calc_mass_matrix(q), model.calc_inverse_dynamics(q, v, a)
     by_q, by_v = np.zeros((nv, nv)), np.zeros((nv, nv))
@@ -176,6 +176,6 @@ def moved(q: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def discretized(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """A and B over a period with the input held, to second order."""
+    """Return a and B over a period with the input held, to second order."""
     half = 0.5 * period * a
     return np.eye(len(a)) + period * (a + half @ a), period * (b + half @ b)

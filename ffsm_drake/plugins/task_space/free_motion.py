@@ -100,7 +100,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return np.concatenate([quaternion_rate(unit[:4], v[:3]), v[3:]])
 
     def solve(self) -> Any:
-        """The dense solution q(t) of the next part."""
+        """Return the dense solution q(t) of the next part."""
         from scipy.integrate import solve_ivp  # slow to load, as below wherever SciPy is used
 
         begin, end = (self._part * (len(self._parts) + i) for i in (0, 1))
@@ -148,7 +148,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
 # a run, its report and the next run use the same motion
 @memoized(maxsize=16, besides="motion")
 def _solved(content: tuple[Any, ...], index: int, *, motion: MomentumMotion) -> Any:
-    """A part of the motion with this content."""
+    """Return a part of the motion with this content."""
     return motion.solve()
 
 

@@ -32,7 +32,7 @@ class Manipulability:
 def manipulability(
     jacobian: np.ndarray, *, task: Task = "pose", length: float = 1.0
 ) -> Manipulability:
-    """The dynamic manipulability of a generalized Jacobian J* (..., 6, na).
+    """Return the dynamic manipulability of a generalized Jacobian J* (..., 6, na).
 
     Args:
       task: rows of the Jacobian: of the twist [w; v], of w, or of v.
@@ -62,7 +62,7 @@ def manipulability_along(
     task: Task = "pose",
     length: float = 1.0,
 ) -> Manipulability:
-    """The dynamic manipulability of a frame along a motion, configurations (n, nq).
+    """Return the dynamic manipulability of a frame along a motion, configurations (n, nq).
 
     The base's pose does not matter. Arguments and errors as ``free_floating``,
     ``PlantModel.calc_jacobian`` and ``manipulability``.

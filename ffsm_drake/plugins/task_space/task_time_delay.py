@@ -154,7 +154,7 @@ class TaskTimeDelay(AccelerationLaw):
 
 
 def _at_estimate(sample: Sample, estimate: Estimate, driven: np.ndarray) -> Sample:
-    """A sample (..., nv) with the estimated state of the driven coordinates in place of the
+    """Return a sample (..., nv) with the estimated state of the driven coordinates in place of the
     measured one, to first order in the attitude's error.
     """
     q, v, e, e_dot = (of.copy() for of in (sample.q, sample.v, sample.e, sample.e_dot))

@@ -63,7 +63,7 @@ class TaskSpace:
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
-        """The task of ``reference.frame``; default: the end effector's pose.
+        """Return the task of ``reference.frame``; default: the end effector's pose.
 
         The default applies without a frame, or without prescribed rows. Raises ModelError: there is
         no such frame.
@@ -76,8 +76,8 @@ class TaskSpace:
         return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
-        """The task at one sample, of one run or several; singular values below ``damping`` are
-        damped.
+        """Return the task at one sample, of one run or several; singular values below ``damping``
+        are damped.
         """
         model, q, rows = self.model, sample.q, self.rows
         spacecraft = FreeFloating(
@@ -276,7 +276,8 @@ class AccelerationLaw(TaskSpaceLaw):
         return limited(wanted, self.acceleration_limit)
 
     def limited(self, e: np.ndarray) -> np.ndarray:
-        """The frame's error (..., m), shortened to keep the correction within the speed limit.
+        """Return the frame's error (..., m), shortened to keep the correction within the speed
+        limit.
 
         At the limit K_p e is K_d times the speed. At a singularity no rate can remove an error,
         and joints oscillate faster the larger it is.
@@ -284,13 +285,15 @@ class AccelerationLaw(TaskSpaceLaw):
         return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))
 
     def planned(self, sample: Sample) -> np.ndarray:
-        """The acceleration z (..., na) that follows the plan."""
+        """Return the acceleration z (..., na) that follows the plan."""
         z = sample.a_d + self.k_d_plan * sample.e_dot + self.k_p_plan * sample.e
         return z[..., self.task_space.driven]
 
 
 def limited(vector: np.ndarray, limit: np.ndarray | float) -> np.ndarray:
-    """A frame's vector (..., m), rotation and position each shortened to a limit, one or by row."""
+    """Return a frame's vector (..., m), rotation and position each shortened to a limit, one or by
+    row.
+    """
     shape = (*vector.shape[:-1], -1, 3)
     parts, limits = vector.reshape(shape), np.broadcast_to(limit, vector.shape).reshape(shape)
     limits = limits[..., :1]

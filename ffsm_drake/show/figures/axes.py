@@ -103,7 +103,9 @@ def legend_below(figure: Figure | SubFigure, axes: Axes, *, columns: int = 3) ->
 
 
 def plain(text: object) -> str:
-    """A user's text for a Matplotlib label, dollar signs escaped: they would mark mathematics."""
+    """Return a user's text for a Matplotlib label, dollar signs escaped: they would mark
+    mathematics.
+    """
     return str(text).replace("$", r"\$")
 
 

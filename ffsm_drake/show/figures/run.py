@@ -98,7 +98,7 @@ def _fit(figure: Figure, width: float) -> None:
 
 
 def plot_trajectories(record: RunRecord) -> Figure:
-    """The paper's Figure 3: end effector in space, base attitude and position, joints.
+    """Return the paper's Figure 3: end effector in space, base attitude and position, joints.
 
     The reference is dashed.
     """
@@ -140,7 +140,7 @@ def _draw_path(space: Any, record: RunRecord) -> None:
 
 
 def plot_errors(records: Sequence[RunRecord]) -> Figure:
-    """Tracking error of every coordinate, runs overlaid (the paper's Figure 4).
+    """Return the tracking error of every coordinate, runs overlaid (the paper's Figure 4).
 
     Two panels each: the error itself, the roughest run behind the others, and below it its rms over
     one second on a logarithmic axis, to separate controllers with errors that differ by orders of
@@ -249,13 +249,13 @@ def _draw_coordinate(both: tuple[Axes, Axes], charts: tuple[Chart, Chart], lette
 
 
 def _stepped(chart: Chart) -> Chart:
-    """Every control sample of a chart as a thin step."""
+    """Return every control sample of a chart as a thin step."""
     curves = [dataclasses.replace(curve, steps=True, width=0.9) for curve in chart.curves]
     return dataclasses.replace(chart, curves=curves)
 
 
 def _ended(run: Result) -> str:
-    """The label of a run, and how it ended early."""
+    """Return the label of a run, and how it ended early."""
     outcome = run.record.outcome
     return (
         run.label

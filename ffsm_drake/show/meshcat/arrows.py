@@ -200,12 +200,16 @@ def legend(arrows: ForceArrows) -> list[str]:
 
 
 def _finite_rows(vectors: np.ndarray) -> np.ndarray:
-    """A copy with zeros for rows of non-finite length, such as a diverged run's last force."""
+    """Return a copy with zeros for rows of non-finite length, such as a diverged run's last
+    force.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
 
 
 def magnification(ratio: float) -> int:
-    """The largest of 1, 2, 5, 10, ... 1000 whose product with a length ratio stays below one."""
+    """Return the largest of 1, 2, 5, 10, ... 1000 whose product with a length ratio stays below
+    one.
+    """
     allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
     return allowed[-1] if allowed and ratio > 0.0 else 1

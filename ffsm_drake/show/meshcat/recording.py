@@ -144,7 +144,7 @@ def write_recording(
 
 
 def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: float) -> str:
-    """The page with a title and a caption: run, speed, meaning of the arrows."""
+    """Return the page with a title and a caption: run, speed, meaning of the arrows."""
     title = record.scenario.description or "Run"
     lines = [
         f"<b>{html.escape(title)}</b>",

@@ -13,7 +13,7 @@ from ffsm_drake.systems.registry import section_parts
 
 
 def solids_of(scenario: Scenario) -> list[Solid]:
-    """The solids of a scenario's own actuators."""
+    """Return the solids of a scenario's own actuators."""
     return [solid for part in section_parts(scenario).values() for solid in part.solids()]
 
 
@@ -67,7 +67,7 @@ class SwitchedSolids:
     def of(
         cls, meshcat: Meshcat, base: str, record: RunRecord, *, longest: float
     ) -> "SwitchedSolids":
-        """The solids of a run with recorded signals. Args: see ``draw_solids``."""
+        """Return the solids of a run with recorded signals. Args: see ``draw_solids``."""
         data = record.dataset
         solids = [each for each in solids_of(record.scenario) if each.shown_by in data]
         columns = []

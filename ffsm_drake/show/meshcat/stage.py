@@ -92,7 +92,7 @@ _STARTED = _Started()
 
 
 def start_meshcat() -> Meshcat:
-    """A Meshcat server for this machine only, at a random address and port.
+    """Return a Meshcat server for this machine only, at a random address and port.
 
     It lives until nothing uses it and its thread ends, or starts another.
 
@@ -174,7 +174,7 @@ def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray
 def camera_pose(
     plant: MultibodyPlant, scenario: Scenario, inspector: SceneGraphInspector
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of the camera and of its target point (3 each), world frame, m.
+    """Return positions of the camera and of its target point (3 each), world frame, m.
 
     It looks at the middle of the visible spacecraft at the start and the end, from a distance that
     shows all.
@@ -207,7 +207,9 @@ def camera_pose(
 def base_bounding_box(
     plant: MultibodyPlant, inspector: SceneGraphInspector
 ) -> tuple[RigidTransform, np.ndarray]:
-    """Pose and half width (3), m, of a box around the base's largest visible geometry."""
+    """Return the pose and half width (3), m, of a box around the base's largest visible
+    geometry.
+    """
     frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
     found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
     largest = 0.0
@@ -222,7 +224,9 @@ def base_bounding_box(
 def _outline(
     plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex
 ) -> np.ndarray:
-    """A body's origin and the corners of its visible geometry's boxes (n, 3), world frame, m."""
+    """Return a body's origin and the corners of its visible geometry's boxes (n, 3), world frame,
+    m.
+    """
     X_WB = plant.get_body(index).EvalPoseInWorld(context)
     points = [X_WB.translation()[None]]
     frame = plant.GetBodyFrameIdIfExists(index)
@@ -306,6 +310,8 @@ class SpacecraftView:
         return f"{self._prefix}/{name.replace('::', '/')}"
 
     def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
-        """A point (3) of a frame of ``plant`` in world (3), in the shown configuration, m."""
+        """Return a point (3) of a frame of ``plant`` in world (3), in the shown configuration,
+        m.
+        """
         world = self.plant.world_frame()
         return self.plant.CalcPointsPositions(self._plant_context, frame, point, world)[:, 0]

@@ -52,7 +52,7 @@ PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # the paper's comparison
 
 
 def controller_names() -> tuple[str, ...]:
-    """Names of all controllers: shipped ones, then installed ones."""
+    """Return names of all controllers: shipped ones, then installed ones."""
     return block_names("controller")
 
 
@@ -67,7 +67,7 @@ def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
 def make_controller(
     scenario: Scenario, nominal: PlantModel, factory: Factory | None = None
 ) -> System:
-    """The scenario's controller, a system with its name (the part after the colon).
+    """Return the scenario's controller, a system with its name (the part after the colon).
 
     Args:
       scenario: names the controller and its gains.
@@ -123,7 +123,8 @@ def make_law(scenario: Scenario, nominal: PlantModel) -> Any:
 
 
 def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]:
-    """Gains of the scenario's controller, by name: vectors (nv) or numbers; see ``gain_values``.
+    """Return gains of the scenario's controller, by name: vectors (nv) or numbers; see
+    ``gain_values``.
 
     Empty for a controller that declares none. Raises ScenarioError and BlockError as
     ``make_controller`` does.
@@ -137,12 +138,12 @@ def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]
 
 
 def declared_gains(scenario: Scenario) -> dict[str, Gain]:
-    """Declared gains of the scenario's controller, by name; empty if it declares none."""
+    """Return declared gains of the scenario's controller, by name; empty if it declares none."""
     return gains_of(controller_factory(scenario))
 
 
 def complete_gains(scenario: Scenario) -> Scenario:
-    """The scenario with all gains of its controller written out, including defaults."""
+    """Return the scenario with all gains of its controller written out, including defaults."""
     declared, key = declared_gains(scenario), controller_key(scenario.controller)
     if not declared:
         return scenario
@@ -194,7 +195,7 @@ def _make(setup: BlockSetup, factory: Factory | None) -> Any:
 
 
 def controller_factory(scenario: Scenario) -> Factory:
-    """The factory of the scenario's controller, such as the class of its law. Raises the errors of
-    ``make_controller``.
+    """Return the factory of the scenario's controller, such as the class of its law. Raises the
+    errors of ``make_controller``.
     """
     return find_factory("controller", scenario.controller, python_path=scenario.python_path)

@@ -30,14 +30,14 @@ def has_user_code(law: Any) -> bool:
 
 
 def memory_of(law: ControlLaw, place: str) -> dict[str, np.ndarray]:
-    """The initial state of a law, checked. Raises BlockError."""
+    """Return the initial state of a law, checked. Raises BlockError."""
     return checked_memory(calling(place, lambda: law.initial_state()), f"{place}: initial_state")
 
 
 def checked_memory(
     returned: Any, what: str, shapes: Mapping[str, tuple[int, ...]] | None = None
 ) -> dict[str, np.ndarray]:
-    """A law's memory by name, as vectors of floats.
+    """Return a law's memory by name, as vectors of floats.
 
     Args:
       returned: the law's result.
@@ -76,7 +76,7 @@ def _check_names(found: Mapping[str, Any], known: Mapping[str, Any], what: str) 
 
 
 def attribute_of(law: ControlLaw, name: str, default: Any) -> Any:
-    """A law's attribute; the default only where it has none, not where a property fails."""
+    """Return a law's attribute; the default only where it has none, not where a property fails."""
     missing = inspect.getattr_static(law, name, None) is None
     return getattr(law, name, default) if missing else getattr(law, name)
 
@@ -157,7 +157,7 @@ def _check_held(held: Mapping[str, Any], memory: Mapping[str, Any], what: str) -
 
 
 def checked_step(law: ControlLaw, place: str) -> Step:
-    """The ``step`` of a law, with a function that gives the time (s) for errors.
+    """Return the ``step`` of a law, with a function that gives the time (s) for errors.
 
     Every result of a user-supplied law is checked, in about half a microsecond if it is valid.
     At its first sample, and the first after a grasp, its inputs are read-only. A shipped law's step
@@ -209,7 +209,7 @@ def _is_right(returned: Any, sample: Sample, state: State) -> bool:
 def _converted(
     returned: Any, shape: tuple[int, ...], state: State, what: str
 ) -> tuple[np.ndarray, State]:
-    """The results of ``step`` as arrays of floats. Raises BlockError for other results."""
+    """Return the results of ``step`` as arrays of floats. Raises BlockError for other results."""
     if not (
         isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)
     ):
@@ -223,7 +223,7 @@ def _converted(
 
 
 def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str = _NUMBERS) -> Any:
-    """A value as an array of floats.
+    """Return a value as an array of floats.
 
     Args:
       value: result of user-supplied code.
@@ -255,7 +255,7 @@ def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str 
 
 
 def described(value: Any) -> str:
-    """The type of a value, in words."""
+    """Return the type of a value, in words."""
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype}"
     if isinstance(value, tuple):
@@ -264,7 +264,7 @@ def described(value: Any) -> str:
 
 
 def mapping(value: Any, what: str) -> dict[str, Any]:
-    """A mapping with names as keys, as a dict. Raises BlockError for anything else."""
+    """Return a mapping with names as keys, as a dict. Raises BlockError for anything else."""
     try:
         found = dict(value) if isinstance(value, Mapping) else None
     except BaseException as error:

@@ -41,13 +41,13 @@ class Estimator(abc.ABC):
     def make(
         cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
     ) -> "Estimator":
-        """The estimator of a scenario; see ``make_estimator``. Raises LinAlgError without a
+        """Return the estimator of a scenario; see ``make_estimator``. Raises LinAlgError without a
         stationary filter.
         """
 
     @abc.abstractmethod
     def initial_state(self) -> State:
-        """Name -> initial value of each piece of the estimator's memory."""
+        """Return name -> initial value of each piece of the estimator's memory."""
 
     @abc.abstractmethod
     def step(
@@ -113,7 +113,7 @@ class OneSampleEstimator(Estimator):
 def make_estimator(
     scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None = None
 ) -> Estimator:
-    """The scenario's estimator, for the spacecraft's coordinates, or for m coordinates with
+    """Return the scenario's estimator, for the spacecraft's coordinates, or for m coordinates with
     velocities J v and the Jacobian J (m, nv).
 
     The noise and walk of a Kalman filter in such coordinates follow through J from the

@@ -21,8 +21,8 @@ class _CannotJoin(Exception):
 def join_controllers(
     controllers: Sequence[System], models: Sequence[PlantModel], join_models: Joined
 ) -> SampledController | None:
-    """The controllers of several copies as one; None if their laws are not wide, or differ in
-    fields without rows.
+    """Return the controllers of several copies as one; None if their laws are not wide, or differ
+    in fields without rows.
 
     Args:
       controllers: the controller of each copy.
@@ -40,8 +40,8 @@ def join_controllers(
 
 
 def _joined(values: Sequence[Any], models: Sequence[PlantModel], join_models: Joined) -> Any:
-    """A field of all laws as one: of vectors a row for each, of numbers that differ a column, of
-    dataclasses such a one; all else, indices among it, must be equal.
+    """Return a field of all laws as one: of vectors a row for each, of numbers that differ a
+    column, of dataclasses such a one; all else, indices among it, must be equal.
     """
     first = values[0]
     if len(set(map(type, values))) > 1:

@@ -144,7 +144,7 @@ class SampledController(LeafSystem):
         )
 
     def _first_memory(self, num_velocities: int) -> State:
-        """The law's memory at the start, of several copies with a row for each."""
+        """Return the law's memory at the start, of several copies with a row for each."""
         if self._copies > 1:
             memories = [law.initial_state() for law in self._laws]
             return {name: np.stack([each[name] for each in memories]) for name in memories[0]}
@@ -188,7 +188,7 @@ class SampledController(LeafSystem):
         return self.CreateDefaultContext()
 
     def state(self, context: Context, name: str) -> np.ndarray:
-        """A copy of one piece of the discrete state, by its name in the class docstring."""
+        """Return a copy of one piece of the discrete state, by its name in the class docstring."""
         index = {
             "generalized_force": self._force,
             "has_previous": self._has_previous,
@@ -233,7 +233,7 @@ class SampledController(LeafSystem):
             context.SetDiscreteState(index, np.concatenate([np.ravel(of[name]) for of in resumed]))
 
     def memory_groups(self) -> Mapping[str, int]:
-        """The discrete group of each piece of the law's memory, by name."""
+        """Return the discrete group of each piece of the law's memory, by name."""
         return {name: int(index) for name, index in self._memory.items()}
 
     @property
@@ -250,8 +250,8 @@ class SampledController(LeafSystem):
         return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
     def read(self, context: Context) -> tuple[State, State]:
-        """The inputs of an update, by name: connected input ports, and the law's memory; a row for
-        each of several copies.
+        """Return the inputs of an update, by name: connected input ports, and the law's memory; a
+        row for each of several copies.
         """
         value = context.get_discrete_state().value
         inputs = {
@@ -282,8 +282,8 @@ class SampledController(LeafSystem):
         is_first: bool = False,
         time: Callable[[], float] = float,
     ) -> tuple[np.ndarray, State]:
-        """The force, and the law's memory after it, from what ``read`` gives: of one update, or of
-        several at once, (m, ...) each; ``time`` gives its time (s), for errors.
+        """Return the force, and the law's memory after it, from what ``read`` gives: of one update,
+        or of several at once, (m, ...) each; ``time`` gives its time (s), for errors.
         """
         split, estimated, desired = (
             self._num_positions, inputs["estimated_state"], inputs["desired_state"],

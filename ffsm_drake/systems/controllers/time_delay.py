@@ -193,7 +193,7 @@ class TimeDelayControl(ControlLaw):
         return self.estimator.random_walks
 
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
-        """The law with another K_s (..., nv), 1/s, at the start."""
+        """Return the law with another K_s (..., nv), 1/s, at the start."""
         return dataclasses.replace(self, dynamics=self.dynamics.with_reaching_gain(k_s))
 
     def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -240,7 +240,7 @@ def time_delay_force(
     delayed_acceleration: np.ndarray,
     u: np.ndarray,
 ) -> np.ndarray:
-    """Generalized force tau_k (..., nv) of equation (6): tau_{k-1} + Hhat (u_k - q''_{k-1}), N m
-    and N.
+    """Return the generalized force tau_k (..., nv) of equation (6): tau_{k-1} + Hhat (u_k -
+    q''_{k-1}), N m and N.
     """
     return delayed_force + matrix_vector(nominal_mass_matrix, u - delayed_acceleration)
