@@ -2,7 +2,7 @@
 
     python benchmarks/impacts.py
 
-The figures of ``docs/capture.md``.
+The figures of ``docs/impacts.md``.
 """
 
 import numpy as np

@@ -7,7 +7,7 @@ stays beyond the limits, an error leaves its bounds, or another block requests i
     tau = -sigma kappa Hhat(q) v,   sigma = min(1, min_i limit_i / |kappa Hhat v|_i),
 
 to lower the kinetic energy at every sample while kappa L lambda_max(H^-1 Hhat) < 2 (see
-docs/supervisor.md), and replans from the measured (q, v): the scenario's polynomial to the
+docs/rate_damping.md), and replans from the measured (q, v): the scenario's polynomial to the
 target posture, in the first of 5 x 1.15^n s with inverse dynamics within ``plan_share`` of
 every limit. The law restarts. Before the grasp, it replans immediately, without
 damping, back to the start of the approach.
