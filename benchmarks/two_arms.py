@@ -1,7 +1,7 @@
 """Two arms on one target: the internal force under four laws, and what a run costs.
 
-``python benchmarks/two_arms.py --seeds 20`` prints the tables of ``docs/validation/missions.md``; costs are
-processor time.
+``python benchmarks/two_arms.py --seeds 20`` prints the tables of
+``docs/validation/missions.md``; costs are processor time.
 """
 
 import argparse
