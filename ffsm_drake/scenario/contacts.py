@@ -185,7 +185,7 @@ def _contact_problems(scenario: Any) -> Problems:
         ("reference.duration", scenario.reference.duration is None, "give seconds"),
     ):
         if late and problem:
-            yield key, f"does not go with contacts.{late[0][0]}.closes; {change}"
+            yield key, f"is not compatible with contacts.{late[0][0]}.closes; {change}"
     # A jam and the contacts would each need the other's force at the same instant, detection
     # compares with a plant without contacts, and a supervisor restarts the law's internal force.
     for key, problem in (
