@@ -1,7 +1,7 @@
 """Plumes of thrusters: their force on the bodies that they hit.
 
 A plume's momentum leaves the nozzle into the half space behind the thrust, per solid angle as
-cos^n of the angle off its axis (a source flow, see docs/actuators.md). Rays carry equal parts of
+cos^n of the angle off its axis (a source flow, docs/actuator_models.md). Rays carry equal parts of
 it. Each transfers its whole momentum, along its direction, to the first shape on its path (no
 reflection). Bodies shadow one another.
 """
