@@ -21,7 +21,6 @@ from ffsm_drake.common.plugins import (
     load,
     offered,
 )
-from ffsm_drake.scenario import load_scenario, override_scenario
 
 
 @click.command()
@@ -88,6 +87,7 @@ def _drake() -> str:
 
 
 def _models() -> str:
+    from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.nominal import make_true_plant
     from ffsm_drake.spacecraft.plant import models_dir
 
@@ -97,6 +97,7 @@ def _models() -> str:
 
 def _short_run() -> str:
     from ffsm_drake.runs.simulate import simulate
+    from ffsm_drake.scenario import load_scenario, override_scenario
 
     record = simulate(
         override_scenario(load_scenario("postcapture"), ["duration=0.5"]), check_stability=False
