@@ -398,7 +398,7 @@ def test_what_cannot_be_measured_is_named(name: str, text: str | None, tmp_path:
         directives=None, servicer=str(tmp_path / "out/c.urdf"), end_effector="servicer::l4"
     )
     (line,) = not_measured(dataclasses.replace(Scenario(), model=model))
-    assert line.startswith(f"clearance is not known: no shape of l4 ({name}) to measure")
+    assert line.startswith(f"clearance cannot be computed: no shape of l4 ({name})")
 
 
 @pytest.mark.long
