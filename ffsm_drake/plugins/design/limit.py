@@ -1,15 +1,17 @@
-"""The limit of linear controllers: the LQG front of error against effort, and a controller's
-distance to it.
+"""The limit of linear controllers: the LQG front of error against effort, and the distance of a
+controller to it.
 
-The model is the closed loop at the middle of the planned motion: the true plant, sampled;
-the scenario's sensor noise, white, correlated and with random walks of biases; and, in place of
-everything unknown to the controller, an acceleration d with a random walk, as fast as the planned
-motion and the disturbance require. The linear quadratic Gaussian controller then has the least mean
-square error for its effort, counted as the excess over the compensating force -H d (H: mass
-matrix). Its filter knows the noise model: every process with memory is one of its states. Delays
-and slow sensors only raise the limit and are omitted, as are constant biases of limit and
-controller. Kalman filter, shaping filters and regulator: Franklin, Powell and
-Workman, Digital Control of Dynamic Systems, chapter 9.
+The model is the closed loop at the middle of the planned motion. It has the sampled true plant and
+the sensor noise of the scenario: white noise, correlated noise, and random walks of biases. An
+acceleration d with a random walk represents everything that the controller does not model. The walk
+is as fast as the planned motion and the disturbance require.
+
+The linear quadratic Gaussian (LQG) controller has the smallest mean square error for its effort.
+Effort is the force in excess of the compensating force -H d (H: mass matrix). The filter uses the
+noise model, and every process with memory is one of its states. Delays and slow sensors would only
+raise the limit, and are omitted. Constant biases of limit and controller are omitted too. Kalman
+filter, shaping filters and regulator: Franklin, Powell and Workman, Digital Control of Dynamic
+Systems, chapter 9.
 """
 
 import contextlib

@@ -41,9 +41,10 @@ Changes = dict[str, Any]
 
 @step("searching for a change that helps")
 def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
-    """Remedies for a mission with an unstable linear loop, or with a run that ``fails``; takes
-    seconds, but no time for a mission expected to go as planned, nor with a posture outside the
-    joints' limits: the cause is known.
+    """Return remedies for a mission with an unstable linear loop, or with a run that ``fails``.
+
+    The search takes seconds. There is no search for a mission that is expected to go as planned, or
+    if a posture outside the joint limits is the cause.
     """
     try:
         if posture_limits(scenario):
@@ -113,7 +114,7 @@ def _of_limits(scenario: Scenario) -> Iterator[Advice]:
 
 
 def _of_faults(scenario: Scenario) -> Iterator[Advice]:
-    """Detection, where the run fails because nobody knows of its faults."""
+    """Fault detection, if the run fails because its faults are not detected."""
 
     def settles(changed: Scenario) -> bool:
         rollout = make_rollout(changed)
@@ -178,7 +179,7 @@ def _too_heavy(scenario: Scenario, leg: LegVerdict) -> str:
 
 
 def _lighter(scenario: Scenario) -> Iterator[Changes]:
-    """The mass alone, then with the inertia; down to where it is too light."""
+    """Only the mass, then mass and inertia, down to a payload that is too light."""
     nominal = scenario.payload.nominal
     for factor in _LESS[:_TOO_LIGHT]:
         mass = {"payload.nominal.mass": _rounded(factor * nominal.mass)}

@@ -1,7 +1,7 @@
 """Remedies as a scenario to run, ``remedy.yaml``.
 
-It applies the first of the changes that help alone or, against saturation, those that help
-together; the others are comments.
+It applies the first change that helps by itself or, against saturation, all changes that help
+together. The other changes are comments.
 """
 
 import json

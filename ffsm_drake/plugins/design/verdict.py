@@ -1,10 +1,10 @@
 """The verdict on a mission before it runs, in lines with their scope.
 
-Linear: the wired loop of every leg, moving as planned, without limits and without noise. Load: the
-force required by a capture, compared with its limits. Rehearsed: a run of the actual mission, with
-its limits, its noise and its grasp; for saturating or quantising actuators, and force limits nearly
-reached in the run, also the linearised loop under them with several noise sequences. A disagreement
-is itself a finding.
+Linear: the wired loop of every leg along the plan, without limits and noise. Load: the force that a
+capture needs, compared with its limits. Rehearsed: a run of the mission, with its limits, its noise
+and its grasp. Limits: the linearised loop with limits and several noise sequences, if actuators
+saturate or quantise, or if the run nearly reaches force limits. Parts of the verdict can disagree,
+and a line reports this.
 """
 
 import dataclasses

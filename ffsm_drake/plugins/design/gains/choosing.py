@@ -1,18 +1,18 @@
-"""Choice of gains for a scenario's sensors, period, delays, limits and payload range, never worse
-than the given ones.
+"""Choice of gains for the sensors, period, delays, limits and payload range of a scenario.
 
-All candidates are evaluated by ``predict`` on the wired loop. The choice has the least error, as
-the mean of the groups' log(rms error), within the budget of effort and the actuators' limits, and
-is stable for every payload of the range. The candidates depend on the law:
+``predict`` evaluates all candidates on the wired loop. The chosen gains have the smallest error
+(the mean of log(rms error) over the groups) within the budget of effort and the actuator limits.
+They are stable for every payload of the range, and never worse than the given gains. The candidates
+depend on the law:
 
-- *Laws designed by axis* (``InjectedDynamics.gains_for``; the paper's). Every group has
-  a natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
-  = w), K_s if the surface has an integral, and the random walk q_N of its Kalman estimate. The
-  groups share only the effort, so each is designed alone on its one-axis loop for a price of
-  effort, with either estimate. Lowering the price traces the front of accuracy against effort.
-- *Every other law, and every coupled loop* (delays, user-supplied blocks).
-  The declared gains and the random walks are varied by group from the best known, all groups at
-  once, as long as the cost falls at a price of effort.
+- *Laws designed by axis* (``InjectedDynamics.gains_for``, such as the laws of the paper). Every
+  group has a natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s = w), K_s if the surface
+  has an integral, and the random walk q_N of its Kalman estimate. The groups share only the effort,
+  so each group is designed separately on its one-axis loop for a price of effort, with both kinds
+  of estimate. Lower prices give the front of accuracy against effort.
+- *Every other law, and every coupled loop* (delays, user-supplied blocks). The declared gains and
+  the random walks are varied by group from the best gains found, all groups at once, as long as the
+  cost at a price of effort falls.
 """
 
 import contextlib

@@ -113,7 +113,7 @@ class LinearLoop:
 
     @property
     def is_marginal(self) -> bool:
-        """Whether small errors neither grow nor decay."""
+        """True if some small errors are constant: they do not grow or decay."""
         return abs(self.spectral_radius - 1.0) < MARGINAL
 
     @property

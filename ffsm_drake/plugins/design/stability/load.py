@@ -37,8 +37,8 @@ def predicted_load(linearizer: Linearizer) -> float | None:
     None without a capture.
 
     In the first second the loop responds to the difference between true and planned velocity after
-    the grasp; this is simulated without noise and limits. Afterwards the force is that of perfect
-    tracking with the true payload, less the disturbance.
+    the grasp. This is simulated without noise and limits. Afterwards the force is the force of
+    perfect tracking with the true payload, minus the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
     if not scenario.grasps:

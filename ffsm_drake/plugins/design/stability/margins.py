@@ -320,8 +320,9 @@ def _axis_margins(
 
 @guarded
 def adaptation_remark(linearizer: Linearizer) -> str:
-    """One line where nothing stops K_s before the limit of the sampled loop at the start of a
-    linearizer's motion; else empty.
+    """Return one line if K_s can exceed the limit of the sampled loop at the start of a motion.
+
+    Otherwise it is empty.
     """
     scenario, law = linearizer.given, axis_law(linearizer)
     gain = reaching_gain_of(law)

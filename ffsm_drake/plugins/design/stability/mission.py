@@ -1,10 +1,10 @@
-"""The linear line of the verdict on a mission: the wired loop along every leg, moving as planned,
-without limits and noise.
+"""The linear part of the verdict on a mission: the wired loop along every leg of the plan, without
+limits and noise.
 
-The approach of a capture is the servicer alone, the stop has the target in the gripper. A radius
-above one at a posture that is passed is no alarm while the errors grow little; at rest it is. Where
-adaptation can raise K_s, the loop is looked at with K_s as it starts and at its bounds, and where
-it is unstable there, with the largest K_s expected.
+The approach of a capture has only the servicer, and the stop has the target in the gripper. A
+spectral radius above 1 at a posture during the motion is no alarm if errors grow little. At rest it
+is an alarm. If adaptation can raise K_s, the loop is evaluated with the initial K_s and with K_s at
+its bounds. If it is unstable at the bounds, it is evaluated with the largest expected K_s.
 """
 
 import dataclasses

@@ -149,7 +149,8 @@ def rehearse(
     held: Mapping[str, np.ndarray] | None = None,
     mean: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Rehearsal:
-    """Rehearse a scenario with ``rehearsed`` parts, or with ``actuation.limit``, from the grasp on.
+    """Run the linearised loop after the grasp with ``rehearsed`` parts, or with
+    ``actuation.limit``.
 
     Args:
       scenario: the scenario.
