@@ -47,6 +47,7 @@ from ffsm_drake.systems.registry import shipped_names
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
+PAGES += sorted(DOCS.glob("validation/*.md"))
 PAGES.append(DOCS / "joss" / "paper.md")
 NOT_RUN = "<!-- not run -->"  # on the line before a block
 # first line of a python block that is (or continues) a module of the user's

@@ -715,7 +715,7 @@ def test_runs_that_differ_in_numbers_go_side_by_side(kind, change):
 
 
 def test_every_section_is_in_the_docs():
-    page = (Path(__file__).parents[2] / "docs" / "speed.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "many_runs.md").read_text(encoding="utf-8")
     rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
     told = re.findall(r"`(\w+)`", " ".join(rows))
     assert set(scenario_to_dict(Scenario())) <= set(told)
