@@ -218,8 +218,8 @@ def simulate_many(
     The records have the same bits as with ``simulate``, but missions are not checked before the
     run. Compatible scenarios run side by side in one diagram, in about a third of the time. They
     have the same model, controller, blocks, integrator and number of samples, and can differ in
-    seed, payload, postures and the numbers of all other sections (docs/many_runs.md). Other scenarios,
-    and a run that diverges, are run separately.
+    seed, payload, postures and the numbers of all other sections (docs/many_runs.md). Other
+    scenarios, and a run that diverges, are run separately.
 
     Args:
       scenarios: the scenarios to run.
