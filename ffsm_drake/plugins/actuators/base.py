@@ -59,8 +59,8 @@ class BaseActuators(LeafSystem):
         applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world
           axes, without the wheels' gyroscopic torque;
         with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the open
-          share of the sample for each; thruster_given (1), the part of the wanted wrench given by
-          the last allocation;
+          share of the sample for each; thruster_given (1), the part of the commanded wrench given
+          by the last allocation;
         with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
           (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
           (3), the wheels' part of applied_force's torque;

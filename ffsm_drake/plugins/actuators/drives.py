@@ -140,8 +140,8 @@ class DriveSet:
             )
 
     def give(self, force: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Applied force after the torque-speed limit, from a wanted force (..., n) at joint rates
-        (..., n), N m or N; only force in the direction of motion is cut.
+        """Applied force after the torque-speed limit, from a commanded force (..., n) at joint
+        rates (..., n), N m or N; only force in the direction of motion is cut.
         """
         most = self.available(rate)
         return np.clip(

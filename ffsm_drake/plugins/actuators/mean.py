@@ -1,8 +1,7 @@
-"""Mean output of thrusters over their control frame: a linear stand-in for their pulses in a
-linearised loop.
+"""Mean output of thrusters over their control frame, which replaces pulses in a linearised loop.
 
 Over a frame they give the mean wrench wanted at its start, and in the next frame the remaining
-impulse. Wheels counter the torque of pulses and give the wanted torque immediately. Limits are
+impulse. Wheels counter the torque of pulses and give the commanded torque immediately. Limits are
 omitted.
 """
 

@@ -1,4 +1,4 @@
-"""Modulators: from wanted forces to opening times of valves, and the resulting force.
+"""Modulators: from commanded forces to opening times of valves, and the resulting force.
 
 A modulator decides at control samples for how long each valve stays open from then on; a valve may
 open for part of a sample.
@@ -19,7 +19,7 @@ def whole_frames(share: np.ndarray, *, frame: float, threshold: float) -> np.nda
     What is missed is carried into the next frame's share by the caller: the error's integral stays
     bounded.
 
-    Args: wanted share of each thruster's force (..., n); length of a frame, s; threshold of the
+    Args: commanded share of each thruster's force (..., n); length of a frame, s; threshold of the
       share.
     """
     return np.where(share >= threshold - _EVEN, frame, 0.0)
@@ -29,7 +29,8 @@ def pulse_widths(share: np.ndarray, *, frame: float, minimum: float) -> np.ndarr
     """Open times (..., n, s) of pulse-width modulation: the share of the frame, or the least time,
     or none.
 
-    Args: wanted share of each thruster's force (..., n); length of a frame and least open time, s.
+    Args: commanded share of each thruster's force (..., n); length of a frame and least open time,
+    s.
     """
     wanted = np.minimum(share, 1.0) * frame
     return np.where(
@@ -42,7 +43,8 @@ class SchmittTrigger:
     """Pulse-width pulse-frequency modulation (PWPF): a first-order filter k_m / (T s + 1) before a
     Schmitt trigger.
 
-    The filter's input is the wanted share r of the thruster's force less 1 while the trigger is on.
+    The filter's input is the commanded share r of the thruster's force less 1 while the trigger is
+    on.
     """
 
     gain: float  # k_m

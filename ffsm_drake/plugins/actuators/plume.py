@@ -135,8 +135,9 @@ def returned_shares(scenario: Scenario) -> dict[str, float]:
 
 
 def allocated(scenario: Scenario) -> Actuation:
-    """The actuators of a scenario as its allocation has them: without thrusters whose plumes return
-    more than ``plume.ban`` of their thrust.
+    """Return the actuators of a scenario that its allocation uses.
+
+    Thrusters whose plumes return more than ``plume.ban`` of their thrust are left out.
     """
     actuation = scenario.actuation
     thrusters = actuation.thrusters

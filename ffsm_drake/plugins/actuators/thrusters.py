@@ -1,4 +1,4 @@
-"""Thrusters: from the base's wanted wrench to the one that on/off thrusters fire."""
+"""Thrusters: from the base's commanded wrench to the one that on/off thrusters fire."""
 
 import dataclasses
 import functools
@@ -52,7 +52,7 @@ class Firing(NamedTuple):
     wrench: np.ndarray
     force: np.ndarray  # (..., n) mean force of each, N
     open_share: np.ndarray  # (..., n) share of the sample for which each is open
-    # (..., 1) the part of the wanted wrench that the last allocation could give, 0 to 1
+    # (..., 1) the part of the commanded wrench that the last allocation could give, 0 to 1
     given: np.ndarray
     level: np.ndarray  # (..., n) the same force as a share of each thruster's, if it works
 
@@ -148,8 +148,8 @@ class ThrusterSet:
 
     @property
     def carries_over(self) -> bool:
-        """Whether the wanted impulse that was not fired is requested again; a trigger's filter does
-        this by itself.
+        """Whether the commanded impulse that was not fired is requested again; a trigger's filter
+        does this by itself.
         """
         return self.settings.modulator != "pwpf"
 
@@ -175,8 +175,8 @@ class ThrusterSet:
         }
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
-        """The start of a frame: memory with the opening times for a wanted wrench (..., 6; base's
-        axes, N m and N).
+        """The start of a frame: memory with the opening times for a commanded wrench (..., 6;
+        base's axes, N m and N).
 
         A wrench that is not finite gives forces that are not finite: the run has diverged.
         """
@@ -194,7 +194,7 @@ class ThrusterSet:
         return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
 
     def _opened(self, wanted: np.ndarray) -> np.ndarray:
-        """For how long (..., n), s, wanted forces (..., n), N, open at the start of a frame."""
+        """For how long (..., n), s, commanded forces (..., n), N, open at the start of a frame."""
         if not self.carries_over:  # a trigger opens at any sample
             return np.zeros_like(wanted)
         share, settings = wanted / self.force, self.settings
@@ -256,7 +256,7 @@ class FiredThrusters(Part):
         return {} if part is None else {f"thrusters.{name}": kinds for name in part.units}
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
-        """Forces, open valves, and what of the wanted wrench they could give."""
+        """Forces, open valves, and what of the commanded wrench they could give."""
         of_each = functools.partial(Signal, components=tuple(self.units), dimension="thruster")
         return (
             of_each(
@@ -378,7 +378,7 @@ class FiredThrusters(Part):
         return ThrusterSet(self.settings, sample_time=scenario.sample_time).reach
 
     def saturated(self, signals: Signals) -> np.ndarray:
-        """Whether they give less than the wanted wrench."""
+        """Whether they give less than the commanded wrench."""
         return np.squeeze(signals["thruster_given"]) < _WHOLE
 
     def advice(self, scenario: Scenario, load: Load) -> Iterator[Advice]:

@@ -232,7 +232,7 @@ class WheelSet:
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def assist_torque(self, torque: np.ndarray) -> np.ndarray:
-        """The part of a wanted torque on the base (..., 3, base's axes, N m) requested from
+        """The part of a commanded torque on the base (..., 3, base's axes, N m) requested from
         thrusters: axes not covered by wheels, and the excess defined by ``assist_above``.
         """
         if len(self._lost):

@@ -1,7 +1,7 @@
-"""Runs whose gripper closes over a time (``capture.closing``), up to the grasp: approach and
-closing; then, with the target apart, retreat and the next try.
+"""Runs with a gripper that closes in time (``capture.closing``), up to the grasp.
 
-Each phase has a loop of its own; plant and blocks keep their states from phase to phase.
+The phases are approach and closing. If the grasp fails, a retreat and the next attempt follow. Each
+phase has its own loop. Plant and blocks keep their states from one phase to the next.
 """
 
 import dataclasses
@@ -429,7 +429,9 @@ class ClosingRun(Captures):
 
     @property
     def _seen(self) -> Path:
-        """The target's path as the servicer knows it: from now on by the estimate."""
+        """The path of the target as the servicer estimates it: from now, by the present
+        estimate.
+        """
         if not self._measured:
             return dataclasses.replace(self._known, motion=self._motion)
         block: Any = self.before.blocks["reference"]
@@ -439,7 +441,7 @@ class ClosingRun(Captures):
         return dataclasses.replace(path, motion=motion)
 
     def _supervised(self, **how: Any) -> dict[str, Factory]:
-        """The supervisor's block, if there is one, made as ``SupervisorPart`` says."""
+        """The block of the supervisor, made by ``SupervisorPart``; None: there is none."""
         return {} if self._chosen.supervisor is None else {"supervisor": SupervisorPart(**how)}
 
     @property

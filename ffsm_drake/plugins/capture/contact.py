@@ -75,9 +75,10 @@ def servicer_velocity(
 ) -> np.ndarray:
     """v (nv) of the servicer at the grasp in a known configuration q.
 
-    Following the grasp frame takes the least rates among those with the least mismatch between
-    hand and target. To detumble, mismatch and angular momentum of the stack about its
-    centre of mass are zero if the coordinates allow it, and the linear momentum is the least.
+    To follow the grasp frame, it minimises the mismatch between hand and target. Among equal
+    minima, it chooses the smallest rates. To detumble, mismatch and angular momentum of the stack
+    about its centre of mass are zero if the coordinates allow it, and the linear momentum is the
+    smallest.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate.

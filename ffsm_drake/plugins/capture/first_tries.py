@@ -1,5 +1,7 @@
-"""Runs side by side whose grippers close over a time: approach, closing and stop of those that hold
-the target at their first try. Any other is put aside, to run alone.
+"""Runs side by side with grippers that close in time: approach, closing and stop.
+
+They stay side by side if the gripper holds the target at the first attempt. Other runs are made
+separately.
 """
 
 from collections.abc import Sequence

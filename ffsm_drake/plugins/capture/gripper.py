@@ -88,7 +88,7 @@ class Gripper(Part):
         return GripperForce(setups, closes=self._closes)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
-        """Where the target lies in the gripper, and the force on it."""
+        """Pose of the target in the gripper, and the force on it."""
         signal = functools.partial(Signal, components=AXES, dimension="gripper_coordinate")
         return (
             signal(

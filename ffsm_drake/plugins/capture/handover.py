@@ -99,7 +99,7 @@ class Handover:
         )
 
     def grasp(self, loop: ClosedLoop) -> np.ndarray:
-        """Grasp the target, as ``log`` says; the plant's own [q; v] after it."""
+        """Grasp the target, with the result in ``log``. Return [q; v] of the plant after it."""
         scenario = self.scenario
         model = loop.true_model(scenario)
         lies = self._X_WQ.InvertAndCompose(self._X_WP)

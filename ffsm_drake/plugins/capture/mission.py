@@ -1,10 +1,10 @@
-"""Runs with a capture: the servicer alone up to the grasp, then with the target, with one
-controller.
+"""Runs with a capture: the servicer without the target up to the grasp, then with the target.
 
-Each side of the grasp is a closed loop with its own nominal model. At the grasp the states of
-sensors, actuators and forces are kept, the law resumes (``ControlLaw.resume``), and the servicer's
-velocity jumps. The target is held where the gripper meets it: the position error of the arm becomes
-part of the payload's mass properties.
+Before and after the grasp there are two closed loops with one controller, each with its own nominal
+model. At the grasp the states of sensors, actuators and forces are kept, the law resumes
+(``ControlLaw.resume``), and the velocity of the servicer jumps. The gripper holds the target at the
+pose at which it meets it, so the position error of the arm becomes part of the mass properties of
+the payload.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Phases of a capture: those of the scenario, the approach, and the stop."""
+"""Phases of a capture: the phases of the scenario, the approach, and the stop."""
 
 import dataclasses
 import functools
@@ -95,7 +95,7 @@ class Captures(Mission):
             hands.hold(rows[0])
 
     def _hold(self) -> Phase | None:
-        """The stop, of those whose grippers hold."""
+        """The stop of the runs whose grippers hold the target."""
         self.meet()
         for copy in {*range(len(self.logs))} - self.ended:
             handover = self.handovers[copy]
@@ -143,7 +143,7 @@ def _itself(phase: Phase) -> Phase:
 
 
 def given_up(approach: RunLog) -> str:
-    """Ending of an approach given up by the supervisor; empty for any other."""
+    """Return how the supervisor abandoned an approach; empty: it did not."""
     modes = approach.series.get("mode", np.zeros(1)).ravel()
     if modes[-1] == Mode.APPROACH:
         return ""

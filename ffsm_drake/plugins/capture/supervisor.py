@@ -56,7 +56,7 @@ class Mode(enum.IntEnum):
 
 
 class Cause(enum.IntEnum):
-    """Why the plan was given up."""
+    """Reason for which the plan was abandoned."""
 
     NONE = 0
     SATURATED = 1

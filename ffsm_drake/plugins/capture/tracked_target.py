@@ -1,10 +1,10 @@
 """The reference of an approach to a target that is measured (``capture.measured``).
 
-A camera or lidar gives poses of the target, a filter (``target_filter``) its motion. The planned
-approach is displaced, as one rigid body with rotation vector c_r and translation c_p, to where the
-estimate says that the target is at the grasp. At each new plan a polynomial of fifth order brings
-c, c' and c'' there from what they are. With the last plan, three standard deviations of the pose
-then are held against the gripper's envelope.
+A camera or lidar measures poses of the target, and a filter (``target_filter``) estimates its
+motion. The planned approach is moved as one rigid body, with rotation vector c_r and translation
+c_p, to the estimated pose of the target at the grasp. At each new plan, a polynomial of fifth order
+brings c, c' and c'' from their present values to the new ones. At the last plan, three standard
+deviations of the pose are compared with the envelope of the gripper.
 """
 
 import dataclasses
@@ -126,7 +126,7 @@ class TrackedTarget(Part):
         )
 
     def metrics(self) -> Sequence[Metric]:
-        """Its consistency, and what it knows last."""
+        """Consistency of the estimate, and its last errors."""
         return (
             Metric(
                 key="target.nees",
@@ -224,7 +224,7 @@ class TrackedReference(LeafSystem):
         )
 
     def known_path(self, context: Context, first: int, samples: int) -> Path:
-        """Where the target goes from a control sample on, as estimated."""
+        """Return the estimated motion of the target from a control sample."""
         time = first * self._period
         return self._filter.path(self.estimate(context), time, self._period, samples)
 
@@ -342,7 +342,7 @@ class TrackedReference(LeafSystem):
         new.set_value(self._plan, row)
 
     def _is_last(self, time: float, approached: Approached) -> bool:
-        """Whether no plan comes after that of a time, s."""
+        """True if the plan at a time, s, is the last one."""
         return time >= approached.contact - self._settings.last - 1e-9
 
     def _goal(self, motion: np.ndarray, approached: Approached) -> np.ndarray:
@@ -362,7 +362,7 @@ class TrackedReference(LeafSystem):
 
 
 def _as_row(found: Estimate) -> np.ndarray:
-    """An estimate as it stands in a context."""
+    """An estimate as the vector in a context."""
     head = [found.time, 1.0, float(found.fitted)]
     return np.concatenate([head, found.target.as_row(), found.covariance.ravel()])
 
