@@ -126,8 +126,11 @@ def _parsed(path: Path) -> ElementTree.Element:
     inertias cannot be used; it names link or joint, element and attribute.
     """
     root, _ = read_xml(path, "the URDF of base and arm")
-    is_xacro = any("xacro" in element.tag for element in root.iter())
-    require(not is_xacro, f"is a xacro file; convert it: ffsm new NAME --model {path.name}")
+    tags = {path.suffix.lower(), *(element.tag for element in root.iter())}
+    require(
+        not any("xacro" in tag for tag in tags),
+        f"is a xacro file; convert it: ffsm new NAME --model {path.name}",
+    )
     check(root)
     faults = Faults()
     for link in root.findall("link"):
