@@ -4,7 +4,7 @@ python docs/train_reach.py [--steps 100000] [--out FOLDER]
 
 Needs pip install 'ffsm-drake[gymnasium,policy]' stable-baselines3 onnx. The agent commands the
 torques of the joints, five times a second, in 16 runs side by side of a reach of 5 s. Writes
-reach.onnx, for ``controller: policy:reach.onnx``, and the curve of docs/interfaces.md, reach.png.
+reach.onnx, for ``controller: policy:reach.onnx``, and the curve of docs/gymnasium.md, reach.png.
 """
 
 import argparse
