@@ -42,7 +42,6 @@ PAGE_OF = {
     "estimators": "controllers",
     "exports": "interfaces",
     "generated": "speed",
-    "gymnasium": "interfaces",
     "impacts": "capture",
     "inputs": "repeat_a_run",
     "interactive": "meshcat",
