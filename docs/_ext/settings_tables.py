@@ -47,7 +47,7 @@ PAGE_OF = {
     "interactive": "meshcat",
     "new": "own_arm",
     "paper": "reproduction",
-    "policy": "trained_policy",
+    "policy": "gymnasium",
     "report": "quickstart",
     "task_space": "free_floating",
     "udp": "interfaces",
