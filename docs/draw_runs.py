@@ -52,9 +52,7 @@ def draw_actuators(panels: list[Axes], runs: dict[str, xr.Dataset]) -> None:
     panels[0].set_yticks(range(force.sizes["thruster"]), list(force["thruster"].values), fontsize=7)
     panels[0].set(title=f"force of each thruster (full: {largest:.3g} N)", xlabel="time [s]")
     panels[1].set_prop_cycle(color=SERIES)
-    panels[1].plot(
-        run["time"], run["wheel_torque"], linewidth=0.6, label=list(run["wheel"].values)
-    )
+    panels[1].plot(run["time"], run["wheel_torque"], linewidth=0.6, label=list(run["wheel"].values))
     panels[1].set(title="motor torque of each wheel", xlabel="time [s]", ylabel="torque [N m]")
     panels[1].legend(fontsize=7)
 
