@@ -47,7 +47,7 @@ PAGE_OF = {
     "interactive": "meshcat",
     "new": "own_arm",
     "paper": "reproduction",
-    "policy": "gymnasium",
+    "policy": "trained_policy",
     "report": "quickstart",
     "task_space": "free_floating",
     "udp": "interfaces",
