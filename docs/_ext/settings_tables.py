@@ -40,7 +40,7 @@ PAGE_OF = {
     "design": "verdict",
     "environment": "orbit",
     "exports": "interfaces",
-    "generated": "speed",
+    "generated": "many_runs",
     "inputs": "repeat_a_run",
     "interactive": "meshcat",
     "new": "own_arm",
