@@ -150,6 +150,17 @@ def one_line(error: BaseException) -> str:
     return " ".join(text.split()) or type(error).__name__
 
 
+def some(names: Iterable[str]) -> str:
+    """Return names as text of about 70 characters at most, with the number of further names.
+
+    Without any name it is "none".
+    """
+    known = list(names)
+    shown = next((k for k in range(len(known), 1, -1) if len(", ".join(known[:k])) <= 70), 1)
+    more = len(known) - shown
+    return ", ".join(known[:shown]) + f" and {more} more" * (more > 0) or "none"
+
+
 def did_you_mean(name: object, valid: Iterable[str]) -> str:
     """``; did you mean 'x'?`` with the closest valid name, or an empty string when none is
     close.

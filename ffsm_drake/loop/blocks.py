@@ -17,7 +17,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean, one_line, some
 from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
@@ -344,7 +344,7 @@ def _check_names(given: Iterable[str]) -> None:
         if not several and (name not in valid or name in _SEVERAL):
             raise ScenarioError(
                 f"blocks.{name}",
-                f"is not a block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
+                f"is not a block; choose {some(valid)}{did_you_mean(name, valid)}",
             )
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import FfsmError, RecordError, one_line
+from ffsm_drake.common.errors import FfsmError, RecordError, one_line, some
 from ffsm_drake.common.files import check_regular, read_together
 from ffsm_drake.common.numbers import LARGEST, usable
 from ffsm_drake.common.plugins import SERVICES, optional
@@ -315,8 +315,7 @@ def _of_names(
         column = dataset.variables.get(name)
         given = None if column is None else column.values.tolist()
         if column is None or column.dims != (along,) or given != list(values):
-            wanted = ", ".join(map(str, values))
-            yield f"{name} must be {wanted}, as in the scenario's model"
+            yield f"{name} must be {some(map(str, values))}, as in the scenario's model"
     for along, labels in dataset.indexes.items():
         if not labels.is_unique:
             yield f"{along} holds a value twice"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line, some
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario.fields import POLICY, policy_parts
 from ffsm_drake.scenario.resolving import (
@@ -207,12 +207,12 @@ def find_scenario(name: str, folder: Path = Path()) -> Path:
     if path.suffix in (".yaml", ".yml") or (name and Path(name).name != name):
         raise ScenarioError(
             "",
-            f"no such scenario file; give a YAML file or one of {', '.join(shipped)}",
+            f"no such scenario file; give a YAML file or one of {some(shipped)}",
             source=name,
         )
     raise ScenarioError(
         "",
-        f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML "
+        f"no such scenario; choose one of {some(shipped)}, or give a YAML "
         f"file{did_you_mean(name, shipped)}",
         source=name or "''",
     )

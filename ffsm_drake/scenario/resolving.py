@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line, some
 from ffsm_drake.common.settings import join, require_valid, settings_of
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
@@ -109,7 +109,7 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
             data = {schema.SHORTHAND: data}
         if not isinstance(data, Mapping):
             raise ScenarioError(
-                path, f"must be a mapping with keys {', '.join(fields)}, not {shown(data)}"
+                path, f"must be a mapping with keys {some(fields)}, not {shown(data)}"
             )
         for key in data:
             if key not in fields:
@@ -294,7 +294,7 @@ def _unknown_key(path: str, key: Any, fields: Iterable[str]) -> ScenarioError:
     valid = list(fields)
     return ScenarioError(
         join(path, key if isinstance(key, str) else shown(key)),
-        f"unknown key; valid here: {', '.join(valid) or 'none'}{did_you_mean(key, valid)}",
+        f"unknown key; valid here: {some(valid)}{did_you_mean(key, valid)}",
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean
+from ffsm_drake.common.errors import ScenarioError, did_you_mean, some
 from ffsm_drake.common.so3 import (
     rotation_error,
     rotation_error_rate,
@@ -147,7 +147,7 @@ class Coordinates:
         for name in names:
             if name in valid:
                 continue
-            problem = f"{fault}; valid here: {', '.join(valid)}{did_you_mean(name, valid)}"
+            problem = f"{fault}; valid here: {some(valid)}{did_you_mean(name, valid)}"
             if name in self.flexible:
                 problem = "is a flexible joint (model.flexible), at rest at zero; leave it out"
             raise ScenarioError(f"{key}.{name}", problem)

@@ -20,7 +20,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
-from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
+from ffsm_drake.common.errors import ModelError, did_you_mean, one_line, some
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.plugins import SERVICES, optional, service
 from ffsm_drake.common.so3 import rpy_of
@@ -486,7 +486,7 @@ def _find(
             each for each in found if each.rpartition("::")[2].removesuffix("_parent") not in joints
         ]
         raise ModelError(
-            f"{key}: no {kind} '{name}'; choose one of {', '.join(own)}{did_you_mean(name, own)}"
+            f"{key}: no {kind} '{name}'; choose one of {some(own)}{did_you_mean(name, own)}"
         )
     return found[name]
 

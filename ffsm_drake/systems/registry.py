@@ -13,7 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from ffsm_drake.common import plugins
-from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.errors import (
+    BlockError,
+    FfsmError,
+    ScenarioError,
+    did_you_mean,
+    one_line,
+    some,
+)
 from ffsm_drake.common.guard import is_installed, passes, where
 from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
 from ffsm_drake.scenario import Scenario, kind_of, policy_parts
@@ -179,7 +186,7 @@ def find_factory(
             found = entry_points(group=ENTRY_POINT_GROUPS[block], name=name)
             if not found:
                 names = block_names(block)
-                choice = f"choose one of {', '.join(names)}, or give" if names else "give"
+                choice = f"choose one of {some(names)}, or give" if names else "give"
                 raise ScenarioError(
                     key or block,
                     f"'{name}' is unknown; {choice} module:attribute{did_you_mean(name, names)}",

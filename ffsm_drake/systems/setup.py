@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
+from ffsm_drake.common.errors import some
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
@@ -17,9 +18,7 @@ class _Settings(dict[str, Any]):
     """Settings whose KeyError lists the valid keys."""
 
     def __missing__(self, key: object) -> Any:
-        raise KeyError(
-            f"no '{key}' in the scenario's settings; there are: {', '.join(self) or 'none'}"
-        )
+        raise KeyError(f"no '{key}' in the scenario's settings; there are: {some(self)}")
 
 
 class CompositeBlock(Diagram):

@@ -298,7 +298,7 @@ def test_a_failing_block_gets_one_line():
     [
         (
             "blocks.sensing=nowhere:Vicon",
-            "blocks.sensing.own 'nowhere:Vicon' cannot be loaded: No module named 'nowhere'",
+            "blocks.sensing.own 'nowhere:Vicon' cannot be loaded: run from the folder",
         ),
         ("blocks.sensing=vicon", "blocks.sensing.own: 'vicon' is unknown; give module:attribute"),
         (

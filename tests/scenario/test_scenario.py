@@ -299,8 +299,8 @@ def test_broken_files_name_the_file_and_the_key(tmp_path, text, expected):
 def test_unknown_scenarios():
     with pytest.raises(
         ScenarioError,
-        match=r"choose one of .*paper, planar_detumble, postcapture, .*or give a "
-        r"YAML file",
+        match=r"choose one of capture_on_thrusters, envisat, .* and \d+ more, or give a YAML file; "
+        "did you mean 'postcapture'",
     ):
         load_scenario("postcaptur")
     with pytest.raises(ScenarioError, match=r"none\.yaml: no such scenario file"):

@@ -232,7 +232,7 @@ def test_a_capture_is_shaped_on_both_sides_of_the_grasp():
         ),
         (
             ("reference.shaper={kind: zvd, frequencies: [0.05]}",),
-            "reference.shaper: takes 20 s, and the motion 20 s; lengthen reference.duration",
+            "reference.shaper: needs 20 s of a motion of 20 s; lengthen reference.duration",
         ),
     ],
 )

@@ -407,4 +407,4 @@ def test_a_mission_with_an_unmeasured_shape_is_not_as_planned(tmp_path: Path) ->
     found = CliRunner().invoke(main, ["new", str(tmp_path / "mine"), "--model", str(file)])
     assert found.exit_code == 3, found.output
     assert "not expected to go as planned" in found.output
-    assert "no shape of l4 (gone.stl) to measure" in found.output
+    assert "no shape of l4 (gone.stl) can be measured" in found.output

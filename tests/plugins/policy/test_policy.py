@@ -289,7 +289,7 @@ def test_a_file_that_is_none_is_named(tmp_path, coordinates):
     linear_policy(tmp_path / "bare.onnx", np.zeros((11, 45)), {})
     for name, line in {
         "text.onnx": "text.onnx is no ONNX model",
-        "none.onnx": "there is no such file",
+        "none.onnx": "no such file",
         "bare.onnx": "lacks metadata 'observation_names'",
     }.items():
         with pytest.raises(BlockError, match=line):
