@@ -97,7 +97,11 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
 @contextlib.contextmanager
 def mended(files: Iterable[Path]) -> Iterator[dict[Path, Path]]:
     """Copies of the URDFs whose inertias hold rounding that Drake refuses, without it."""
-    texts = {file: _mended(file) for file in files if file.suffix.lower() == ".urdf"}
+    texts = {
+        file: _mended(file)
+        for file in files
+        if file.suffix.lower() == ".urdf" and file.is_file()  # which Drake reports
+    }
     with contextlib.ExitStack() as stack:
         copies = dict[Path, Path]()
         for file, text in texts.items():
