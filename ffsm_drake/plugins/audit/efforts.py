@@ -27,6 +27,7 @@ from ffsm_drake.plugins.audit.momentum import Momentum
 
 _PARTS = 4  # number of stretches checked in a long log
 _LEAST = 1e-2  # lower bound of a joint's momentum, as a share of the largest joint's
+_ONE_WAY = 0.95  # mean sign of a rate, from which on a joint moves one way
 _WORST = ("does not hold", "cannot tell", "not tested", "holds", "measured")
 
 
@@ -169,10 +170,21 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
         cause="effort_sign", text="has an effort of the other sign", columns=[expected],
         least=-2.1, most=-1.9,
     )  # fmt: skip
+    way = float(np.sign(rate).mean())
+    moves_one_way = abs(way) > _ONE_WAY  # dry friction is an offset there
+    for cause, more, against_it in (
+        ("effort_offset", "", False),
+        ("effort_offset or friction", ", or dry friction as large: it moves one way", True),
+    )[: 1 + moves_one_way]:
+        is_positive = against_it != (way > 0.0)
+        yield Mistake(
+            cause=cause, text=f"has an effort with a constant offset of {{0}}{more}", factor=-1.0,
+            columns=[period], unit="N m or N",
+            least=0.0 if moves_one_way and is_positive else -math.inf,
+            most=0.0 if moves_one_way and not is_positive else math.inf,
+        )  # fmt: skip
     free, real = -math.inf, 0.0  # smallest possible sizes
     for cause, text, columns, factor, unit, floors in (
-        ("effort_offset", "has an effort with a constant offset of {0}", [period], -1.0, "N m or N",
-         [free]),
         ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
          [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", [real]),
         ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", [real]),

@@ -68,7 +68,8 @@ class Estimate:
     @property
     def cause(self) -> str:
         """Cause, or the causes that cannot be told apart."""
-        return " or ".join(dict.fromkeys(x.mistake.cause for x in (self, *self.others)))
+        causes = [x.mistake.cause.split(" or ") for x in (self, *self.others)]
+        return " or ".join(dict.fromkeys(itertools.chain.from_iterable(causes)))
 
     @property
     def is_possible(self) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear, TooLarge
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 
@@ -138,6 +138,8 @@ def probed_radius(changed: Scenario, times: Sequence[float], *, adapted: bool) -
     """
     try:
         return _radius(changed, times, adapted=adapted)
+    except TooLarge:
+        raise
     except NotLinear:
         return math.inf
 
@@ -148,8 +150,11 @@ def _largest_payload(scenario: Scenario, radius: Callable[[Scenario], float]) ->
 
 def _largest_delay(scenario: Scenario, radius: Callable[[Scenario], float]) -> float:
     for further in range(1, LARGEST_DELAY + 1):
-        if radius(with_delay(scenario, scenario.sensing.delay + further)) >= 1.0:
-            return float(further - 1)
+        try:
+            if radius(with_delay(scenario, scenario.sensing.delay + further)) >= 1.0:
+                return float(further - 1)
+        except TooLarge:  # not an instability: the search range ends
+            break
     return float("inf")
 
 

@@ -58,7 +58,7 @@ _STEP = 1e-7
 # whole motion, if it is then so many times as far off.
 _OFF, _LONGER, _FARTHER = 0.5, 4, 2.0
 # Beyond these, an evaluation at one instant takes more than seconds, or much memory.
-_MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
+_MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 1000, 5000, 8000
 # Longest period, in control samples, searched for user-supplied systems without a declared one, and
 # the change of their map, relative to its rows, between different samples.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
@@ -70,6 +70,10 @@ _TRIES = 3
 
 class NotLinear(BlockError):
     """A loop with a block that cannot be linearised."""
+
+
+class TooLarge(NotLinear):
+    """A loop whose linearisation would take minutes, or fill the memory."""
 
 
 class Linearizer:
@@ -188,13 +192,13 @@ class Linearizer:
         }
 
     def _check_cost(self) -> None:
-        """Raise NotLinear for a loop that would take minutes, or fill the memory."""
+        """Raise TooLarge for a loop that is."""
         states, period = self._width + self._memory.size, self._memory.common_period
         short = range(min(period, _MOST_SAMPLES + 1))
         updates = len({self._memory.kind(index) for index in short})
         work = updates * (states + self._noise.size)
         if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
-            raise NotLinear(
+            raise TooLarge(
                 f"{self.scenario.controller}: the linear loop is too large: {states} states (at "
                 f"most {_MOST_STATES}), {period} control samples in its period (at most "
                 f"{_MOST_SAMPLES}), {work} evaluations (at most {_MOST_EVALUATIONS}); shorten "
