@@ -393,8 +393,8 @@ def hooks_in_the_code() -> set[str]:
 
 
 def test_every_hook_of_a_law_is_in_the_guide():
-    """The table of own_controller.md has the hooks that the code has, and no others."""
-    guide = (DOCS / "own_controller.md").read_text()
+    """The table of law_hooks.md has the hooks that the code has, and no others."""
+    guide = (DOCS / "law_hooks.md").read_text()
     table = guide.split("| hook |")[1].split("\n\n")[0]
     named = {re.match(r"\| `(\w+)", row)[1] for row in table.splitlines()[2:]}
     assert named == hooks_in_the_code()
