@@ -143,7 +143,7 @@ class TrackedTarget(Part):
             Metric(
                 key="target.rotation_error",
                 unit="rad",
-                label="Likewise, of its attitude",
+                label="Error of the target's estimated attitude at the last image",
                 of=lambda run: float(np.linalg.norm(run["target_error"][-1, :3])),
             ),
         )
