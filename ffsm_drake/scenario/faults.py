@@ -22,7 +22,7 @@ class Fault:
     )
     kind: str = unitless(
         DRAWN,
-        "kind of fault: stuck_on, stuck_off, leaking or weak for a thruster; stopped for a wheel; "
+        "kind of fault: stuck_on, stuck_off, leaking or weak for a thruster; stops for a wheel; "
         "frozen, biased or silent for a sensor; jammed for a joint; any: drawn",
     )
     time: list[float] = setting(
