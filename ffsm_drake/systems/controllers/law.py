@@ -402,10 +402,9 @@ _DEFAULT: Any = object()
 def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) -> np.ndarray | float:
     if given is None and not declared.bound:
         name = key.rpartition(".")[2]
+        kind = "a number" if declared.scalar else "a number, or numbers by coordinate"
         raise ScenarioError(
-            key,
-            f"null removes an upper bound, and {name} is not one; give a number, or numbers by "
-            "coordinate",
+            key, f"must be {kind}, not null: null removes an upper bound, and {name} is not one"
         )
     values = complete_gain(declared, given)
     if values is None:
