@@ -1,7 +1,7 @@
 """A reference of one's own: the joints swing, the base stays where it is. From the shell, in the
 folder of this file:
 
-ffsm run -c tdc --set "blocks.reference={system: own_reference:Swing, settings: {angle: 0.1, omega: 0.5}}"
+ffsm run -c tdc --set blocks.reference=own_reference:Swing
 """
 
 import numpy as np
@@ -19,7 +19,8 @@ class Swing(LeafSystem):
         super().__init__()
         self.nv = len(setup.coordinates.names)
         self.start = make_motion(setup.scenario, setup.coordinates).evaluate(0.0)[0]
-        self.angle, self.omega = setup.settings["angle"], setup.settings["omega"]
+        self.angle = setup.settings.get("angle", 0.1)
+        self.omega = setup.settings.get("omega", 0.5)
         self.DeclareVectorOutputPort("desired_state", 2 * self.nv + 1, self.calc_state)
         self.DeclareVectorOutputPort("desired_acceleration", self.nv, self.calc_acceleration)
 
@@ -37,8 +38,7 @@ class Swing(LeafSystem):
 
 
 if __name__ == "__main__":
-    block = "{system: own_reference:Swing, settings: {angle: 0.1, omega: 0.5}}"
-    overrides = ["duration=5", "controller=tdc", f"blocks.reference={block}"]
-    record = ffsm_drake.simulate(ffsm_drake.load_scenario("postcapture", overrides))
+    scenario = ffsm_drake.load_scenario("postcapture", ["duration=5", "controller=tdc"])
+    record = ffsm_drake.simulate(scenario, blocks={"reference": Swing})
     print(results_table([record]))
     ffsm_drake.write_outputs([record], "out/own_reference", figures=False)
