@@ -3,7 +3,7 @@
     python benchmarks/fault_detection.py --healthy 500 --faulty 300 --jams 40 --seed 0
 
 Missions are drawn: arms at rest and in motion, approaches, solar panels, thrusters and wheels, the
-shipped arms, that of docs/own_arm.md and those of ``--urdf``; frequency of the disturbance times
+shipped arms, examples/courier.urdf and those of ``--urdf``; frequency of the disturbance times
 0.3 to 5, amplitude times 0.3 to 3, a true payload of 0.5 to 2 times the nominal one, up to 0.1 m
 off its centre. ``--jams`` are of joints of the shipped ``thrusters_and_wheels``. With ``--only
 healthy:17`` one mission is run alone.
@@ -12,7 +12,6 @@ healthy:17`` one mission is run alone.
 import argparse
 import dataclasses
 import json
-import re
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -71,13 +70,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def own_missions(folder: Path, urdfs: Sequence[Path]) -> list[Path]:
     """What ``ffsm new`` makes of the arms: scenario files."""
-    courier = folder / "courier.urdf"
-    text = (ROOT / "docs" / "own_arm.md").read_text()
-    found = re.search(r"```xml\n(.*?)```", text, re.DOTALL)
-    assert found is not None
-    courier.write_text(found[1])
     made = []
-    for urdf in (courier, ROOT / "models" / "urdf" / "servicer.urdf", *urdfs):
+    for urdf in (
+        ROOT / "examples" / "courier.urdf",
+        ROOT / "models" / "urdf" / "servicer.urdf",
+        *urdfs,
+    ):
         for number, words in enumerate(ASKED):
             try:
                 new = new_scenario(
