@@ -158,9 +158,9 @@ def test_of_a_file(tmp_path, case):
     place, value = case
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(nested([*besides(place), (place.key, value)])))
-    check_blamed(place, path, load_scenario, path)
+    check_blamed(place, str(path), load_scenario, path)
     if place.key != "description":
-        check_blamed(place, path, load_scenario, path, ["description=another"])
+        check_blamed(place, str(path), load_scenario, path, ["description=another"])
 
 
 @pytest.mark.slow

@@ -177,7 +177,7 @@ def test_a_target_that_is_not_seen_is_not_met():
     # Without a pose, the supervisor gives the approach up.
     record = measured("supervisor={}", "capture.measured.sensor.dropouts=0.999")
     assert record.ending.status == "missed"
-    assert "given up" in record.outcome.message
+    assert "abandoned" in record.outcome.message
 
 
 @pytest.mark.long

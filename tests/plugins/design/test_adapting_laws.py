@@ -23,8 +23,8 @@ def scenario(law, *overrides):
 @pytest.mark.parametrize(
     ("law", "words", "remedy"),
     [
-        ("SlotineLi", "memory theta neither grows nor decays", '{"theta": None}'),
-        ("TwoMemories", "memory theta neither grows nor decays", '{"theta": None}'),
+        ("SlotineLi", "its state theta is constant at rest", '{"theta": None}'),
+        ("TwoMemories", "its state theta is constant at rest", '{"theta": None}'),
         ("SuperTwisting", "has no derivative", "smooth it"),
     ],
 )

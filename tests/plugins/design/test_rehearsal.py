@@ -221,10 +221,10 @@ def test_cases_side_by_side_have_the_results_that_they_have_alone():
     assert shares_diverged(cases, seeds=2) == alone
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_check_and_its_report_rehearse_once():
     """And at other values again."""
-    scenario = load_scenario("tumbling_capture", ["capture.approach.duration=20"])
+    scenario = load_scenario("capture_on_thrusters", ["capture.approach=null"])
     checked = verdict(scenario, rehearsal=False).noises
     shown = stability(scenario).rehearsal
     assert np.shares_memory(checked.largest_error, shown.largest_error)

@@ -229,7 +229,7 @@ def test_side_by_side_they_go_alone_and_a_run_says_what_broke():
     alone = simulate(scenario)
     for record in simulate_many([scenario, scenario]):
         assert record.dataset.equals(alone.dataset)
-    assert "thrusters.a_x: leaking from 0.20 s on" in run_remarks(alone)
+    assert "thrusters.a_x: leaking since 0.20 s" in run_remarks(alone)
     cut = dataclasses.replace(alone, dataset=alone.dataset.isel(time=slice(0, 15)))
     assert not any("leaking" in remark for remark in run_remarks(cut))
 
