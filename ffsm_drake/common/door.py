@@ -5,6 +5,7 @@ own address, refuses connections according to ``refusal``, and forwards the fram
 ``passed``.
 """
 
+import abc
 import asyncio
 import contextlib
 import logging
@@ -43,7 +44,7 @@ class BadFrame(ValueError):
     """A frame that no page of the server sends."""
 
 
-class Door:
+class Door(abc.ABC):
     """A proxy before a websocket server, in a thread of its own, at ``HOST`` and ``port``."""
 
     largest = 4096  # bytes of a page's frame
@@ -68,13 +69,13 @@ class Door:
             raise FfsmError(f"{called} cannot start: no port is free; free {which}")
         self.port = port
 
+    @abc.abstractmethod
     def refusal(self, request: Request, host: str) -> str | None:
         """Return why a websocket of a request to ``host`` is refused; None: it is accepted."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def passed(self, frame: str | bytes) -> str | bytes | None:
         """Return the part of a page's frame for the server; None: nothing. Raises BadFrame."""
-        raise NotImplementedError
 
     def file(self, page: ServerConnection, path: str) -> Response:
         """Return a file of the page; called in a thread."""
