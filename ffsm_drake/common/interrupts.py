@@ -210,16 +210,31 @@ def _say(line: str) -> None:
         os.write(2, f"{chr(10) if os.isatty(2) else ''}{line}\n".encode("utf-8", "replace"))
 
 
-def kill_below(pid: int, *, but: "Iterable[int]" = ()) -> None:
-    """Kill the processes of this session that descend from one, with exceptions."""
+def kill_below(pid: int, *, but: "Iterable[int]" = (), itself: bool = False) -> None:
+    """Kill the processes of this session that descend from one, with exceptions.
+
+    They are stopped before they are killed: one that runs starts another in the meantime, and a
+    killed one no longer says whose child that is. ``itself``: kill that one too.
+    """
     session, found, new = os.getsid(0), set[int](), {pid}
-    parents = _parents()
-    while new := {child for child, parent in parents.items() if parent in new} - {*but} - found:
+    spared = set[int]() if itself else {pid}
+    while new:
         found |= new
-    for each in found:
+        _send(signal.SIGSTOP, new - spared, session)
+        below, more, parents = set[int](), {pid}, _parents()
+        while more:
+            below |= more
+            children = {each for each, parent in parents.items() if parent in more}
+            more = children - below - {*but}
+        new = below - found
+    _send(signal.SIGKILL, found - spared, session)
+
+
+def _send(number: int, pids: "Iterable[int]", session: int) -> None:
+    for each in pids:
         with contextlib.suppress(OSError):
             if os.getsid(each) == session:  # a browser, say, has its own
-                os.kill(each, signal.SIGKILL)
+                os.kill(each, number)
 
 
 def _parents() -> dict[int, int]:

@@ -98,8 +98,7 @@ def local_workers(count: int) -> Iterator[Workers]:
     def kill() -> None:
         for child in active_children():
             if child not in others and child.pid is not None:
-                kill_below(child.pid)  # what user-supplied code has started
-                child.kill()
+                kill_below(child.pid, itself=True)  # and what user-supplied code has started
 
     def open_pool() -> Executor:
         if idle:

@@ -216,6 +216,34 @@ def test_the_watcher_ends_what_never_returns(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+STARTING = """
+import os, subprocess
+from ffsm_drake.common import interrupts
+interrupts.handle_signals().watch()
+os.write(1, b"starting\\n")
+subprocess.run(["sh", "-c", os.environ["SHELL_WORDS"]], check=False)
+"""
+SHELL_WORDS = (
+    "trap '' INT TERM HUP; for i in 1 2 3 4 5 6; do sh -c 'sleep 1000; :' & done; sleep 1000; :"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
+def test_a_signal_while_processes_start_leaves_none():
+    """As many as the variable SIGNALS says, 12 without; the variable SEED draws them anew."""
+    draw = random.Random(int(os.environ.get("SEED", "58")))
+    settings = {"env": environment() | {"SHELL_WORDS": SHELL_WORDS}, "stdout": PIPE}
+    for _ in range(int(os.environ.get("SIGNALS", "12"))):
+        with child([sys.executable, "-c", STARTING], stderr=DEVNULL, **settings) as process:
+            process.stdout.readline()
+            time.sleep(draw.uniform(0.0, 0.02))
+            number = draw.choice(SIGNALS)
+            process.send_signal(number)
+            process.wait(timeout=MOST)
+            check_ended(process, number)
+
+
 def disturb_stuck(draw, folder):
     """One signal, or two, to a command in a call that never returns. Returns seconds and words."""
     name, kind = draw.choice([*STUCK]), draw.choice([*blocked.KINDS])
