@@ -1,6 +1,8 @@
-"""Numbers with three digits, for files that people read."""
+"""Numbers with few digits, for files that people read."""
 
 import math
+from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +12,15 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 def rounded(value: float) -> float:
     """A number with three digits."""
     return float(f"{value:.3g}")
+
+
+def readable(data: Any, kept: Collection[str] = ()) -> Any:
+    """Return plain data with its numbers rounded to six digits, except below the ``kept`` keys."""
+    if isinstance(data, dict):
+        return {k: each if k in kept else readable(each, kept) for k, each in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [readable(each, kept) for each in data]
+    return float(f"{data:.6g}") if isinstance(data, float) else data
 
 
 def rounded_down(value: float) -> float:

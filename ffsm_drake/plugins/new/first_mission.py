@@ -20,7 +20,7 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.design.remarks import plan_clearance
-from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
+from ffsm_drake.plugins.design.rounding import readable, rounded, rounded_by_group
 from ffsm_drake.plugins.design.stability import Margins, stability
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
@@ -80,6 +80,7 @@ _K_S, _SWITCHING = 0.1, 2e-4  # K_s as a share of omega; bound of G
 _COVER = 0.1  # m, of a part that covers a thruster
 # Panels: of the base's inertia; m; Hz.
 _PANEL_SHARE, _PANEL_LENGTH, _PANEL_FREQUENCY = 0.3, (0.3, 3.0), 0.25
+_FROM_FILES = ("payload", "limit", "coulomb_friction", "viscous_friction")  # keys
 _PANEL_SIDES = ([0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
 
 
@@ -119,7 +120,12 @@ class Draft:
         hold = _HOLD if self.asked.is_paper else _LONG_HOLD
         self.data["duration"] = before + self.data["reference"]["duration"] + hold
         sections = {key: each for key, each in {**self.data, **changes}.items() if each != {}}
-        return scenario_from_dict(sections, source=self.source)
+        return scenario_from_dict(_written(sections), source=self.source)
+
+    @property
+    def written(self) -> dict[str, Any]:
+        """The plain data for the file. ``scenario`` is made from the same numbers."""
+        return _written(self.data)
 
     @step("searching for postures without contact")
     def place(self, target: Target) -> None:
@@ -657,6 +663,12 @@ class _Arm:
         singular = np.linalg.svd(jacobian, compute_uv=False)
         away = np.linalg.norm(self.tip.CalcPoseInWorld(self.true.context).translation())
         return float(singular[0] / max(singular[-1] * away, 1e-9))
+
+
+def _written(data: dict[str, Any]) -> dict[str, Any]:
+    """Data with few digits, except the numbers from model files."""
+    found: dict[str, Any] = readable(data, kept=_FROM_FILES)
+    return found
 
 
 def _effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:

@@ -369,7 +369,7 @@ def _make(
         # The line numbers in Drake's messages are those of the copy, not of the user's file.
         told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
-    data = draft.data
+    data = draft.written
     if "drives" in data["actuation"]:
         left_out = [each for each in left_out if "--friction" not in each]
     limits = "; ".join(f"{joint.name} {_limits(joint)}" for joint in servicer.joints)
@@ -410,9 +410,9 @@ def _write_models(
     payload["body"] = f"debris::{target.body}"
     for name, share in (("truth", 1.0), ("nominal", _NOMINAL_SHARE)):
         payload[name] = {
-            "mass": float(f"{share * mass:.10g}"),
+            "mass": float(f"{share * mass:.15g}"),
             "center_of_mass": list(target.center_of_mass),
-            "inertia": [float(f"{share * moment:.10g}") for moment in inertia],
+            "inertia": [float(f"{share * moment:.15g}") for moment in inertia],
         }
     return left_out
 

@@ -3,21 +3,24 @@ remedy that works. ``FFSM_DRAWS=40 pytest -m exhaustive`` on this file tries as 
 """
 
 import os
+import re
 import shlex
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 from drawn_craft import drawn_craft
-from outside_urdfs import simple_arm
+from outside_urdfs import joint, link, robot, simple_arm
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.design.verdict import Verdict
 from ffsm_drake.plugins.new import first_scenario
 from ffsm_drake.plugins.new.asked import Asked
+from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
-from ffsm_drake.scenario import load_scenario
+from ffsm_drake.scenario import load_scenario, scenario_to_dict
 from ffsm_drake.spacecraft.limits import urdf_limits
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.reference import make_motion
@@ -139,6 +142,57 @@ def test_less_is_asked_by_one_option_at_a_time():
         again = remedied(change, f"what helps: {told}: with it")
         pairs = zip(again[::2], again[1::2], strict=True)
         assert asked == Asked.parsed(**{key[2:]: word for key, word in pairs})
+
+
+def numbers(data):
+    """The numbers of a scenario's file that are not from a model file."""
+    if isinstance(data, dict):
+        own = {"payload", "limit", "coulomb_friction", "viscous_friction"}
+        yield from (x for key, each in data.items() if key not in own for x in numbers(each))
+    elif isinstance(data, list):
+        yield from (x for each in data for x in numbers(each))
+    elif isinstance(data, float):
+        yield data
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(int(os.environ.get("FFSM_DRAWS", "1"))))
+def test_numbers_in_the_file_have_six_digits_at_most(tmp_path, seed):
+    """With joints whose limits have many digits. The scenario of the file is the one checked."""
+    urdf, options = drawn_craft(seed)
+    draw = np.random.default_rng(seed)
+    limits = re.compile(r'(lower|upper)="([-\d.]+)"')
+    urdf = limits.sub(lambda m: f'{m[1]}="{float(m[2]) * draw.uniform(0.9, 1.0)}"', urdf)
+    finger = joint("finger", "tool", "pad", kind="prismatic", axis="1 0 0",
+                   limit='lower="0.0049999999999999999" upper="0.05" effort="1" velocity="1"',
+                   )  # fmt: skip
+    urdf = urdf.replace("</robot>", f"{finger}{link('pad', mass=0.1)}</robot>")
+    (tmp_path / "craft.urdf").write_text(urdf)
+    mass = float(options.pop("target"))
+    del options["capture"]  # whose posture takes long to find
+    made = new_scenario(tmp_path / "craft.urdf", tmp_path / "new", tip="tool", payload_mass=mass,
+                        asked=Asked.parsed(**options))  # fmt: skip
+    found = [*numbers(yaml.safe_load(made.scenario_file.read_text()))]
+    assert len(found) > 50
+    assert [x for x in found if float(f"{x:.6g}") != x] == []
+    written = scenario_to_dict(load_scenario(made.scenario_file))
+    checked = scenario_to_dict(made.scenario)
+    differing = {key for key in written | checked if written.get(key) != checked.get(key)}
+    assert differing <= {"model"}  # whose paths are absolute
+
+
+@pytest.mark.slow
+def test_a_flat_target_can_be_held(tmp_path):
+    """Its largest moment is the sum of the others, which rounding must not exceed."""
+    (tmp_path / "plate.urdf").write_text(
+        robot(link("plate", mass=5, inertia=(5 / 12, 5 / 12, 5 / 6)),
+              '<frame name="grasp" link="plate" xyz="0 0 -0.1" rpy="0 0 0"/>')
+    )  # fmt: skip
+    (tmp_path / "arm.urdf").write_text(simple_arm())
+    made = new_scenario(tmp_path / "arm.urdf", tmp_path / "new", target=tmp_path / "plate.urdf")
+    assert load_scenario(made.scenario_file).payload.truth.inertia[:3] == pytest.approx(
+        [5 / 12, 5 / 12, 5 / 6], rel=1e-12
+    )
 
 
 def test_bounds_are_rounded_up():
