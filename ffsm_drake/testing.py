@@ -22,8 +22,8 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.guard import guarded, passes
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.guard import failure, guarded, passes
 from ffsm_drake.loop.blocks import check_ports
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import (
@@ -65,6 +65,11 @@ class Conformance:
         return f"{self.name} conforms ({1e6 * self.update_time:.0f} us per sample):\n{passed}"
 
 
+def _users(error: FfsmError) -> BaseException | None:
+    """The user's exception that caused an error, which a traceback shows; None: there is none."""
+    return None if isinstance(error.__cause__, FfsmError) else error.__cause__
+
+
 def check_controller(
     factory: Factory | str,
     *,
@@ -101,10 +106,10 @@ def check_controller(
             passed = [check(candidate, base) for check in checks]
             cost = _update_time(candidate, base)
     except FfsmError as error:
-        raise ConformanceError(str(error)) from error
+        raise ConformanceError(str(error)) from _users(error)
     if cost > base.sample_time:
         raise ConformanceError(
-            f"{name}: an update takes {1e3 * cost:.1f} ms, more than the period of "
+            f"{candidate}: an update takes {1e3 * cost:.1f} ms, more than the period of "
             f"{1e3 * base.sample_time:g} ms"
         )
     return Conformance(name=name, checks=tuple(passed), update_time=cost)
@@ -164,7 +169,7 @@ def check_block(
             ):
                 raise ConformanceError(f"{place}: {when}; draw random numbers from a RandomSource")
     except FfsmError as error:
-        raise ConformanceError(str(error)) from error
+        raise ConformanceError(str(error)) from _users(error)
     return Conformance(
         name=place,
         checks=("ports: names and sizes", "finite signals", "no memory outside the context"),
@@ -183,21 +188,27 @@ class _Candidate:
         key = getattr(self.factory, "__name__", type(self.factory).__name__)
         own = dataclasses.replace(scenario, controllers={key: dict(self.gains)})
         controller = make_controller(own, nominal, self.factory)
-        check_ports(
-            controller, "controller", nominal.coordinates, place=f"controller '{self.name}'"
-        )
+        check_ports(controller, "controller", nominal.coordinates, place=str(self))
         return controller
 
     def run(self, scenario: Scenario, samples: Sequence[Sample]) -> np.ndarray:
         """The forces (n, nv) of a new controller."""
-        return _Bench(self.build(scenario), scenario.sample_time).run(samples)
+        return self.bench(scenario).run(samples)
+
+    def bench(self, scenario: Scenario, controller: System | None = None) -> "_Bench":
+        """A bench for a controller, by default a new one."""
+        controller = self.build(scenario) if controller is None else controller
+        return _Bench(controller, scenario.sample_time, place=str(self))
+
+    def __str__(self) -> str:
+        return f"controller '{self.name}'"
 
 
 class _Bench:
     """A controller alone, with given inputs sample by sample."""
 
-    def __init__(self, controller: System, sample_time: float) -> None:
-        self._controller = controller
+    def __init__(self, controller: System, sample_time: float, *, place: str) -> None:
+        self._controller, self._place = controller, place
         self._sample_time = sample_time
         self._simulator = Simulator(controller, controller.CreateDefaultContext())
         self._sample = 0
@@ -219,10 +230,7 @@ class _Bench:
         except BaseException as error:
             if passes(error):
                 raise
-            raise ConformanceError(
-                f"{self._controller.get_name()}: the update raises {type(error).__name__}: "
-                f"{one_line(error)}"
-            ) from error
+            raise failure(error, self._place) from error
         return force
 
     def run(self, samples: Sequence[Sample]) -> np.ndarray:
@@ -281,7 +289,7 @@ def _check_ports(candidate: _Candidate, scenario: Scenario) -> str:
     controller = candidate.build(scenario)
     if controller.num_continuous_states() > 0:
         raise ConformanceError(
-            f"{candidate.name}: has continuous state; a sampled controller keeps discrete state"
+            f"{candidate} has continuous state; a sampled controller keeps discrete state"
         )
     return "ports: names and sizes"
 
@@ -295,7 +303,7 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
             if not np.isfinite(force).all():
                 sample = int(np.argmin(np.isfinite(force).all(axis=1)))
                 raise ConformanceError(
-                    f"{candidate.name}: the force is not finite at sample {sample} with {situation}"
+                    f"{candidate}: the force is not finite at sample {sample} with {situation}"
                 )
     return "finite force, with errors and without any"
 
@@ -303,18 +311,18 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
 def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=2), _inputs(scenario, seed=3)
     force = candidate.run(scenario, samples)
-    bench = _Bench(candidate.build(scenario), scenario.sample_time)
+    bench = candidate.bench(scenario)
     held = np.array(
         [bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)]
     )
     if not np.array_equal(force, held):
         raise ConformanceError(
-            f"{candidate.name}: the force follows its inputs between two samples; declare it as an "
+            f"{candidate}: the force follows its inputs between two samples; declare it as an "
             "output of discrete state (DeclareStateOutputPort), updated every sample_time"
         )
     if all(np.array_equal(force[0], later) for later in force[1:]):
         raise ConformanceError(
-            f"{candidate.name}: the force never changes; declare a periodic update every "
+            f"{candidate}: the force never changes; declare a periodic update every "
             f"sample_time ({scenario.sample_time:g} s), offset 0"
         )
     return "one update per period, the force held in between"
@@ -325,28 +333,28 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     first = candidate.run(scenario, samples)
     if not np.array_equal(first, candidate.run(scenario, samples)):
         raise ConformanceError(
-            f"{candidate.name}: two new controllers give different forces for the same inputs; "
+            f"{candidate}: two new controllers give different forces for the same inputs; "
             "draw random numbers from an input port, and keep no state in the module or class"
         )
     remedy = "a controller must keep its state in the context (discrete state), not on self"
     controller = candidate.build(scenario)
-    _Bench(controller, scenario.sample_time).run(others)
-    again = _Bench(controller, scenario.sample_time).run(samples)
+    candidate.bench(scenario, controller).run(others)
+    again = candidate.bench(scenario, controller).run(samples)
     if not np.array_equal(first, again):
         where = int(np.argmin((first == again).all(axis=1)))
         raise ConformanceError(
-            f"{candidate.name}: hides state on self: after a reset, the force at sample {where} "
+            f"{candidate} hides state on self: after a reset, the force at sample {where} "
             f"depends on the run before; {remedy}"
         )
     controller = candidate.build(scenario)
-    one, two = (_Bench(controller, scenario.sample_time) for _ in range(2))
+    one, two = (candidate.bench(scenario, controller) for _ in range(2))
     interleaved = []
     for sample, other in zip(samples, others, strict=True):
         interleaved.append(one.step(sample))
         two.step(other)
     if not np.array_equal(first, np.array(interleaved)):
         raise ConformanceError(
-            f"{candidate.name}: hides state on self: two runs at once disturb each other; {remedy}"
+            f"{candidate} hides state on self: two runs at once disturb each other; {remedy}"
         )
     return (
         "no state outside the context: reset, second run and two runs at once give the same force"
@@ -366,7 +374,7 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     if not np.allclose(first, back, rtol=1e-6, atol=1e-9 * max(1.0, float(np.abs(first).max()))):
         worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
         raise ConformanceError(
-            f"{candidate.name}: the force on '{worst}' changes when the model lists its joints in "
+            f"{candidate}: the force on '{worst}' changes when the model lists its joints in "
             "another order; give gains by name (gain(...), or setup.coordinates.vector), not by "
             "index"
         )
@@ -425,7 +433,7 @@ def _update_time(candidate: _Candidate, scenario: Scenario) -> float:
     samples = _inputs(scenario, seed=7)
     best = np.inf
     for _ in range(3):
-        bench = _Bench(candidate.build(scenario), scenario.sample_time)
+        bench = candidate.bench(scenario)
         bench.step(samples[0])
         start = time.perf_counter()
         bench.run(samples)

@@ -51,7 +51,7 @@ def test_published_gains_without_bound_diverge_on_the_exact_plant(run, tmp_path)
     assert 4.0 < record.outcome.time < 8.0
     assert record.outcome.coordinate in record.dataset["coordinate"].values
     for part in (
-        "tde_aismc diverged at t = ",
+        "diverged at t = ",
         record.outcome.coordinate,
         "rad/s, beyond divergence_speed = 10",
     ):

@@ -20,6 +20,12 @@ def number(value: float | None, digits: int = 4) -> str:
     return scientific(value, digits)
 
 
+def short(value: float, digits: int = 3) -> str:
+    """Such as 5, 0.25 or 2891: significant digits, without an exponent from 1e-4 to 1e6."""
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e6 else text
+
+
 def scientific(value: float, digits: int) -> str:
     """Return a finite number such as 1.70×10⁻⁴."""
     if value == 0.0:

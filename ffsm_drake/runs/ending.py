@@ -101,13 +101,8 @@ def ending_of(
     if outcome.status == INTERRUPTED:
         count = time.size or "no"
         message += f"; {count} sample{'s were' if time.size > 1 else ' was'} recorded"
-    # a controller's name at the beginning keeps its case
-    first = (
-        message if message.startswith(scenario.controller) else message[:1].upper() + message[1:]
-    )
-    return Ending(
-        status=outcome.status, sentence=f"{first.rstrip('.')}.", coordinate=outcome.coordinate
-    )
+    sentence = f"{message[:1].upper()}{message[1:].rstrip('.')}."
+    return Ending(status=outcome.status, sentence=sentence, coordinate=outcome.coordinate)
 
 
 def ending_of_completed(

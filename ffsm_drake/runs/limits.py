@@ -83,7 +83,7 @@ def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
     def at(sample: int) -> str:
         return f" at t = {time[sample]:.2f} s"
 
-    found = list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
+    found = list(remarks_on(limits, motion, at, who=("the run", "the run")))
     found += not_measured(scenario)
     return [*found, *too_near(_clearance_in(scenario, data), scenario.clearance, "the run")]
 
@@ -96,7 +96,7 @@ class Closest(Nearest):
     before_grasp: bool = False  # while the target is a body of its own
 
     def __str__(self) -> str:
-        before = ", before the grasp" if self.before_grasp else ""
+        before = ", target not held" if self.before_grasp else ""
         return f"{super().__str__()} at t = {self.time:.3g} s{before}"
 
 
@@ -167,7 +167,7 @@ def too_near(found: Iterable[Closest], threshold: float, what: str) -> Iterator[
             continue
         state = in_words(closest.distance, "come within {} of each other")
         when = f"at t = {closest.time:.3g} s (clearance {threshold:g} m)"
-        yield f"{what}: {closest.first} and {closest.second} {state} {when}"
+        yield f"{closest.first} and {closest.second} {state} in {what} {when}"
 
 
 def saturation(record: RunRecord) -> dict[str, float]:

@@ -88,7 +88,7 @@ class Monitor:
 
     def _note(self, time: float, worst: int, what: str) -> None:
         self.coordinate = self.loop.coordinates.names[worst]
-        self.message = f"{self.loop.scenario.controller} diverged at t = {time:.2f} s: {what}"
+        self.message = f"diverged at t = {time:.2f} s: {what}"
 
 
 _SKIPS = 3  # steps without a check

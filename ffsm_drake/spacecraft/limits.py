@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.numbers import short
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.checked_urdf import read_limits
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
@@ -66,20 +67,19 @@ class Limit:
         return np.where(np.isnan(share), -np.inf, share)
 
     def remark(self, values: np.ndarray, what: str, at: Callable[[int], str]) -> Iterator[str]:
-        """A line with the components that values (samples, n) take beyond their bounds."""
+        """A line with the components of values (samples, n) that exceed their bounds."""
         used, parts = self.used(values), []
         lower, upper = (np.broadcast_to(each, used.shape) for each in (self.lower, self.upper))
         for i in np.flatnonzero((used > 1.0 + SLACK).any(axis=0)):
             k, unit = int(np.argmax(used[:, i])), self.units[i]
             value, least, most = values[k, i], lower[k, i], upper[k, i]
             parts.append(
-                f"{self.names[i]} {abs(value):.4g} {unit}{at(k)} (limit {most:.4g})"
+                f"{self.names[i]} {short(abs(value), 4)} {unit}{at(k)} (limit {short(most, 4)})"
                 if least == -most and self.quantity != POSITION
                 else f"{self.names[i]} {value:.4g}{at(k)} (limits {least:.4g} to {most:.4g} {unit})"
             )
         if parts:
-            side = "outside" if self.quantity == POSITION else "beyond"
-            yield f"{what}: {side} {self.source}: {', '.join(parts)}"
+            yield f"{what} exceeds {self.source}: {', '.join(parts)}"
 
 
 def tightest(limits: Sequence[Limit], quantity: str) -> Limit:

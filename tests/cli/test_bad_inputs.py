@@ -1016,9 +1016,9 @@ payload: {truth: {mass: 166}}
 """
 TOLD = (
     "payload.truth.mass: 166 kg replaces the 100 kg of debris::debris in the URDF",
-    "initial_posture.joints: outside the URDF's position limits: shoulder 1.5 (limits -1 to 1 rad)",
-    "the planned motion: beyond the URDF's velocity limits: shoulder",
-    "perfect tracking of the planned motion needs: beyond the URDF's effort limits: shoulder",
+    "initial_posture.joints exceeds the URDF's position limits: shoulder 1.5 (limits -1 to 1 rad)",
+    "the planned motion exceeds the URDF's velocity limits: shoulder",
+    "perfect tracking of the planned motion exceeds the URDF's effort limits: shoulder",
 )
 
 
@@ -1050,7 +1050,7 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
     lines = warned(run.stderr)
     assert all(any(text in line for line in lines) for text in TOLD)
     assert any(
-        "the run: outside the URDF's position limits: shoulder 1.5 at t = 0.00 s" in line
+        "the run exceeds the URDF's position limits: shoulder 1.5 at t = 0.00 s" in line
         for line in lines
     )
     assert any(

@@ -108,7 +108,7 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
     ]
     result = ffsm("run", *unstable, "--no-report", "--out", tmp_path)
     assert result.exit_code == 3
-    assert re.search(r"tde_aismc diverged at t = [\d.]+ s: \S+ moves at", result.stderr)
+    assert re.search(r"tde_aismc: diverged at t = [\d.]+ s: \S+ moves at", result.stderr)
     assert RunRecord.load(tmp_path).outcome.status == "diverged"
 
 

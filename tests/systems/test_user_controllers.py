@@ -364,7 +364,7 @@ def test_compare_takes_any(module):
             2,
             "'users_own:Raises' failed at t = 0.00 s: RuntimeError: no idea",
         ),
-        (["-c", "users_own:Nan"], 3, "users_own:Nan diverged at t = 0."),
+        (["-c", "users_own:Nan"], 3, "users_own:Nan: diverged at t = 0."),
         (["-c", "users_own:Nothing"], 2, "users_own has no 'Nothing'"),
         (
             ["-c", "users_own:Integral", "--set", "controllers.Integral.k=1"],

@@ -30,7 +30,7 @@ from pydrake.systems.primitives import Demultiplexer, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.numbers import percent, short
 from ffsm_drake.scenario import Drives, PerCoordinate, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import RATE, Limit
@@ -413,7 +413,7 @@ class JointDrives(Part):
         if "drives.friction_loss" in found:
             parts.append(
                 f"friction of up to {max(found['drives.peak_friction'].values()):.3g} in a "
-                f"joint, which took out {sum(found['drives.friction_loss'].values()):.3g} J"
+                f"joint, which took out {short(sum(found['drives.friction_loss'].values()))} J"
             )
         return f"drives: {', '.join(parts)}" if parts else ""
 

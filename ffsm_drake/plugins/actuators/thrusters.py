@@ -10,7 +10,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.numbers import counted, percent
+from ffsm_drake.common.numbers import counted, percent, short
 from ffsm_drake.common.products import times
 from ffsm_drake.plugins.actuators.allocation import Allocation
 from ffsm_drake.plugins.actuators.modulation import (
@@ -276,7 +276,7 @@ class FiredThrusters(Part):
             Signal(
                 name="thruster_given",
                 unit="1",
-                meaning="part of the wanted wrench given by the last allocation to thrusters",
+                meaning="share of the commanded wrench that the last allocation to thrusters gives",
                 heading="",
             ),
         )
@@ -314,7 +314,7 @@ class FiredThrusters(Part):
             Metric(
                 key="thrusters.saturated",
                 unit="1",
-                label="Samples with less than the wanted wrench",
+                label="Samples with less than the commanded wrench",
                 heading="thrusters saturated [share]",
                 shown="%",
                 of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
@@ -402,14 +402,14 @@ class FiredThrusters(Part):
         bound = (
             ""
             if not least <= propellant
-            else (f" (the commanded force alone: at least {least:.3g} g)")
+            else (f" (the commanded force alone: at least {short(least)} g)")
         )
         return (
-            f"thrusters: {propellant:.3g} g of propellant{bound}, impulse "
-            f"{found['thruster_impulse']:.4g} N s in "
+            f"thrusters: {short(propellant)} g of propellant{bound}, impulse "
+            f"{short(found['thruster_impulse'], 4)} N s in "
             f"{counted(found['thruster_pulses'], 'pulse')}"
             + ("" if math.isnan(shortest) else f", the shortest {shortest:.3g} ms")
-            + f"; not all of the wanted wrench in {percent(found['thrusters.saturated'])} of the "
+            + f"; less than the commanded wrench in {percent(found['thrusters.saturated'])} of the "
             "samples"
         )
 

@@ -23,7 +23,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import Demultiplexer, Selector, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.numbers import percent, short
 from ffsm_drake.common.products import length, times
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.scenario import Scenario, Wheels
@@ -539,7 +539,7 @@ class ReactionWheels(Part):
         if given is not None and scenario.actuation.thrusters is not None and not self.is_helped:
             yield Advice(
                 changes={"actuation.wheels.assist_above": 1.0},
-                reason=f"thrusters give the torque beyond the wheels' {given.limit:.3g} N m",
+                reason=f"thrusters give the torque beyond the wheels' {short(given.limit)} N m",
             )
         yield from load.advice("base_rotation")
 

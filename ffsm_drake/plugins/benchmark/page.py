@@ -13,15 +13,15 @@ from ffsm_drake.show.tables import aligned
 _COLUMNS = {
     "itae": "ITAE",
     "isv": "ISV",
-    "settled_time": "after [s]",
+    "settled_time": "settled after [s]",
     "propellant": "propellant [kg]",
-    "propellant_over_least": "of the least",
-    "final_drift_rotation": "drift [rad]",
-    "spectral_radius": "radius",
-    "payload_factor": "payload, starting K_s",
-    "delay_margin": "delay, starting K_s [s]",
-    "error_over_lqg": "of LQG's error",
-    "law_time": "a sample [µs]",
+    "propellant_over_least": "propellant / bound",
+    "final_drift_rotation": "attitude drift [rad]",
+    "spectral_radius": "spectral radius",
+    "payload_factor": "payload factor",
+    "delay_margin": "delay margin [s]",
+    "error_over_lqg": "error / LQG error",
+    "law_time": "time per sample [µs]",
 }
 
 
@@ -65,7 +65,7 @@ def board_columns(boards: Sequence[Board]) -> list[Column]:
         Column(name="runs", cells=[len(each.outcomes) for _, each, _ in found]),
     ]
     if any(each.ended for _, each, _ in found):
-        columns.append(Column(name="others", cells=[each.ended for _, each, _ in found]))
+        columns.append(Column(name="not completed", cells=[each.ended for _, each, _ in found]))
     for key, heading in _COLUMNS.items():
         scale = 1e6 if key == "law_time" else 1.0
         cells = [_CUT if _is_cut(x := figures[key]) else x and scale * x for _, _, figures in found]
@@ -89,7 +89,7 @@ def _bounds(board: Board) -> str:
     """The least times of a mission in one line."""
     said = {
         "momentum": "in any attitude and posture (bound)",
-        "held": "in those of the start",
+        "held": "in the initial attitude and posture",
         "planner": "by the plan",
     }
     parts = [f"{time:.3g} s {said[name]}" for name, time in board.bounds.items()]
@@ -101,7 +101,7 @@ def _bounds(board: Board) -> str:
     if board.ratio is None:
         least = f" Least time: {', '.join(parts)}." if parts else ""
         return (
-            f"Motion of {board.motion:.3g} s; no lower bound: no momentum to take out, or no limit."
+            f"Motion of {board.motion:.3g} s. Without momentum or limits, there is no bound."
             f"{least}{propellant}"
         )
     return (

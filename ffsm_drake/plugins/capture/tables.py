@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from ffsm_drake.common.numbers import short
 from ffsm_drake.plugins.capture.momentum import momentum_lines
 
 
@@ -23,17 +24,17 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
     brakes = max(map(abs, grasp["brake_impulse"].values()), default=0.0)
     miss, compliant = grasp["miss"], grasp["compliant"]
     gripper = (
-        f"; largest load of the gripper {compliant['peak_force']:.3g} N and "
-        f"{compliant['peak_torque']:.3g} N m, within {1e3 * compliant['time']:.3g} ms"
+        f"; largest load of the gripper {short(compliant['peak_force'])} N and "
+        f"{short(compliant['peak_torque'])} N m, within {short(1e3 * compliant['time'])} ms"
         if compliant
         else ""
     )
     return (
-        f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and "
-        f"{size['angular_impulse']:.3g} N m s"
-        + (f", of a brake at most {brakes:.3g} N m s" if brakes else "")
-        + f", kinetic energy {before:.4g} to {after:.4g} J; error at the grasp "
-        f"{1e3 * miss['position']:.2g} mm and "
-        f"{1e3 * miss['angle']:.2g} mrad, at {1e3 * miss['velocity']:.2g} mm/s and "
+        f"grasp at t = {grasp['time']:g} s: impulse {short(size['impulse'])} N s and "
+        f"{short(size['angular_impulse'])} N m s"
+        + (f", of a brake at most {short(brakes)} N m s" if brakes else "")
+        + f", kinetic energy {short(before, 4)} to {short(after, 4)} J; error at the grasp "
+        f"{short(1e3 * miss['position'], 2)} mm and "
+        f"{short(1e3 * miss['angle'], 2)} mrad, at {short(1e3 * miss['velocity'], 2)} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
     )

@@ -216,10 +216,10 @@ def _search_progress() -> Callable[[int, str], None]:
     """Progress of a search: an updated line on a terminal, else a line every ten seconds."""
     start = shown = time.monotonic()
 
-    def show(done: int, what: str) -> None:
+    def show(_: int, what: str) -> None:
         nonlocal shown
         now, is_terminal = time.monotonic(), sys.stderr.isatty()
-        line = f"{now - start:4.0f} s: {done} {what}"
+        line = f"{now - start:4.0f} s: {what}"
         if is_terminal or now - shown > 10.0:
             shown = now
             click.echo(f"\r{line}" if is_terminal else line, nl=not is_terminal, err=True)

@@ -12,6 +12,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.numbers import short
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.plugins.capture.momentum import momentum_budget, storage_remark
@@ -163,7 +164,7 @@ def _motion_remarks(
         limits,
         motion,
         lambda sample: f" at t = {times[sample]:.3g} s",
-        who=("the planned motion", "perfect tracking of the planned motion needs"),
+        who=("the planned motion", "perfect tracking of the planned motion"),
     )
 
 
@@ -306,7 +307,7 @@ def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
     if fast:
         name = max(fast, key=lambda each: fast[each])
         yield (
-            f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s advances by "
+            f"disturbance.harmonics.{name}.frequency: {short(fast[name])} rad/s advances by "
             f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is aliased by the "
             f"integrator; set simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
         )
@@ -336,6 +337,6 @@ def _overridden_mass(scenario: Scenario, plant: MultibodyPlant) -> Iterator[str]
     shipped = source.startswith("package://ffsm_drake/")
     if not shipped and own > 0.0 and abs(own - given) > _SAME_MASS * given:
         yield (
-            f"payload.truth.mass: {given:.4g} kg replaces the {own:.4g} kg of "
+            f"payload.truth.mass: {short(given, 4)} kg replaces the {short(own, 4)} kg of "
             f"{scenario.payload.body} in the URDF"
         )

@@ -7,14 +7,18 @@ from typing import Any
 from ffsm_drake.common.numbers import NONE, counted, number
 from ffsm_drake.plugins.design.gains import Design, DesignPoint
 from ffsm_drake.plugins.design.rounding import rounded_down
-from ffsm_drake.plugins.design.stability.boundaries import Boundaries
+from ffsm_drake.plugins.design.stability.boundaries import (
+    LARGEST_DELAY,
+    LARGEST_TRIED,
+    Boundaries,
+)
 from ffsm_drake.plugins.design.stability.disk import DiskMargins
 from ffsm_drake.plugins.design.stability.linear_loop import radius_told
 from ffsm_drake.plugins.design.stability.margins import AxisMargins, Margins
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import aligned
-from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains, declared_gains
 
 
 def margins_table(margins: Margins) -> str:
@@ -91,15 +95,19 @@ def _limit_rows(boundaries: Boundaries, scenario: Scenario) -> dict[str, str]:
         return {}
     period = 1e3 * scenario.sample_time
 
+    def tried(end: str) -> str:
+        return f"stable at every value tried, up to {end}"
+
     def factor(value: float, size: float = 0.0, unit: str = "") -> str:
         if not math.isfinite(value):
-            return "stable over the whole search range"
+            return tried(f"x {LARGEST_TRIED:.3g} at most")
         more = f" ({rounded_down(value * size):.3g} {unit})" if size else ""
         return f"x {rounded_down(value):.3g}{more}"
 
     delay = boundaries.delay
+    has_gains = any(gain.feedback for gain in declared_gains(scenario).values())
     return {
-        "feedback gains": factor(boundaries.gains),
+        "feedback gains": factor(boundaries.gains) if has_gains else "the law declares none",
         "nominal payload": factor(boundaries.nominal_payload),
         "sample time": factor(boundaries.sample_time, period, "ms"),
         **{
@@ -108,7 +116,7 @@ def _limit_rows(boundaries: Boundaries, scenario: Scenario) -> dict[str, str]:
         },
         "further sensor delay": f"{counted(int(delay), 'sample')} ({delay * period:.3g} ms)"
         if math.isfinite(delay)
-        else factor(delay),
+        else tried(f"{LARGEST_DELAY} samples at most"),
     }
 
 
@@ -118,7 +126,7 @@ def _hidden_lines(margins: Margins, data: Mapping[str, Any]) -> list[str]:
         return []
     low, high = margins.locked_eta
     rows = [
-        ["hidden mode", "free", "held", "damping", "carries most of"],
+        ["flexible mode", "free", "held", "damping", "carries most of"],
         ["", "Hz", "Hz", "", ""],
     ]
     for mode in data["hidden_modes"]:

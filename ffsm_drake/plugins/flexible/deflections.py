@@ -32,8 +32,8 @@ _COLUMNS = {"rad": "angle", "m": "distance"}
 class Deflections(Part):
     """Hidden coordinates, of parts of some kinds (``scenario.FLEXIBLE_KINDS``)."""
 
-    title = "Hidden coordinates"
-    section = "Hidden coordinates"
+    title = "Flexible parts"
+    section = "Flexible parts"
     about = "Motion of the flexible parts, which the controller's model treats as rigid."
     kinds: tuple[str, ...]
 
@@ -52,7 +52,7 @@ class Deflections(Part):
             along(
                 name="hidden_position",
                 unit="rad or m",
-                meaning="deflection, unknown to the controller",
+                meaning="deflection of a flexible part, unknown to the controller",
                 heading="Deflection",
                 panels=units,
                 of=_position,
@@ -60,7 +60,7 @@ class Deflections(Part):
             along(
                 name="hidden_velocity",
                 unit="rad or m per s",
-                meaning="its rate",
+                meaning="rate of the deflection of a flexible part",
                 heading="Rate",
                 panels={name: f"{unit}/s" for name, unit in units.items()},
                 of=lambda run: np.split(run["hidden_state"], 2, axis=1)[1],
@@ -68,7 +68,7 @@ class Deflections(Part):
             Signal(
                 name="elastic_energy",
                 unit="J",
-                meaning="energy of the springs",
+                meaning="energy of the springs of flexible parts",
                 heading="Energy",
                 panel="Energy of the springs",
                 role=STORED_ENERGY,
@@ -77,7 +77,7 @@ class Deflections(Part):
             Signal(
                 name="damping_loss",
                 unit="J",
-                meaning="energy dissipated by dampers since the start",
+                meaning="energy dissipated by the dampers of flexible parts since the start",
                 heading="",
                 role=STORED_ENERGY,
                 of=_damping_loss,
@@ -85,7 +85,7 @@ class Deflections(Part):
             along(
                 name="hidden_force",
                 unit="N m or N",
-                meaning="external forces on them at this instant, summed",
+                meaning="sum of the external forces on a flexible part at this instant",
                 heading="",
                 of=_force,
             ),
@@ -97,7 +97,7 @@ class Deflections(Part):
             Constant(
                 name="hidden_unit",
                 unit="",
-                meaning="unit of the deflection",
+                meaning="unit of the deflection of a flexible part",
                 dimension="hidden_coordinate",
                 values=setup.split.units,
             )
@@ -111,7 +111,7 @@ class Deflections(Part):
             dict.fromkeys("m" if kind in ("mass", "beam") else "rad" for kind in self.kinds)
         )
         by_name = (
-            ("peak", "Largest deflection of hidden coordinates", peak, _position),
+            ("peak", "Largest deflection of flexible parts", peak, _position),
             ("residual_amplitude", "Their amplitude after the motion", amplitude, residual),
             ("residual_rms", "Their rms after the motion", rms, residual),
         )
@@ -156,7 +156,7 @@ class Deflections(Part):
                 for name, value in by_key([figure])[figure.key].items()
             )
 
-        line = f"hidden coordinates: deflected by at most {listed('peak')}"
+        line = f"flexible parts: deflected by at most {listed('peak')}"
         since = by_key(figures)["hidden.residual_since"]
         if not math.isnan(since):
             line += (

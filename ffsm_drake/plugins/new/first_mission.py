@@ -17,6 +17,7 @@ from pydrake.math import RollPitchYaw
 from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.numbers import short
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.design.remarks import plan_clearance
@@ -210,7 +211,7 @@ class Draft:
         ])  # fmt: skip
         which, joint = np.unravel_index(np.argmax(used), used.shape)
         limit = limits[which]
-        what = f"{100.0 * used.max() * _WITHIN[limit.quantity]:.3g} % of {limit.source}"
+        what = f"{short(100.0 * used.max() * _WITHIN[limit.quantity])} % of {limit.source}"
         return float(used.max()), (
             f"no motion within the joints' limits was found: {limit.names[joint]} takes {what} "
             "(from the middle of its range); try a slower tumble, or lighter target"
@@ -321,8 +322,8 @@ class Draft:
         if count * mass >= 0.5 * own:
             raise ScenarioError(
                 "--panels",
-                f"{count} of {mass:g} kg are part of the base's {own:.4g} kg, and must be less "
-                "than half of it",
+                f"{count} of {mass:g} kg must be less than half of the base's {short(own, 4)} kg, "
+                "which contain them",
             )
         box, sides = self._box(body.name()), np.array(_PANEL_SIDES[:count])
         axes = np.flatnonzero(np.abs(sides).any(axis=0))

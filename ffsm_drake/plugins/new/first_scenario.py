@@ -21,7 +21,7 @@ import yaml
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.common.files import check_writable, published, write_text
 from ffsm_drake.common.interrupts import unfinished
-from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.numbers import counted, short
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability import Margins
@@ -110,8 +110,8 @@ class NewScenario:
         """
         found, folder = self.servicer, _relative(self.scenario_file.parent)
         lines = [
-            f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; "
-            f"holds a target of {self.payload_mass:.4g} kg"
+            f"base        {found.base}, {short(found.base_mass, 4)} kg of "
+            f"{short(found.total_mass, 4)} kg; holds a target of {short(self.payload_mass, 4)} kg"
             + (f", a cube of {self.side:g} m" if self.side else "")
         ]
         for tip in (found.tip, found.second, *found.other_tips):
@@ -128,7 +128,7 @@ class NewScenario:
         for joint in found.joints:
             unit, peak = "N" if joint.unit == "m" else "N m", self.peak_force[joint.name]
             lines.append(
-                f"{joint.name:<{width}}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}"
+                f"{joint.name:<{width}}{joint.kind:<12}{_limits(joint):>24}{short(peak):>10} {unit}"
             )
         lines += ["", f"planned motion of {self.scenario.reference.duration:g} s"]
         if self.margins:

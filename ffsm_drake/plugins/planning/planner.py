@@ -10,6 +10,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
+from ffsm_drake.common.numbers import short
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics
@@ -145,7 +146,7 @@ class _Planner:
         if "base_rotation" in self._scenario.undriven and self._momentum > _AT_REST:
             raise ScenarioError(
                 "actuation.driven",
-                f"joints cannot remove the angular momentum of {self._momentum:.3g} N m s; add "
+                f"joints cannot remove the angular momentum of {short(self._momentum)} N m s; add "
                 "base_rotation to actuation.driven, or set reference.kind: quintic",
             )
 
@@ -406,7 +407,7 @@ class _Planner:
         if self._least > self._longest:
             return (
                 f"no plan: base torque within actuation.limit takes {self._least:.3g} s to take "
-                f"out the angular momentum of {self._momentum:.3g} N m s, more than "
+                f"out the angular momentum of {short(self._momentum)} N m s, more than "
                 f"reference.duration ({self._longest:g} s)"
             )
         tried = ", ".join(said for said, _ in failures)

@@ -39,7 +39,7 @@ def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
             for name, value in record.wall_time.items()
         )
         facts = [
-            ("Outcome", f"{record.outcome.status}, {record.outcome.message}"),
+            ("Outcome", record.outcome.message),
             ("Controller", scenario.controller),
             ("Random seed", str(scenario.random_seed)),
             (

@@ -27,6 +27,7 @@ from scipy.linalg.lapack import dposv
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.numbers import short
 from ffsm_drake.loop import blocks
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import MassProperties, Scenario
@@ -402,8 +403,8 @@ class _Contact(LeafSystem):
             loop = next(each for each in self._chain.loops if each.contact.kind == "compliant")
             raise ScenarioError(
                 f"contacts.{loop.name}.kind",
-                f"its spring vibrates at up to {np.abs(poles).max():.3g} rad/s, too fast for steps "
-                f"of {config.max_step_size:g} s; set simulator_config.max_step_size to "
+                f"its spring vibrates at up to {short(np.abs(poles).max())} rad/s, too fast for "
+                f"steps of {config.max_step_size:g} s; set simulator_config.max_step_size to "
                 f"{steps[np.argmax(growth <= 1.0)]:.3g}",
             )
 

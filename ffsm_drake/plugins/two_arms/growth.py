@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ffsm_drake.common.numbers import counted
+from ffsm_drake.common.numbers import counted, short
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import position_error
@@ -108,10 +108,12 @@ def growth_in_words(scenario: Scenario, law: ControlLaw, q: np.ndarray, poles: i
     errors = "calibration errors"
     if found.is_example:
         errors = "a calibration error of 1 mrad of each joint of an arm"
-    told = f"{found.force[-1]:.3g} N and {found.moment[-1]:.3g} N m in {found.time[-1]:.3g} s"
+    told = (
+        f"{short(found.force[-1])} N and {short(found.moment[-1])} N m in {short(found.time[-1])} s"
+    )
     if not math.isfinite(found.force[-1]) or found.force[-1] >= _HUGE:
-        told = f"more than {_HUGE:g} N in {found.time[-1]:.3g} s"
+        told = f"more than {_HUGE:g} N in {short(found.time[-1])} s"
     return (
         f"internal force not controlled: {counted(poles, 'pole')} at one; at rest {errors} let "
-        f"it grow to {told}, by {found.rate:.3g} N/s in the end; set chain.law: minimal"
+        f"it grow to {told}, by {short(found.rate)} N/s in the end; set chain.law: minimal"
     )

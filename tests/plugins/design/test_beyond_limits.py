@@ -80,7 +80,7 @@ def test_settled_is_not_enough_where_parts_overlap(tmp_path, given, code):
     out = ["--no-report", "--require", "settled", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(main, ["run", "postcapture", *told, *out])
     assert result.exit_code == code, result.output
-    assert ("Not as planned: the run: base and debris overlap" in result.output) is bool(given)
+    assert ("Not as planned: base and debris overlap" in result.output) is bool(given)
 
 
 @pytest.mark.long

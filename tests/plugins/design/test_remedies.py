@@ -111,7 +111,7 @@ def test_an_angle_in_degrees_is_the_cause_and_no_search_begins(seed, monkeypatch
     for value in (float(np.degrees(angle)), 1.1 * lower[joint], 200.0 * upper[joint]):
         scenario = override_scenario(plain, [f"{key}.joints.{name}={value}"])
         told = [line for line in plan_limits(scenario) if line.startswith(f"{key}.joints")]
-        assert f"outside the URDF's position limits: {name} " in told[0]
+        assert f"exceeds the URDF's position limits: {name} " in told[0]
         meant = f"{key}.joints.{name}: {value:.4g} rad looks like degrees: {angle:.3g} rad"
         assert told[1:] == ([meant] if value == float(np.degrees(angle)) else [])
         with monkeypatch.context() as patch:

@@ -158,7 +158,7 @@ def test_report_and_table_tell_what_is_left(record, run):
         for key in ("peak", "residual_amplitude", "residual_rms")
     ]
     assert {row.cells[1].text for row in rows} == {NONE}
-    views = part_views(results, Thinning(1000), "Hidden coordinates")
+    views = part_views(results, Thinning(1000), "Flexible parts")
     assert [view.label for view in views] == ["Deflection", "Rate", "Energy"]
     assert {panel.title for panel in views[0].panels} == {
         "port",

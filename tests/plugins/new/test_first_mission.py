@@ -253,7 +253,7 @@ def test_what_cannot_act_is_refused(tmp_path):
     arguments = ["new", str(tmp_path / "x"), "--urdf", str(urdf), "--panels", "2x20kg"]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 2
-    assert "--panels: 2 of 20 kg are part of the base's 60 kg" in result.output
+    assert "--panels: 2 of 20 kg must be less than half of the base's 60 kg" in result.output
     assert len(result.output.splitlines()) == 1
     assert not (tmp_path / "x").exists()
 

@@ -313,7 +313,7 @@ def test_a_plan_from_elsewhere_is_warned_of():
 def test_parts_that_come_too_near_are_warned_of():
     with pytest.warns(
         LimitWarning,
-        match=r"the planned motion: base and debris come within 0.0741 m "
+        match=r"base and debris come within 0.0741 m "
         r".*clearance 0.1 m",
     ):
         prepare(load_scenario("postcapture", ["clearance=0.1"])).release()

@@ -27,7 +27,7 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import current, interruptible
-from ffsm_drake.common.numbers import number
+from ffsm_drake.common.numbers import counted, number
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.gains.axis_search import (
@@ -184,7 +184,7 @@ def design(
         first.
       predict_mission: scenario -> obstacle to its mission, one line, empty if it is expected to go
         as planned; called for the given gains and for those to be chosen.
-      progress: called with the number of candidates tried, and their description.
+      progress: called with the number of candidates tried, and a line for the user.
 
     Raises:
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
@@ -390,7 +390,10 @@ class _Search:
             raise TimeLimit
         if self._progress is not None:
             better = sum(not self.requirement.violated(point) for _, point in self._tried)
-            self._progress(len(self._tried), f"candidates, {better} of them meet all")
+            line = (
+                f"{counted(len(self._tried), 'set')} of gains tried, {better or 'none'} acceptable"
+            )
+            self._progress(len(self._tried), line if self._tried else "evaluating the first gains")
 
     def _evaluate(self, kind: str, candidate: Scenario) -> DesignPoint:
         self._check_time()

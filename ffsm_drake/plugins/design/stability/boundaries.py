@@ -21,6 +21,7 @@ from ffsm_drake.systems.controllers import complete_gains, declared_gains
 LARGEST_FACTOR = 30.0
 LARGEST_DELAY = 30  # control samples
 _RATIO = 1.3  # ratio of successive factors in the search
+LARGEST_TRIED = _RATIO ** math.floor(math.log(LARGEST_FACTOR, _RATIO))
 _ACCURACY = 1e-3  # relative accuracy of a factor
 _FAST = 100.0  # log of a spectral radius, in place of an infinite one
 
@@ -28,7 +29,7 @@ _FAST = 100.0  # log of a spectral radius, in place of an infinite one
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Boundaries:
     """Stability limits, one parameter at a time: the largest stable values. NaN: unstable at the
-    given value; infinite: stable over the whole search range.
+    given value; infinite: stable at every value tried.
     """
 
     # factor on all feedback gains of the controller; infinite where it declares none

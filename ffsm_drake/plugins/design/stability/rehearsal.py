@@ -19,7 +19,7 @@ from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
 from ffsm_drake.common.memo import content_of, memoized
-from ffsm_drake.common.numbers import counted, percent, rounded_up
+from ffsm_drake.common.numbers import counted, percent, rounded_up, short
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.actuators.base import attitude_ahead
@@ -126,8 +126,8 @@ class Rehearsal:
             )
         groups = self.coordinates.groups
         motion, noise = (
-            f"{force[groups['base_rotation']].max():.2g} N m and "
-            f"{force[groups['base_position']].max():.2g} N"
+            f"{short(force[groups['base_rotation']].max(), 2)} N m and "
+            f"{short(force[groups['base_position']].max(), 2)} N"
             for force in (self.motion_force, self.noise_force)
         )
         return (

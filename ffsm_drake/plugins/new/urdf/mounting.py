@@ -6,6 +6,7 @@ import math
 from xml.etree.ElementTree import Element, SubElement
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.numbers import short
 from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, vector
 from ffsm_drake.plugins.new.urdf.simplifying import free_base
 from ffsm_drake.spacecraft.checked_urdf import require
@@ -105,8 +106,8 @@ def _check_is_arm(root: Element) -> None:
     own, total = sum(masses.get(name, 0.0) for name in group), sum(masses.values())
     require(
         own < 0.5 * total or own == total,  # all of it: no arm, which is said later
-        f"has a free base, '{roots[0]}' with {own:.4g} of {total:.4g} kg; leave out --bus-mass, "
-        f"or join the foot of an arm to a link '{WORLD}' by a fixed joint",
+        f"has a free base, '{roots[0]}' with {short(own, 4)} of {short(total, 4)} kg; leave "
+        f"out --bus-mass, or join the foot of an arm to a link '{WORLD}' by a fixed joint",
     )
 
 

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.numbers import short
 from ffsm_drake.plugins.new.urdf.elements import (
     WORLD,
     Joint,
@@ -170,9 +171,9 @@ def read_urdf(
         remarks.append(f"joints that follow others are fixed: {', '.join(told)}")
     if base_mass < 0.5 * total:
         remarks.append(
-            f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's "
-            "foot, join it to a link for the spacecraft by a fixed joint, or mount it on a bus "
-            "with --bus-mass KG"
+            f"the base '{tree.base}' has {short(base_mass)} of {short(total)} kg; if it is the "
+            "arm's foot, mount it on a bus with --bus-mass KG, or join it to the spacecraft's link "
+            "by a fixed joint"
         )
     return Servicer(
         source=path,
