@@ -317,8 +317,8 @@ def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
     )
     if not np.array_equal(force, held):
         raise ConformanceError(
-            f"{candidate}: the force follows its inputs between two samples; declare it as an "
-            "output of discrete state (DeclareStateOutputPort), updated every sample_time"
+            f"{candidate}: the force follows its inputs between two samples; output a discrete "
+            "state (DeclareStateOutputPort), updated every sample_time"
         )
     if all(np.array_equal(force[0], later) for later in force[1:]):
         raise ConformanceError(
@@ -333,8 +333,8 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     first = candidate.run(scenario, samples)
     if not np.array_equal(first, candidate.run(scenario, samples)):
         raise ConformanceError(
-            f"{candidate}: two new controllers give different forces for the same inputs; "
-            "draw random numbers from an input port, and keep no state in the module or class"
+            f"{candidate}: two new controllers give different forces for the same inputs; draw "
+            "random numbers from an input port, and keep no state in module or class"
         )
     remedy = "a controller must keep its state in the context (discrete state), not on self"
     controller = candidate.build(scenario)
@@ -374,9 +374,8 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     if not np.allclose(first, back, rtol=1e-6, atol=1e-9 * max(1.0, float(np.abs(first).max()))):
         worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
         raise ConformanceError(
-            f"{candidate}: the force on '{worst}' changes when the model lists its joints in "
-            "another order; give gains by name (gain(...), or setup.coordinates.vector), not by "
-            "index"
+            f"{candidate}: the force on '{worst}' depends on the order of the joints in the "
+            "model; give gains by name, with gain(...) or setup.coordinates.vector"
         )
     return "forces follow the joints' names, not their order"
 

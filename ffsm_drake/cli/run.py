@@ -47,9 +47,8 @@ _report = click.option(
 _require = click.option(
     "--require",
     type=click.Choice(["settled"]),
-    help="Exit with 3 unless every run settles as planned: its errors in the last second are "
-    "within "
-    "'tolerance', and no clearance or limit of the URDF is violated.",
+    help="Exit with 3 unless every run settles as planned: errors within 'tolerance' in the last "
+    "second, and no clearance or limit of the URDF violated.",
 )
 
 

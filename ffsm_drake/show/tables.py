@@ -131,10 +131,9 @@ def frame_lines(record: RunRecord) -> list[str]:
     if smallest is not None and smallest < damping:
         near = record.dataset["smallest_singular_value"].values < damping
         lines.append(
-            f"near a dynamic singularity for {near.sum() * record.scenario.sample_time:.3g} s: "
-            "the smallest singular "
-            f"value falls to {smallest:.2g}; below {damping:g} joint rates are damped, and the "
-            f"frame lags its reference"
+            f"near a dynamic singularity for {near.sum() * record.scenario.sample_time:.3g} s: the "
+            f"smallest singular value is {smallest:.2g}; below {damping:g} the frame lags its "
+            "reference"
         )
     return lines
 

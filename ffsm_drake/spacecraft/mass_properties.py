@@ -57,8 +57,8 @@ def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -
         largest = max(unit.inertia for unit in wheels.units.values())
         raise ScenarioError(
             "actuation.wheels",
-            f"their inertia (up to {largest:.3g} kg m^2 each) is part of the base's, which is too "
-            f"small for it (least moment {least:.3g} kg m^2); give smaller wheels",
+            f"their inertia (up to {largest:.3g} kg m^2 each) does not fit into the base's (least "
+            f"moment {least:.3g} kg m^2); give smaller wheels",
         ) from error
 
 
@@ -121,9 +121,8 @@ def set_payload(
                 "singular; give the part more mass or size, or remove it"
             )
         raise ModelError(
-            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular, "
-            f"because {what} moves a negligible inertia; give links and payload similar masses and "
-            "inertias, or fix the joint"
+            f"payload.body: the mass matrix is singular, because {what} moves a negligible "
+            f"inertia; make the {properties.mass:g} kg of {body} lighter, or fix the joint"
         )
 
 

@@ -64,9 +64,8 @@ def shortest_duration(
         raise LimitError(
             key,
             f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} "
-            "s, in which the "
-            f"{name} takes {number(100.0 * share, 3)} % of what reference.reserve leaves of its "
-            "limit",
+            f"s, where the {name} takes {number(100.0 * share, 3)} % of its limit within "
+            "reference.reserve",
             limit=name,
         )
     while samples - before > 1:  # between the last too short and the first sufficient one

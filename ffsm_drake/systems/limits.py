@@ -74,9 +74,9 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
             by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
             axes = "x, y, z: " + ", ".join(number(each, 3) for each in by_axis)
             yield (
-                f"actuation: {part.title.lower()} nearly degenerate: {what} along [{axis}] of the "
-                f"base is {most[weak]:.3g} {unit}, and up to {strong:.3g} {unit} elsewhere "
-                f"({axes} {unit}); turn their axes apart"
+                f"actuation: {part.title.lower()} nearly degenerate: {what} along [{axis}] is "
+                f"{most[weak]:.3g} {unit}, elsewhere up to {strong:.3g} {unit} ({axes} {unit}); "
+                "turn their axes apart"
             )
 
 

@@ -290,9 +290,8 @@ class JointDrives(Part):
             raise ScenarioError(
                 "simulator_config.max_step_size",
                 f"{config.max_step_size:g} s exceeds the time constants of friction near rest "
-                f"({', '.join(found)}); set at most {0.9 * least:.2g} s, or "
-                "multiply actuation.drives.smoothing_rate by "
-                f"{1.1 * config.max_step_size / least:.2g}",
+                f"({', '.join(found)}); set at most {0.9 * least:.2g}, or "
+                f"{1.1 * config.max_step_size / least:.2g} times actuation.drives.smoothing_rate",
             )
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:

@@ -74,8 +74,8 @@ _cases_option = click.option(
 )
 _dynamics_option = click.option(
     "--dynamics",
-    help="Implementation of the dynamics, which replaces that of the specification: drake, "
-    "generated, or generated_else_drake, with Drake for runs that generated does not cover.",
+    help="Implementation of the dynamics, in place of the specification's: drake, generated, or "
+    "generated_else_drake (Drake for the runs that generated does not cover).",
 )
 _OPTIONS = ("cases", "dynamics")  # keys of a specification that options replace
 

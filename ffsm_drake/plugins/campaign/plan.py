@@ -126,9 +126,9 @@ def status_text(store: Store) -> str:
         if first[0] is not None and last[0] is not None:
             lines += [
                 "",
-                f"memory of a worker: mean {first[0]:.0f} MiB, largest {first[1]:.0f} MiB over the "
-                f"first {counted(min(done, _WINDOW), 'run')}; {last[0]:.0f} and {last[1]:.0f} MiB "
-                f"over the last (replaced at {MEMORY_LIMIT:.0f} MiB)",
+                f"memory of a worker, mean and largest: {first[0]:.0f} and {first[1]:.0f} MiB in "
+                f"the first {counted(min(done, _WINDOW), 'run')}, {last[0]:.0f} and {last[1]:.0f} "
+                f"MiB in the last (limit {MEMORY_LIMIT:.0f} MiB)",
             ]
     return "\n".join(lines)
 

@@ -110,8 +110,7 @@ def _clear_start(scenario: Scenario) -> Posture:
         raise LimitError(
             "capture.approach.start",
             f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target with "
-            f"{100.0 * _MOST:g} % of the force limits; change capture.approach.duration, margin "
-            "or posture.joints",
+            f"{100.0 * _MOST:g} % of the force limits; change capture.approach.duration or margin",
             limit="clearance",
         )
     return widest

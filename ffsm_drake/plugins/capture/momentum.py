@@ -369,14 +369,14 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
             lines.append(f"{what} on the base removes the {_MOMENTA[group]} momentum{within}")
     if storage is not None:
         lines.append(
-            f"{storage['name']}: with the angular momentum of {number(storage['momentum'])} N m s, "
-            f"{storage['fullest']} ends at {percent(storage['share'])} of its capacity, after "
-            "up to "
-            f"{percent(storage['peak_share'])} on the way, in at "
-            f"least {number(storage['least_time'], 3)} s; the capacity is "
-            f"{number(storage['capacity'], 3)} N m s in this direction and "
-            f"{number(storage['least_capacity'], 3)} in the worst direction"
+            f"{storage['name']}: the angular momentum of {number(storage['momentum'])} N m s fills "
+            f"{storage['fullest']} to {percent(storage['share'])} (peak "
+            f"{percent(storage['peak_share'])}), in at least {number(storage['least_time'], 3)} s"
             + (f"; the rest {turning}" if turning else "")
+        )
+        lines.append(
+            f"{storage['name']}: capacity {number(storage['capacity'], 3)} N m s in this direction"
+            f", {number(storage['least_capacity'], 3)} N m s in the worst direction"
         )
     if arm is not None:
         until, rates = _BEYOND, ""
@@ -408,7 +408,7 @@ def storage_remark(budget: MomentumBudget) -> str:
         return ""
     left = number(storage.momentum, 3)
     return (
-        f"{storage.name}: cannot hold the attitude after the grasp, which fills {storage.fullest} "
-        f"to {percent(storage.peak_share)}; the stack has {left} N m s, the capacity in this "
-        f"direction is {number(storage.capacity, 3)} N m s"
+        f"{storage.name}: cannot hold the attitude after the grasp: {left} N m s fill "
+        f"{storage.fullest} to {percent(storage.peak_share)} (capacity "
+        f"{number(storage.capacity, 3)} N m s); use larger wheels or a slower tumble"
     )

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.capture.momentum import momentum_lines
-from ffsm_drake.plugins.capture.tables import grasp_line
+from ffsm_drake.plugins.capture.tables import facts_of
 from ffsm_drake.show.page import Section, render
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import Result
@@ -67,7 +67,7 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
         [f"{name} [{units[name]}/s]", number(rate), number(after["velocity"][name])]
         for name, rate in before["velocity"].items()
     ]
-    sentence = grasp_line(grasp)
+    sentence = "; ".join(facts_of(grasp))
     return {
         "result": result,
         "sentence": sentence[:1].upper() + sentence[1:],

@@ -282,9 +282,8 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
     if added > 0.2 * own:
         finer = float(f"{(0.1 * own * divisor) ** (1.0 / power) / w:.1g}")
         yield (
-            f"simulator_config.max_step_size: steps of {step:g} s change the damping of the "
-            "flexible mode at "
-            f"{mode.frequency:.3g} Hz by {added:.2g}, from {mode.damping_ratio:.2g}; set "
+            f"simulator_config.max_step_size: steps of {step:g} s change the damping ratio of the "
+            f"mode at {mode.frequency:.3g} Hz by {added:.2g} (own {mode.damping_ratio:.2g}); set "
             f"{finer:g} s or less"
         )
 
@@ -307,9 +306,9 @@ def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
     if fast:
         name = max(fast, key=lambda each: fast[each])
         yield (
-            f"disturbance.harmonics.{name}.frequency: {short(fast[name])} rad/s advances by "
-            f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is aliased by the "
-            f"integrator; set simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
+            f"disturbance.harmonics.{name}.frequency: {short(fast[name])} rad/s is aliased by "
+            f"steps of {step:g} s; set simulator_config.max_step_size to "
+            f"{_PHASE / fast[name]:.1g} or less"
         )
 
 

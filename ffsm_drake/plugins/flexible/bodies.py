@@ -200,8 +200,8 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
     except (RuntimeError, ValueError, SystemExit) as error:
         mass = sum(each.get_mass() for each in carried)
         raise ModelError(
-            f"model.flexible: '{body}' carries {mass:g} kg on springs of its {total.get_mass():g} "
-            "kg, and the rest has no physical inertia; make the parts lighter or shorter"
+            f"model.flexible: {mass:g} kg of the {total.get_mass():g} kg of '{body}' are on "
+            "springs, and the rest has no physical inertia; make the parts lighter or shorter"
         ) from error
 
 

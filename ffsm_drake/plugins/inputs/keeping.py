@@ -56,9 +56,9 @@ def keep_inputs(scenario: Scenario, folder: Path) -> dict[str, Any]:
     sizes = {file: file.stat().st_size for file in files}
     if sum(size for size in sizes.values() if size < _LINKED) > _LARGEST:
         warnings.warn(
-            f"the model files of {sum(sizes.values()):.2g} bytes are not copied to the run's "
-            "folder "
-            f"(at most {_LARGEST:.0g}); to repeat the run elsewhere, copy them to the same paths",
+            f"the model files ({sum(sizes.values()) / 1e6:.0f} MB, limit {_LARGEST / 1e6:.0f} MB) "
+            "are not copied to the run's folder; to repeat the run elsewhere, copy them to the "
+            "same paths",
             stacklevel=2,
         )
         return {}

@@ -211,10 +211,10 @@ class Draft:
         ])  # fmt: skip
         which, joint = np.unravel_index(np.argmax(used), used.shape)
         limit = limits[which]
-        what = f"{short(100.0 * used.max() * _WITHIN[limit.quantity])} % of {limit.source}"
+        what = f"{100.0 * used.max() * _WITHIN[limit.quantity]:.3g} % of {limit.source}"
         return float(used.max()), (
-            f"no motion within the joints' limits was found: {limit.names[joint]} takes {what} "
-            "(from the middle of its range); try a slower tumble, or lighter target"
+            f"no motion within the joint limits was found: {limit.names[joint]} uses {what}; try a "
+            "slower tumble, or a lighter target"
         )
 
     def _approach(self, durations: Iterable[tuple[float, float]]) -> None:

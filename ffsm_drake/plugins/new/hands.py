@@ -96,10 +96,9 @@ class Hands:
             if rank < len(self._rows):
                 raise ScenarioError(
                     "--tips",
-                    f"the arm of '{tip.frame}' has {counted(alone.size, 'joint')} of its own, for "
-                    f"its hand {rank} of the {len(self._rows)} motions that the target can have; "
-                    "an arm of a closed chain needs all of them, such as 6 joints in space or 3 in "
-                    "a plane",
+                    f"'{tip.frame}' has {counted(alone.size, 'joint')} of its own and "
+                    f"{rank} of the {len(self._rows)} degrees of freedom of the target; use an arm "
+                    "with all of them (6 joints in space, 3 in a plane)",
                 )
 
     def _frame(self, name: str) -> Frame:
@@ -148,8 +147,8 @@ class Hands:
                 if self._start(hold):
                     return True
         draft.touching = (
-            f"'{names}' cannot move the target{cube} together: none of {self._ways} motions near "
-            f"{counted(len(holds), 'posture')} of both is within the reach and limits of both arms"
+            f"'{names}' cannot move the target{cube} together: none of {self._ways} motions tried "
+            "is within the reach and limits of both arms"
         )
         return False
 

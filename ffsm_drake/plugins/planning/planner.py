@@ -406,9 +406,8 @@ class _Planner:
         """One line: the active limit, and a suggestion."""
         if self._least > self._longest:
             return (
-                f"no plan: base torque within actuation.limit takes {self._least:.3g} s to take "
-                f"out the angular momentum of {short(self._momentum)} N m s, more than "
-                f"reference.duration ({self._longest:g} s)"
+                f"no plan: base torque within actuation.limit takes {self._least:.3g} s to remove "
+                f"{short(self._momentum)} N m s; set reference.duration above {self._longest:g} s"
             )
         tried = ", ".join(said for said, _ in failures)
         worst = max(

@@ -216,12 +216,10 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
     ]
     if distances is not None:
         notes.append(
-            "Error over the least possible: relative to the LQG controller of the same effort, the "
-            "best linear one, for the same noise, white or correlated, and a demand that walks at "
-            "random; a "
-            "dash where the loop "
-            "is unstable or has a block that cannot be linearised, where the controller tracks a "
-            "frame, or where a user-supplied block senses."
+            "Error over the least possible: the error divided by the error of the LQG controller, "
+            "the best linear controller of the same effort under the same noise. The required "
+            "force is modelled as a random walk. A dash: the loop is unstable or cannot be "
+            "linearised, the controller tracks a frame, or a user-supplied block senses."
         )
     if not all(result.comparable for result in results):
         notes.append(

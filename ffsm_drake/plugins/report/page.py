@@ -247,7 +247,6 @@ def _thinning(thin: Thinning) -> str:
         return "The plots show every control sample."
     return (
         f"Curves of more than {thin.points} samples are thinned for display (the longest has "
-        f"{thin.longest}): the smallest and the largest value of each short interval are drawn, to "
-        f"keep all peaks. The record itself "
-        "is whole, and every figure on this page is computed from all samples."
+        f"{thin.longest}). The smallest and the largest value of each short interval are drawn, so "
+        "all peaks remain. The numbers on this page are computed from all samples."
     )

@@ -117,9 +117,9 @@ class ClosedChain:
         if rank < wanted:
             raise ScenarioError(
                 f"contacts.{name}",
-                f"its arm has {counted(len(joints), 'joint')}, for its hand {rank} of the {wanted} "
-                "motions that the target can have; an arm of a closed chain needs all of them, "
-                "such as 6 joints in space or 3 in a plane",
+                f"its arm has {counted(len(joints), 'joint')} and {rank} of the {wanted} degrees "
+                "of freedom of the target; use an arm with all of them (6 joints in space, 3 in a "
+                "plane)",
             )
 
     def jacobian_of(self, loop: Loop, context: Context) -> np.ndarray:

@@ -94,8 +94,8 @@ class Contacts(Part):
             Signal(
                 name=CLOSING,
                 unit="see component",
-                meaning="the last closing: sizes of the hand's impulse on the target, of the "
-                "change of the whole momentum, and of the miss before it; 0 before the first",
+                meaning="latest contact: size of the impulse of the hand on the target, of the "
+                "change of total momentum, and of the miss before it; 0: no contact yet",
                 components=tuple(_CLOSING),
                 held=False,
                 heading="",

@@ -251,8 +251,8 @@ class _Link:
             host, port = self._socket.getpeername()
             refused = self.faults[REFUSED]
             problem = (
-                f"the external controller at {host}:{port} sends no force of {size} finite "
-                f"numbers, but {refused} other packets; check that it flies this spacecraft"
+                f"the external controller at {host}:{port} sent {refused} packets without a force "
+                f"of {size} finite numbers; check that it flies this spacecraft"
                 if refused
                 else f"no external controller answers at {host}:{port}; start it, such as by "
                 "'python -m ffsm_drake.plugins.udp.fly SCENARIO'"

@@ -357,7 +357,7 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
         ),
         (
             (wheels(inertia=400.0), "actuation.thrusters.layout=12x5N"),
-            "kg m^2 each) is part of the base's, which is too small for it",
+            "kg m^2 each) does not fit into the base's",
         ),
     ],
 )

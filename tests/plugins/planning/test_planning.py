@@ -225,7 +225,7 @@ def test_the_limit_in_the_way_is_named():
     """3.85 N m s in 1.5 s: more than the base's torque and force can take out."""
     with pytest.raises(
         PlanningError,
-        match=r"takes 1\.54 s to take out the angular momentum of "
+        match=r"takes 1\.54 s to remove "
         r"3\.85 N m s",
     ):
         plan_motion(

@@ -199,10 +199,9 @@ class Linearizer:
         work = updates * (states + self._noise.size)
         if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
             raise TooLarge(
-                f"{self.scenario.controller}: the linear loop is too large: {states} states (at "
-                f"most {_MOST_STATES}), {period} control samples in its period (at most "
-                f"{_MOST_SAMPLES}), {work} evaluations (at most {_MOST_EVALUATIONS}); shorten "
-                "delays and periods"
+                f"the linear loop is too large: {states} states (of {_MOST_STATES}), {period} "
+                f"samples in its period (of {_MOST_SAMPLES}), {work} evaluations (of "
+                f"{_MOST_EVALUATIONS}); shorten delays and periods"
             )
 
     def __enter__(self) -> Self:
@@ -520,8 +519,8 @@ class Linearizer:
             names = ", ".join(system.get_name() for system in self.user_supplied)
             if self._depends_on_step(index):
                 raise NotLinear(
-                    f"{names}: has no derivative at small errors (a sign, a root, rounding); "
-                    "smooth it, or keep its factor as a state and return 0 for it from held()"
+                    f"{names}: has no derivative at small errors (sign, root or rounding); smooth "
+                    "it, or make its factor a state and return 0 for it in held()"
                 )
             raise NotLinear(
                 f"{names}: differs from sample to sample, without a period of up to "

@@ -196,9 +196,8 @@ class Margins:
             return f"linearised loop stable with its actuators: {found}"
         return (
             "linearised loop stable with its actuators, but not expected to settle: "
-            f"the error of {names[i]} reaches {found.largest_error[i]:.2g} "
-            f"{found.coordinates.units[i]} at the end, beyond its tolerance of {tolerance[i]:g}; "
-            f"{found}"
+            f"{names[i]} ends at {found.largest_error[i]:.2g} {found.coordinates.units[i]} "
+            f"(tolerance {tolerance[i]:g}); {found}"
         )
 
     @property

@@ -138,5 +138,5 @@ def check_kind(joint: Joint) -> None:
     require(
         joint.moves or joint.kind == "fixed",
         f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace "
-        "several degrees of freedom by single joints, with links without <inertial> between them",
+        "it with single joints, and links without <inertial> between them",
     )

@@ -107,7 +107,7 @@ def _check_is_arm(root: Element) -> None:
     require(
         own < 0.5 * total or own == total,  # all of it: no arm, which is said later
         f"has a free base, '{roots[0]}' with {short(own, 4)} of {short(total, 4)} kg; leave "
-        f"out --bus-mass, or join the foot of an arm to a link '{WORLD}' by a fixed joint",
+        f"out --bus-mass, or join an arm to a link '{WORLD}' by a fixed joint",
     )
 
 

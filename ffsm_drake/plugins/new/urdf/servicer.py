@@ -172,8 +172,7 @@ def read_urdf(
     if base_mass < 0.5 * total:
         remarks.append(
             f"the base '{tree.base}' has {short(base_mass)} of {short(total)} kg; if it is the "
-            "arm's foot, mount it on a bus with --bus-mass KG, or join it to the spacecraft's link "
-            "by a fixed joint"
+            "foot of an arm, mount it on a bus with --bus-mass KG"
         )
     return Servicer(
         source=path,
@@ -263,8 +262,7 @@ class _Tree:
         require(
             joint.parent != WORLD,
             f"the base '{joint.child}' is attached to the world; mount an arm on a bus with "
-            f"--bus-mass KG, or free a spacecraft: remove joint '{joint.name}' and link '{WORLD}' "
-            "(in MJCF: give the body a <freejoint/>)",
+            f"--bus-mass KG, or remove joint '{joint.name}' and '{WORLD}' (MJCF: add <freejoint/>)",
         )
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             require(
