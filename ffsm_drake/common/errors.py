@@ -150,13 +150,13 @@ def one_line(error: BaseException) -> str:
     return " ".join(text.split()) or type(error).__name__
 
 
-def some(names: Iterable[str]) -> str:
-    """Return names as text of about 70 characters at most, with the number of further names.
+def some(names: Iterable[str], length: int = 70) -> str:
+    """Return names as text of about ``length`` characters, with the number of further names.
 
     Without any name it is "none".
     """
     known = list(names)
-    shown = next((k for k in range(len(known), 1, -1) if len(", ".join(known[:k])) <= 70), 1)
+    shown = next((k for k in range(len(known), 1, -1) if len(", ".join(known[:k])) <= length), 1)
     more = len(known) - shown
     return ", ".join(known[:shown]) + f" and {more} more" * (more > 0) or "none"
 
@@ -167,6 +167,13 @@ def did_you_mean(name: object, valid: Iterable[str]) -> str:
     """
     close = difflib.get_close_matches(str(name), list(valid), n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def choices(name: object, valid: Iterable[str]) -> str:
+    """Return ``some`` names and the closest one, ``did_you_mean``."""
+    valid = list(valid)
+    close = did_you_mean(name, valid)
+    return some(valid, 48 if close else 70) + close
 
 
 @contextmanager

@@ -109,7 +109,7 @@ def where(error: BaseException) -> str:
 
 def _advice(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit):
-        return "; raise an exception of your own to end a run"
+        return "; raise an Exception to end a run"
     if "read-only" in one_line(error):
         return "; inputs must not be changed in place: copy them"
     return ""

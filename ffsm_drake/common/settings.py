@@ -20,7 +20,7 @@ from typing import Any
 
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean, some
+from ffsm_drake.common.errors import ScenarioError, choices
 
 Problems = Iterator[tuple[str, str]]  # key and problem
 _HUGE = 1e300
@@ -169,8 +169,7 @@ def require_valid(value: Any, key: str = "", scenario: Any = None) -> None:
 
 def unknown(name: str, valid: Iterable[str]) -> str:
     """Return the problem with a name that is not valid."""
-    valid = list(valid)
-    return f"'{name}' is unknown; choose one of {some(valid)}{did_you_mean(name, valid)}"
+    return f"'{name}' is unknown; choose one of {choices(name, valid)}"
 
 
 def join(path: str, key: Any) -> str:

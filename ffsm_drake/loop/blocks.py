@@ -17,7 +17,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean, one_line, some
+from ffsm_drake.common.errors import BlockError, ScenarioError, choices, one_line
 from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
@@ -344,7 +344,7 @@ def _check_names(given: Iterable[str]) -> None:
         if not several and (name not in valid or name in _SEVERAL):
             raise ScenarioError(
                 f"blocks.{name}",
-                f"is not a block; choose {some(valid)}{did_you_mean(name, valid)}",
+                f"is not a block; choose {choices(name, valid)}",
             )
 
 
@@ -486,8 +486,8 @@ def check_ports(
         found = {port_at(i).get_name(): port_at(i) for i in range(count)}
         for name in found:
             if kind == "input" and name not in known:  # it would stay unconnected
-                choice = f"{', '.join(known) or 'none'}{did_you_mean(name, known)}"
-                raise BlockError(f"{place}: unknown input port '{name}'; known: {choice}")
+                known_ones = choices(name, known)
+                raise BlockError(f"{place}: unknown input port '{name}'; known: {known_ones}")
         for name, meaning in known.items():
             if name not in found:
                 if name in required:
@@ -506,6 +506,6 @@ def check_ports(
                 and system.HasDirectFeedthrough(int(found[name].get_index()))
             ):
                 raise BlockError(
-                    f"{place}: output port '{name}' must not depend directly on an input; declare "
-                    "it with DeclareStateOutputPort, or prerequisites {self.all_state_ticket()}"
+                    f"{place}: output port '{name}' must not depend directly on an input; use "
+                    "DeclareStateOutputPort, or prerequisites {self.all_state_ticket()}"
                 )

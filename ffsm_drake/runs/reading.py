@@ -254,7 +254,7 @@ def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
         name = str(variable)
         for attribute in {"long_name", "units"} & {*column.attrs}:
             if not isinstance(column.attrs[attribute], str):
-                yield f"{name}: its attribute {attribute} must be text"
+                yield f"attribute {attribute} of {name} must be text"
         if column.ndim == 0:
             yield f"{name} must hold values along a dimension"
         if name in dataset.data_vars:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line, some
+from ffsm_drake.common.errors import ScenarioError, choices, one_line, some
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario.fields import POLICY, policy_parts
 from ffsm_drake.scenario.resolving import (
@@ -212,8 +212,7 @@ def find_scenario(name: str, folder: Path = Path()) -> Path:
         )
     raise ScenarioError(
         "",
-        f"no such scenario; choose one of {some(shipped)}, or give a YAML "
-        f"file{did_you_mean(name, shipped)}",
+        f"no such scenario; give a YAML file, or choose one of {choices(name, shipped)}",
         source=name or "''",
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line, some
+from ffsm_drake.common.errors import ScenarioError, choices, one_line, some
 from ffsm_drake.common.settings import join, require_valid, settings_of
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
@@ -294,7 +294,7 @@ def _unknown_key(path: str, key: Any, fields: Iterable[str]) -> ScenarioError:
     valid = list(fields)
     return ScenarioError(
         join(path, key if isinstance(key, str) else shown(key)),
-        f"unknown key; valid here: {some(valid)}{did_you_mean(key, valid)}",
+        f"unknown key; valid here: {choices(key, valid)}",
     )
 
 

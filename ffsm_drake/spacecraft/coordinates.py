@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
-from ffsm_drake.common.errors import ScenarioError, did_you_mean, some
+from ffsm_drake.common.errors import ScenarioError, choices, some
 from ffsm_drake.common.so3 import (
     rotation_error,
     rotation_error_rate,
@@ -118,7 +118,7 @@ class Coordinates:
         missing = [name for name, value in zip(self.names, result, strict=True) if value is None]
         if missing:
             raise ScenarioError(
-                key, f"gives no value for {', '.join(missing)}; add them, their group, or 'all'"
+                key, f"gives no value for {some(missing)}; add them, their group, or 'all'"
             )
         return np.array(result, dtype=float)
 
@@ -147,7 +147,7 @@ class Coordinates:
         for name in names:
             if name in valid:
                 continue
-            problem = f"{fault}; valid here: {some(valid)}{did_you_mean(name, valid)}"
+            problem = f"{fault}; valid here: {choices(name, valid)}"
             if name in self.flexible:
                 problem = "is a flexible joint (model.flexible), at rest at zero; leave it out"
             raise ScenarioError(f"{key}.{name}", problem)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ffsm_drake.common.errors import FfsmError, did_you_mean
+from ffsm_drake.common.errors import FfsmError, choices
 from ffsm_drake.common.plugins import DYNAMICS, load, offered
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.copies import Copies, CopiesModel, copies_of
@@ -61,10 +61,7 @@ def find_dynamics(name: str) -> Chosen:
         return Chosen(Dynamics(), False)
     if own not in offered(DYNAMICS):
         known = dynamics_names()
-        raise FfsmError(
-            f"dynamics: '{name}' is unknown; choose one of {', '.join(known)}"
-            f"{did_you_mean(name, known)}"
-        )
+        raise FfsmError(f"dynamics: '{name}' is unknown; choose one of {choices(name, known)}")
     made: Any = load(DYNAMICS, own, "dynamics")
     return Chosen(made(), own != name)
 

@@ -73,7 +73,7 @@ def read_mass(link: Element) -> float:
     require(
         principal[0] + principal[1] >= principal[2] * (1.0 - ROUNDING),
         f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg "
-        "m^2: one is negative, or exceeds the sum of the others; correct its <inertia>",
+        "m^2 (one is negative, or exceeds the sum of the others); correct its <inertia>",
     )
     return mass
 

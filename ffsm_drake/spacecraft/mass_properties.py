@@ -122,7 +122,7 @@ def set_payload(
             )
         raise ModelError(
             f"payload.body: the mass matrix is singular, because {what} moves a negligible "
-            f"inertia; make the {properties.mass:g} kg of {body} lighter, or fix the joint"
+            f"inertia; use heavier links or less than {properties.mass:g} kg on {body}"
         )
 
 

@@ -20,7 +20,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
-from ffsm_drake.common.errors import ModelError, did_you_mean, one_line, some
+from ffsm_drake.common.errors import ModelError, choices, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.plugins import SERVICES, optional, service
 from ffsm_drake.common.so3 import rpy_of
@@ -315,9 +315,13 @@ def files_read(scenario: Scenario) -> tuple[Path, ...]:
     return (*model_files(scenario.model), *(() if plan is None else (resolve_package(plan),)))
 
 
+# Parts of Drake's texts that help nobody: a second "error: ", and long explanations at the end.
+_NOISE = r"(?i)\berror: | (\(valid names in|while accepting|this is typically).*"
+
+
 def cause_of(error: BaseException) -> str:
     """Drake's error text without its place in Drake's source; a condition names its function."""
-    text = one_line(error)
+    text = re.sub(_NOISE, "", one_line(error))
     for condition, meaning in _CONDITIONS.items():
         if condition in text:
             return meaning
@@ -485,9 +489,7 @@ def _find(
         own = [
             each for each in found if each.rpartition("::")[2].removesuffix("_parent") not in joints
         ]
-        raise ModelError(
-            f"{key}: no {kind} '{name}'; choose one of {some(own)}{did_you_mean(name, own)}"
-        )
+        raise ModelError(f"{key}: no {kind} '{name}'; choose one of {choices(name, own)}")
     return found[name]
 
 

@@ -17,9 +17,9 @@ from ffsm_drake.common.errors import (
     BlockError,
     FfsmError,
     ScenarioError,
+    choices,
     did_you_mean,
     one_line,
-    some,
 )
 from ffsm_drake.common.guard import is_installed, passes, where
 from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
@@ -186,10 +186,9 @@ def find_factory(
             found = entry_points(group=ENTRY_POINT_GROUPS[block], name=name)
             if not found:
                 names = block_names(block)
-                choice = f"choose one of {some(names)}, or give" if names else "give"
+                choice = f", or choose one of {choices(name, names)}" if names else ""
                 raise ScenarioError(
-                    key or block,
-                    f"'{name}' is unknown; {choice} module:attribute{did_you_mean(name, names)}",
+                    key or block, f"'{name}' is unknown; give module:attribute{choice}"
                 )
             factory = next(iter(found)).load()
     except FfsmError:

@@ -293,7 +293,7 @@ TABLE = [
         BASE_LINK,
         '<link name="base"/>\n',
         "mass matrix is singular",
-        "give links and payload similar masses",
+        "use heavier links",
     ),
     urdf(
         "urdf-debris-unphysical",
@@ -466,7 +466,7 @@ TABLE = [
             (
                 "units-that-decode",
                 lambda data: data.assign(error=data.error.assign_attrs(units=1.0)),
-                "error: its attribute units must be text",
+                "attribute units of error must be text",
             ),
         )
     ),
@@ -627,8 +627,18 @@ def check_line(stderr: str, expected: tuple[str, ...]) -> None:
         told = r" of [\d.]+ s$|: completed|^ *\d+ s: "
         assert all(re.search(told, line) for line in others), others
     assert len(found) == 1, stderr
+    check_prefixes(found[0])
     for fragment in expected:
         assert fragment in found[0]
+
+
+def check_prefixes(line: str) -> None:
+    """No name stands twice before a colon, and no two kinds of exception do."""
+    *prefixes, _ = line.split(": ")
+    assert len(prefixes) == len({*prefixes}), line
+    assert sum(re.fullmatch(r"\w*(Error|Exception)", each) is not None for each in prefixes) <= 1, (
+        line
+    )
 
 
 @pytest.mark.parametrize("row", TABLE, ids=lambda row: row.id)

@@ -111,7 +111,7 @@ def failed(blocks, *overrides):
             "controller",
             Fails,
             r"controller 'Fails' failed at t = 0.10 s: KeyboardInterrupt: .*\(in Fails.step: .*\); "
-            "raise an exception of your own",
+            "raise an Exception to end a run",
         ),
     ],
 )

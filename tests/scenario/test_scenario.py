@@ -233,7 +233,7 @@ def test_wrong_overrides_get_one_clear_line(override, expected):
         ),
         (
             "controller=foo",
-            "controller: 'foo' is unknown; choose one of tdc, asmc, aismc, tde_aismc",
+            "controller: 'foo' is unknown; give module:attribute, or choose one of tdc, asmc, aismc",
         ),
         ("controllers.tdc.k_d=-1", "controllers.tdc.k_d.all: must be >= 0, not -1"),
         ("controllers.aismc.beta=0", "controllers.aismc.beta.all: must be > 0"),
@@ -299,7 +299,7 @@ def test_broken_files_name_the_file_and_the_key(tmp_path, text, expected):
 def test_unknown_scenarios():
     with pytest.raises(
         ScenarioError,
-        match=r"choose one of capture_on_thrusters, envisat, .* and \d+ more, or give a YAML file; "
+        match=r"give a YAML file, or choose one of capture_on_thrusters, envisat.* and \d+ more; "
         "did you mean 'postcapture'",
     ):
         load_scenario("postcaptur")

@@ -27,7 +27,7 @@ def test_defaults_and_missing_values():
     with pytest.raises(
         ScenarioError,
         match=r"k: gives no value for base_rotation_x, "
-        r".*base_position_z; add",
+        r".* and \d more; add",
     ):
         COORDINATES.vector({"joints": 1.0}, key="k")
     with pytest.raises(

@@ -129,7 +129,7 @@ def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     assert not user_supplied(RunRecord.load(Path("out")).scenario)
     assert "stable" in ffsm(f"stability {common}magnetorquers -c tdc")
     unknown = ffsm(f"run {common}magnetorquer -c tdc", code=2)
-    assert "choose one of magnetorquers, or give module:attribute" in unknown
+    assert "give module:attribute, or choose one of magnetorquers" in unknown
     monkeypatch.delitem(SHIPPED, "actuation")
     own = load_scenario("flight_sensors", ["blocks.actuation=own_actuator:Magnetorquers"])
     assert user_supplied(own) == {"actuation": "blocks.actuation 'own_actuator:Magnetorquers'"}

@@ -277,20 +277,16 @@ class JointDrives(Part):
             return
         whole = np.arange(model.plant.num_velocities())
         joints = model.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
-        least, short = np.inf, dict[str, list[str]]()  # joint and time constant -> postures
+        least, fastest = np.inf, ""
         for name, posture in scenario.postures.items():
             q = model.split.whole_positions(configuration(model.plant, posture, key=name))
             mobility = np.linalg.inv(model.calc_mass_matrix(q))[np.ix_(joints, joints)]
-            constant, joint = drives.time_constant(mobility)
-            if config.max_step_size > constant:
-                least = min(least, constant)
-                short.setdefault(f"{joint} {constant:.2g} s", []).append(name)
-        if short:
-            found = (f"{each} in {' and '.join(names)}" for each, names in short.items())
+            least, fastest = min((least, fastest), drives.time_constant(mobility))
+        if config.max_step_size > least:
             raise ScenarioError(
                 "simulator_config.max_step_size",
-                f"{config.max_step_size:g} s exceeds the time constants of friction near rest "
-                f"({', '.join(found)}); set at most {0.9 * least:.2g}, or "
+                f"{config.max_step_size:g} s exceeds the time constant of friction near rest "
+                f"({fastest}: {least:.2g} s); set at most {0.9 * least:.2g}, or "
                 f"{1.1 * config.max_step_size / least:.2g} times actuation.drives.smoothing_rate",
             )
 

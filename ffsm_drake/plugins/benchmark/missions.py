@@ -21,7 +21,7 @@ from ffsm_drake.common.errors import (
     CampaignError,
     FfsmError,
     InterruptedCampaign,
-    did_you_mean,
+    choices,
     one_line,
 )
 from ffsm_drake.common.files import check_regular, write_text
@@ -193,8 +193,8 @@ def load_mission(name: str) -> Mission:
         )
     if Path(name).suffix not in (".yaml", ".yml"):
         raise CampaignError(
-            f"{name}: no such mission; choose {', '.join(mission_names())}, or give a scenario's "
-            f"file{did_you_mean(name, mission_names())}"
+            f"{name}: no such mission; give a scenario's file, or choose one of "
+            f"{choices(name, mission_names())}"
         )
     return Mission(name=Path(name).stem, scenario=load_scenario(name), source=name)
 

@@ -48,8 +48,8 @@ def payload_body(scenario: Scenario, model: PlantModel) -> RigidBody:
         fault = "is a body of the servicer"
     if fault:
         raise ModelError(
-            f"{key}: '{scenario.payload.body}' {fault}; capture takes a target of one body, a "
-            "model of its own (links without mass may be fixed to it)"
+            f"{key}: '{scenario.payload.body}' {fault}; a capture needs a target of one body, "
+            "in its own model"
         )
     return body
 

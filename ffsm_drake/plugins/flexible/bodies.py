@@ -32,7 +32,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.errors import ModelError, did_you_mean
+from ffsm_drake.common.errors import ModelError, choices
 from ffsm_drake.scenario import Flexible, Model
 from ffsm_drake.spacecraft.coordinates import HIDDEN, StateSplit, joints_of
 from ffsm_drake.spacecraft.inertia import spatial_inertia_about
@@ -372,7 +372,7 @@ def _body(plant: MultibodyPlant, name: str, part: Flexible) -> RigidBody:
     if part.body not in found:
         raise ModelError(
             f"model.flexible.{name}.body: no body '{part.body}'; choose one of "
-            f"{', '.join(found)}{did_you_mean(part.body, found)}"
+            f"{choices(part.body, found)}"
         )
     return found[part.body]
 
@@ -387,8 +387,7 @@ def _joint(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     found = {str(joint.name()): joint for joint in joints if isinstance(joint, RevoluteJoint)}
     if part.joint not in found:
         raise ModelError(
-            f"{place}: no revolute joint '{part.joint}'; choose one of "
-            f"{', '.join(found) or 'none'}{did_you_mean(part.joint or '', found)}"
+            f"{place}: no revolute joint '{part.joint}'; choose one of {choices(part.joint, found)}"
         )
     joint = found[part.joint]
     if any(

@@ -367,7 +367,7 @@ def _make(
         scenario, forces = draft.scenario, draft.motion_forces()
     except FfsmError as error:
         # The line numbers in Drake's messages are those of the copy, not of the user's file.
-        told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
+        told = re.sub(r"([^/ ]+\.urdf):\d+: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
     data = draft.written
     if "drives" in data["actuation"]:

@@ -317,9 +317,8 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
     with pytest.raises(ScenarioError) as error:
         simulate(coarse)
     assert str(error.value) == (
-        "simulator_config.max_step_size: 0.0326861 s exceeds the time constants of friction near "
-        "rest (hinge 0.032 s in initial_posture and target_posture); set at most 0.029 s, or "
-        "multiply actuation.drives.smoothing_rate by 1.1"
+        "simulator_config.max_step_size: 0.0326861 s exceeds the time constant of friction near "
+        "rest (hinge: 0.032 s); set at most 0.029, or 1.1 times actuation.drives.smoothing_rate"
     )
     coarse.simulator_config.integration_scheme = "radau3"
     make_closed_loop(coarse).diagram.CreateDefaultContext()

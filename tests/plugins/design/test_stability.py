@@ -347,7 +347,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
             3,
             "the loop diverges from the plan within 5 samples",
         ),
-        (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
+        (["stability", "nowhere"], 2, "error: nowhere: no such scenario; give a YAML file"),
         (
             ["stability", "--set", "controllers.tdc.kd=1"],
             2,
