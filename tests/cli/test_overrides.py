@@ -153,7 +153,7 @@ def test_a_run_is_checked_before_the_one_that_it_replaces_is_named(key, tmp_path
 @pytest.mark.parametrize(
     ("second", "given", "problem"),
     [
-        ("tdk", (), "--controller: 'tdk' is unknown; give module:attribute, or choose one of tdc, "),
+        ("tdk", (), "--controller: 'tdk' is unknown; give module:attribute, or choose one of"),
         ("asmc", ("--set", "controllers.asmc.k_x=1"), "--set controllers.asmc.k_x: unknown"),
         ("nowhere:Law", (), "controller 'nowhere:Law' cannot be loaded"),
     ],

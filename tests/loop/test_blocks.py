@@ -366,8 +366,8 @@ class WithPorts(LeafSystem):
         (
             "sensing",
             {"inputs": [("stat", 23)]},
-            "unknown input port 'stat'; known: state, true_state, measurement_is_new, told_force, "
-            "gyroscopic_force, told_units, wheel_momentum; did you mean 'state'?",
+            "unknown input port 'stat'; known: state, true_state, measurement_is_new and 4 "
+            "more; did you mean 'state'?",
         ),
         (
             "actuation",

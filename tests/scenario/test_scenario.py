@@ -233,7 +233,7 @@ def test_wrong_overrides_get_one_clear_line(override, expected):
         ),
         (
             "controller=foo",
-            "controller: 'foo' is unknown; give module:attribute, or choose one of tdc, asmc, aismc",
+            "controller: 'foo' is unknown; give module:attribute, or choose one of tdc, asmc",
         ),
         ("controllers.tdc.k_d=-1", "controllers.tdc.k_d.all: must be >= 0, not -1"),
         ("controllers.aismc.beta=0", "controllers.aismc.beta.all: must be > 0"),
