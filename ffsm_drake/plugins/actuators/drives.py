@@ -408,7 +408,7 @@ class JointDrives(Part):
         if "drives.friction_loss" in found:
             parts.append(
                 f"friction of up to {max(found['drives.peak_friction'].values()):.3g} in a "
-                f"joint, which took out {short(sum(found['drives.friction_loss'].values()))} J"
+                f"joint, which dissipated {short(sum(found['drives.friction_loss'].values()))} J"
             )
         return f"drives: {', '.join(parts)}" if parts else ""
 

@@ -407,7 +407,8 @@ class ReactionWheels(Part):
             in_world(
                 name="wheel_reaction",
                 unit="N m",
-                meaning="torque of the wheels on the base, part of applied_force, held likewise",
+                meaning="torque of the wheels on the base, constant over a sample; part of "
+                "applied_force",
                 role=INTERNAL_TORQUE,
             ),
             in_world(
@@ -443,8 +444,8 @@ class ReactionWheels(Part):
                 values=self._of_each(name).tolist(),
             )
             for name, unit, meaning in (
-                ("torque_limit", "N m", "of its motor, either way"),
-                ("speed_limit", "rad/s", "in the base, either way"),
+                ("torque_limit", "N m", "largest torque of the motor, in both directions"),
+                ("speed_limit", "rad/s", "largest speed in the base, in both directions"),
             )
         ]
 

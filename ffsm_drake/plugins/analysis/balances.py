@@ -178,7 +178,7 @@ def _energy(run: Evidence) -> Finding:
         "energy_balance",
         f"Kinetic energy follows the work of {forces} "
         "within {residual:.2g} J, {ratio:.2g} of the "
-        "{absolute_work:.3g} J that tau puts in and takes out.",
+        "{absolute_work:.3g} J of absolute work of tau.",
         numbers,
         holds=numbers["ratio"] <= TOLERANCE,
     )

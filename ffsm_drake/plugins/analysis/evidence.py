@@ -36,7 +36,7 @@ SERIES = {
         _ACCELERATION,
         "ds/dt minus what equation (7) gives",
     ),
-    "direct_bound": ("coordinate", _RATE, "bound on |s_i| from equation (7), whole run"),
+    "direct_bound": ("coordinate", _RATE, "bound on |s_i| from equation (7), over the run"),
     "scaled_sliding_variable": ("time", "1/s", "largest beta_i times ||s||_inf"),
     "lyapunov": ("time", "1", "V of equation (12)"),
     "lyapunov_rate": ("period", "1/s", "dV/dt of equation (13), over the period"),

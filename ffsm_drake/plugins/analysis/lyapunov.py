@@ -76,7 +76,7 @@ def findings(run: Evidence) -> list[Finding]:
     constants = {"alpha", "beta", "phi", "epsilon"}
     if not (recorded <= {*run.data} and constants <= {*run.constants}):
         reason = (
-            "the proof covers gains that adapt by (9) and (10); those of "
+            "the proof covers gains that adapt by (9) and (10); the gains of "
             f"{run.scenario.controller} do not"
         )
         return not_applicable(reason, *keys)

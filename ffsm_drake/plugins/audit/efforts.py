@@ -139,7 +139,7 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
     if factor and abs(factor - 1.0) > tolerance and "effort_scale" in {x.cause for x in faults}:
         said = (
             f"is {factor:.4g} times the work of the efforts: all masses of the log are "
-            f"{1.0 / factor:.4g} times those of the URDF, or the efforts have another unit"
+            f"{1.0 / factor:.4g} times the URDF's, or the efforts have another unit"
         )
         return [fault(name, "mass_or_effort_scale", said)]
     return faults
@@ -159,8 +159,8 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
     against = -means(np.sign(rate)) * period
 
     yield Mistake(
-        cause="effort_scale", text="has a momentum of {0} that of its effort", unit="times",
-        offset=1.0, columns=[expected], floors=[-1.0],
+        cause="effort_scale", text="changes momentum by {0} the impulse of its effort",
+        unit="times", offset=1.0, columns=[expected], floors=[-1.0],
     )  # fmt: skip
     yield Mistake(
         cause="effort_shift", text="has an effort that is {0} late", columns=[joints[j].parts.lag],
@@ -174,7 +174,11 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
     moves_one_way = abs(way) > _ONE_WAY  # dry friction is an offset there
     for cause, more, against_it in (
         ("effort_offset", "", False),
-        ("effort_offset or friction", ", or dry friction as large: it moves one way", True),
+        (
+            "effort_offset or friction",
+            ", or dry friction as large, because it moves in one direction",
+            True,
+        ),
     )[: 1 + moves_one_way]:
         is_positive = against_it != (way > 0.0)
         yield Mistake(

@@ -191,10 +191,10 @@ def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Chec
     if found.drift:
         step, left = found.drift
         words = (
-            f"{said}, by {left:.2g} beside the drift of an integrator with steps of {step:.2g} s"
+            f"{said}, of which {left:.2g} is not drift of an integrator with steps of {step:.2g} s"
         )
-        return undecided(name, "integrator", f"{words}: log a run with shorter ones"), found
-    words = "no one mistake explains it: several at once, or a force that varies and is not logged"
+        return undecided(name, "integrator", f"{words}; log a run with shorter steps"), found
+    words = "no single mistake explains it; there are several, or a varying force is not logged"
     return fault(name, UNEXPLAINED, f"{said}; {words}"), found
 
 
@@ -237,7 +237,7 @@ def _of_centers(found: Momentum) -> Iterator[Mistake]:
             whole: Array = np.sum(momenta, axis=(0, 2)) / found.scale
             return whole
 
-        words = f"{body.name()}'s centre of mass is off by {{0}} from the URDF's, in its own axes"
+        words = f"{body.name()}'s centre of mass differs by {{0}} from the URDF, in its own axes"
         offset = np.zeros(3)
         for _ in range(_ROUNDS):
             sides = [(total(0.5 * offset + x), total(0.5 * offset - x)) for x in np.eye(3)]
@@ -365,8 +365,8 @@ def _of_frames(found: Momentum) -> Iterator[Mistake]:
     for cause, changed, starts, unit, words in (
         ("frame", base, cube, _DEGREE, "the base's axes are turned from the URDF's by {} deg "
          "(rotation vector): another body frame, or a star tracker's"),
-        ("frame", world, cube, _DEGREE, "the attitude is in a world whose axes are turned from "
-         "those of the positions by {} deg (rotation vector)"),
+        ("frame", world, cube, _DEGREE, "the world axes of the attitude are turned from the axes "
+         "of the positions by {} deg (rotation vector)"),
         ("frame_rate", turning, np.zeros((1, 3)), 1.0, "the log is in a frame that turns at a "
          "constant rate of {} rad/s (its own axes)"),
     ):  # fmt: skip
@@ -388,10 +388,10 @@ def _of_columns(found: Momentum) -> Iterator[tuple[str, str, Log]]:
     """
     log, names = found.some, found.dynamics.names
     for point, (arm, swung) in found.dynamics.points(log).items():
-        words = f"the position and velocity are those of {point}, not of the base's origin"
+        words = f"position and velocity belong to {point}, not to the origin of the base"
         yield "point", words, log.replace(position=log.position - arm, linear=log.linear - swung)
     order = [*range(len(names))]
-    orders = {"the joints stand in the reverse order": order[::-1]} if len(names) > 2 else {}
+    orders = {"the joints are in reverse order": order[::-1]} if len(names) > 2 else {}
     for i, j in itertools.combinations(order, 2):
         swapped = [{i: j, j: i}.get(k, k) for k in order]
         orders[f"{names[i]} and {names[j]} are exchanged"] = swapped
@@ -399,7 +399,7 @@ def _of_columns(found: Momentum) -> Iterator[tuple[str, str, Log]]:
         yield "joint_order", words, _joints(log, each, 1.0)
     for i, name in enumerate(names):
         sign = np.where(np.arange(len(names)) == i, -1.0, 1.0)
-        yield "joint_sign", f"{name} turns the other way", _joints(log, order, sign)
+        yield "joint_sign", f"{name} has the opposite sign", _joints(log, order, sign)
     yield "degrees", "every joint is in degrees", _joints(log, order, _DEGREE)
 
 

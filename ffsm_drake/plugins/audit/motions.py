@@ -49,7 +49,7 @@ def _mistakes(log: Log, rate: str, *table: _Row) -> Iterator[Mistake]:
     """
     values = getattr(log, rate)
     yield Mistake(
-        cause="rate_scale", text="the position changes by {0} what the rate says", unit="times",
+        cause="rate_scale", text="the position changes by {0} the logged rate", unit="times",
         offset=1.0, columns=[areas(log.time, values)], changes=[values], floors=[-1.0],
     )  # fmt: skip
     lag = [np.diff(log.time)[:, None] * np.diff(values, axis=0)]
@@ -92,7 +92,7 @@ def realigned(log: Log) -> tuple[str, Array]:
     expected = means(local) * np.diff(log.time)[:, None]
     turn, _ = Rotation.align_vectors(in_body_axes(q[:-1], turned(log)), expected)
     vector = about(turn.as_rotvec() * _DEGREES, None, "deg")
-    words = f"its axes are those of the base turned by {vector} (rotation vector)"
+    words = f"its axes are the base axes turned by {vector} (rotation vector)"
     return words, in_world_axes(q, turn.apply(local))
 
 

@@ -46,7 +46,7 @@ _ATTITUDES: dict[tuple[str, ...], Callable[[Array], Array]] = {
     ("quaternion_order", "quaternion_inverse"): lambda q: q[:, [3, 0, 1, 2]] * _INVERSE,
 }
 _SAID = {
-    "quaternion_order": "the quaternion's scalar stands last (x, y, z, w)",
+    "quaternion_order": "the scalar of the quaternion is last (x, y, z, w)",
     "quaternion_inverse": (
         "the attitude turns from world to base axes (R_BW, not R_WB; MRPs sigma_NB, not sigma_BN)"
     ),
@@ -122,7 +122,7 @@ def _read(usual: Sequence[_Reading], others: Sequence[_Reading], tolerance: floa
             log = best.log.replace(**{what: values})
             return _Outcome(checks=[fault(kind.name, cause, meaning)], log=log)
     alike = [each.said for each in read if each.missed < max(3.0 * best.missed, 1e-6)]
-    untold = ", which it does not tell apart" if len(alike) > 1 else ""
+    untold = ", which it cannot distinguish" if len(alike) > 1 else ""
     tried = [dataclasses.replace(best, said=" or ".join(alike) + untold)]
     tried += [x for x in read[1:] if x in usual[:2] and (best.missed > _FITS or x.missed < _FITS)]
     outcomes: list[_Outcome] = []
@@ -132,7 +132,7 @@ def _read(usual: Sequence[_Reading], others: Sequence[_Reading], tolerance: floa
     outcome = min(outcomes, key=lambda each: (not each.is_explained, each.missed))
     stated = best.log.stated.get(kind.rate)
     if stated and f"in {stated}" not in alike:
-        wrong = fault(kind.name, "axes", f"{best.said}, while the log says {stated}")
+        wrong = fault(kind.name, "axes", f"{best.said}, but the log states {stated}")
         return dataclasses.replace(outcome, checks=[wrong, *_faults(outcome.checks)])
     return outcome
 
@@ -231,7 +231,8 @@ def _joint_rates(log: Log, names: Sequence[str], tolerance: float) -> tuple[list
         one = log.replace(**columns, unsure=unsure)
         others = [
             _Reading(kind=kind, said="", log=one.replace(rates=log.rates[:, [j]]), faults=[fault(
-                name, "joint_order", f"the rate called {name} is not its own: that of {other} is"
+                name, "joint_order",
+                f"the rate called {name} belongs to another joint; the rate of {other} fits",
             )])
             for j, other in enumerate(names) if j != i
         ]  # fmt: skip
@@ -263,7 +264,7 @@ def check_rates(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[list[Ch
         joints, log = _joint_rates(log, dynamics.names, tolerance)
         outcomes += joints
         wrong = [check for outcome in joints for check in _faults(outcome.checks)]
-        said = f"every {'other ' if wrong else ''}rate is that of its joint's position"
+        said = f"every {'other ' if wrong else ''}rate is the derivative of its joint's position"
         if not all(_faults(outcome.checks) for outcome in joints):
             wrong.append(Check(name="joints", statement=said))
         checks += wrong
@@ -281,8 +282,8 @@ def _time_scale(
     if not factor:
         return checks, log
     said = (
-        f"every position changes by {factor:.4g} times what its rate says: the time is "
-        f"{1.0 / factor:.4g} times the true one, or every rate is"
+        f"every position changes by {factor:.4g} times its rate; the time, or every rate, "
+        f"is {1.0 / factor:.4g} times the true one"
     )
     mended = {what: getattr(log, what) / factor for what in ("angular", "linear", "rates")}
     same = [check for outcome in found for check in outcome.checks]

@@ -202,7 +202,7 @@ def status(source: str, database: Path | None) -> None:
     help="Number of the case, from 0.",
 )
 @controller_option(help="Default: every controller of the campaign.")
-@out_option(help="Folder (default: beside the database).")
+@out_option(help="Folder (default: the folder of the database).")
 @click.option("--no-recording", is_flag=True, help="Write no recording.html.")
 def rerun(
     source: str,
@@ -259,7 +259,7 @@ def rerun(
 @campaign.command()
 @_source
 @_database_option
-@out_option(help="Folder (default: beside the database).")
+@out_option(help="Folder (default: the folder of the database).")
 @click.option(
     "--map",
     "axes",

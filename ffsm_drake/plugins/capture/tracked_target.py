@@ -100,7 +100,7 @@ class TrackedTarget(Part):
             Signal(
                 name="target_error",
                 unit="rad, rad/s, m, m/s",
-                meaning="true less estimated: rotation and rate in the target's axes",
+                meaning="true minus estimated: rotation and rate in the axes of the target",
                 components=_NAMES,
                 dimension="target_component",
                 panels=panels,

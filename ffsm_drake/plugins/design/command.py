@@ -130,7 +130,7 @@ def _further_margins(
     "--trade",
     type=click.Choice(["accuracy", "effort", "margins"]),
     multiple=True,
-    help="Criterion allowed to get worse than with the given gains; repeatable (default: none).",
+    help="Criterion that may get worse than with the current gains; repeatable (default: none).",
 )
 @click.option(
     "--time",
@@ -154,8 +154,8 @@ def design(
 ) -> None:
     """Choose gains and estimator for a scenario's sensors, delays, limits and payload range.
 
-    The result is nowhere worse than the given gains by more than 2 %: no group's rms error, not the
-    effort, no margin, except those named by --trade. Writes design.yaml, a scenario to run, and
+    The result is at most 2 % worse than the current gains in each rms error, the effort and each
+    margin, except those named by --trade. Writes design.yaml, a scenario to run, and
     design.png, accuracy against effort. Exits with 3 when the chosen gains are unstable for some
     payload in the range.
 

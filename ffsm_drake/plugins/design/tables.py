@@ -266,7 +266,7 @@ def design_table(found: Design) -> str:
     rows = [
         ["", *names],
         ["rms error, rad or m", *(f"{after[name]:.3g}" for name in names)],
-        ["given gains", *(f"{before[name]:.3g}" for name in names)],
+        ["current gains", *(f"{before[name]:.3g}" for name in names)],
     ]
     for name, gain in scenario.controllers.get(controller_key(scenario.controller), {}).items():
         rows.append([name, *(_gain_cell(gain, name_of_group) for name_of_group in names)])
@@ -274,7 +274,7 @@ def design_table(found: Design) -> str:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
     estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
     where = ", at the starting K_s" if found.adapts else ""
-    margins = [[f"margin{where}", "chosen", "given"]]
+    margins = [[f"margin{where}", "chosen", "current"]]
     for name, (was, now) in found.margins.items():
         margins.append([name, f"{now:.4g}", f"{was:.4g}"])
     masses = [["true payload", "spectral radius", ""]]
@@ -288,7 +288,7 @@ def design_table(found: Design) -> str:
             "",
             f"effort ISV {chosen.prediction.isv:.1f} (budget {requirement.budget:.1f}, perfect "
             "tracking "
-            f"{found.ideal_isv:.1f}; given gains {given.prediction.isv:.4g})",
+            f"{found.ideal_isv:.1f}; current gains {given.prediction.isv:.4g})",
             *aligned(masses),
             "",
             *(aligned(margins) if found.margins else ["margins: not evaluated"]),

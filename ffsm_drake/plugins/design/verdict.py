@@ -173,7 +173,7 @@ class Verdict:
         for each in self.planned:
             yield f"plan: {each}"
         if self.run is not None:
-            yield f"rehearsed (one run, limits and noise, given seed): {self.run.sentence}"
+            yield f"rehearsed (one run with limits and noise): {self.run.sentence}"
             if self.is_linearly_unstable and self.run.ending.is_settled:
                 yield (
                     "linear and rehearsed disagree: the linear loop is unstable, but the run "

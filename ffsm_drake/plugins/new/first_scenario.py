@@ -199,7 +199,7 @@ def new_scenario(
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise ScenarioError("--target", f"must be > 0 {unit}, not {value:g}")
     if bus_size is not None and bus_mass is None:
-        raise ScenarioError("--bus-size", "is that of a bus; give --bus-mass too")
+        raise ScenarioError("--bus-size", "needs a bus; add --bus-mass KG")
     if target is not None and (payload_mass, payload_size) != (None, None):
         raise ScenarioError("--target", "is a mass or a file, not both")
     bus = None if bus_mass is None else make_bus(bus_mass, bus_size)

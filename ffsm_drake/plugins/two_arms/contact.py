@@ -73,7 +73,9 @@ class Contacts(Part):
     """The section ``contacts``, beside the weld of the model."""
 
     title, section = "Contacts", "Contacts"
-    about = "The wrench on the target at each contact beside the weld of the model, in the axes of "
+    about = (
+        "The wrench on the target at each contact other than the weld of the model, in the axes of "
+    )
     about += "the contact's frame on the target."
     contacts: Mapping[str, Contact] = dataclasses.field(default_factory=dict)
 

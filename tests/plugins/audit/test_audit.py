@@ -225,7 +225,7 @@ def heavier(text):
 BASILISK = {
     "rates in world axes": (
         lambda log: turned(log, "omega_BN_B", dcm(log)), str,
-        "axes", "in world axes, while the log says body axes",
+        "axes", "in world axes, but the log states body axes",
     ),
     "rates taken as in world axes": (
         lambda log: turned(log, "omega_BN_B", dcm(log).transpose(0, 2, 1)), str,
@@ -237,7 +237,7 @@ BASILISK = {
     ),
     "velocity in body axes": (
         lambda log: turned(log, "v_BN_N", dcm(log).transpose(0, 2, 1)), str,
-        "axes", "in body axes, while the log says world axes",
+        "axes", "in body axes, but the log states world axes",
     ),
     "sigma_NB": (
         lambda log: with_triple(log, "sigma_BN", -triple(log, "sigma_BN")), str,
@@ -343,7 +343,7 @@ BROKEN = {
     ),
     "joint the other way": (
         lambda log: scaled(log, -1.0, "joint_2", "joint_2_rate"),
-        "joint_sign", "joint_2 turns the other way",
+        "joint_sign", "joint_2 has the opposite sign",
     ),
     "joints in degrees": (
         lambda log: scaled(log, DEGREE, *JOINTS, *RATES), "degrees", "every joint is in degrees",
@@ -354,7 +354,7 @@ BROKEN = {
     "scalar last": (
         lambda log: log | dict(zip(QUATERNION, [log[f"base_quaternion_{x}"] for x in "xyzw"],
                                    strict=True)),
-        "quaternion_order", "scalar stands last",
+        "quaternion_order", "scalar of the quaternion is last",
     ),
     "quaternion inverse": (
         lambda log: scaled(log, -1.0, *QUATERNION[1:]), "quaternion_inverse", "R_BW",
@@ -393,7 +393,7 @@ BROKEN = {
     ),
     "heavier units": (
         lambda log: scaled(log, 2.0, *(f"{name}_effort" for name in JOINTS)),
-        "mass_or_effort_scale", "2 times those of the URDF",
+        "mass_or_effort_scale", "2 times the URDF's",
     ),
 }  # fmt: skip
 

@@ -180,7 +180,7 @@ def test_odometry_in_world_axes_is_named(recorder):
     recorder.omega = recorder.attitude.apply(recorder.omega)
     found = recorder.odometry().joints().audit()
     assert found.causes == ("axes",), str(found)
-    assert "in world axes, while the log says body axes" in str(found)
+    assert "in world axes, but the log states body axes" in str(found)
 
 
 def test_poses_alone_are_differentiated(recorder):

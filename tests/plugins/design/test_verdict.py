@@ -36,7 +36,7 @@ def test_each_line_says_what_it_covers(settling):
     linear, run = settling.lines
     assert linear.startswith("linear: motion: stable for small errors, spectral radius 0.98")
     assert linear.endswith("moving as planned, without limits and noise)")
-    assert run.startswith("rehearsed (one run, limits and noise, given seed): Settled")
+    assert run.startswith("rehearsed (one run with limits and noise): Settled")
     assert settling.conclusion.startswith(
         "expected to go as planned (checked: linear loop of every leg; one run"
     )

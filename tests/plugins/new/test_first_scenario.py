@@ -353,7 +353,7 @@ MOUNTING = {
     "size alone": (
         simple_arm,
         ["--bus-size", "1"],
-        "--bus-size: is that of a bus; give --bus-mass too",
+        "--bus-size: needs a bus; add --bus-mass KG",
     ),
     "no bus": (arm_alone, [], "mount an arm on a bus with --bus-mass KG"),
     "two feet": (
@@ -364,7 +364,7 @@ MOUNTING = {
     "foot beside the world's": (
         lambda: arm_alone().replace("</robot>", link("b", **BOX) + "</robot>"),
         BUS,
-        "besides links fixed to the world",
+        "that are not fixed to the world",
     ),
     "no arm": (lambda: robot(link("a", **BOX)), BUS, "has no joint that moves"),
     "a negative target": (simple_arm, ["--target", "-1"], "must be > 0 kg, not -1"),

@@ -113,16 +113,16 @@ class Design:
         violated = self.requirement.violated(self.given)
         if self.kept and violated:
             remarks = [
-                f"The given gains are kept, though they do not meet the requirements: {violated}. "
-                "No better gains were found."
+                "The current gains are kept, because the search found no better gains. They do not "
+                f"meet the requirements: {violated}."
             ]
         elif self.kept:
             remarks = [
-                "The given gains are kept: no more accurate ones were found that meet the "
-                "requirements and are nowhere worse."
+                "The current gains are kept, because the search found no better gains that meet "
+                "the requirements."
             ]
         elif violated:
-            remarks = [f"The given gains do not meet the requirements: {violated}."]
+            remarks = [f"The current gains do not meet the requirements: {violated}."]
             if factor < 1.0:
                 remarks.append(f"Apart from that they are {1.0 / factor:.3g} times as accurate.")
         else:
@@ -134,9 +134,8 @@ class Design:
         was, now = (self.requirement.crowding(each).max() for each in (before, after))
         if max(was, now) > 1.0:
             remarks.append(
-                f"{ROOM:g} standard deviations of the noise's force are {now:.3g} times the "
-                f"actuators' reserve beside the motion (given gains: {was:.3g} times; 1 is the "
-                "limit)."
+                f"{ROOM:g} standard deviations of the force from noise are {now:.3g} times the "
+                f"reserve of the actuators (current gains: {was:.3g} times; limit: 1)."
             )
         if self.ended_by:
             remarks.append(
@@ -575,4 +574,4 @@ def _active_constraint(
         return f"stability for a true payload of {worst:g} kg"
     if search is not None and (groups := search.at_the_edge()):
         return f"stability over the payload range, in {', '.join(groups)}"
-    return "none; more effort gains less than its lowest price"
+    return "none; more effort brings less accuracy than it costs"

@@ -69,7 +69,7 @@ class Baseline:
             return ""
         for name, (after, before) in self.errors(point).items():
             if after > TOLERANCE * before:
-                return f"less accurate in {name}: rms error {after:.3g}, given gains {before:.3g}"
+                return f"less accurate in {name}: rms error {after:.3g}, current gains {before:.3g}"
         return ""
 
     def errors(self, point: DesignPoint) -> dict[str, tuple[float, float]]:
@@ -82,7 +82,7 @@ class Baseline:
         found = {} if "margins" in self.trade else self.margins(boundaries)
         for name, (before, after) in found.items():
             if not after * TOLERANCE >= before:
-                return f"smaller margin: {name} up to {after:.3g}, given gains {before:.3g}"
+                return f"smaller margin: {name} up to {after:.3g}, current gains {before:.3g}"
         return ""
 
     def margins(self, boundaries: Boundaries | None) -> dict[str, tuple[float, float]]:
@@ -121,7 +121,7 @@ class Baseline:
             )
         for name, change in changes.items():
             if not self._is_stable(change()):
-                return f"smaller margin than with the given gains: {_MARGINS.get(name, name)}"
+                return f"smaller margin than with the current gains: {_MARGINS.get(name, name)}"
         return ""
 
     def _is_stable(self, scenario: Scenario) -> bool:

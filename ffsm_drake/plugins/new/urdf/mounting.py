@@ -70,7 +70,7 @@ def mount(root: Element, bus: Bus) -> str:
         len(roots) + bool(standing) == 1,
         f"one link must be the arm's foot, without a parent, not {len(roots)} "
         f"({', '.join(roots) or 'none'})"
-        + (" besides links fixed to the world" if standing else ""),
+        + (" that are not fixed to the world" if standing else ""),
     )
     height = 0.5 * bus.size[2]
     for joint in standing:  # its origin lies on the face

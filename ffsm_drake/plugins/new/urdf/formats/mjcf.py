@@ -78,7 +78,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
     remarks = [f"passed over, of no effect in free flight: {', '.join(passed)}"] if passed else []
     remarks += reader.one_sided()
     if lone:
-        remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
+        remarks.append(f"bodies left out, which are not part of the servicer: {listed(lone)}")
     return root, remarks
 
 

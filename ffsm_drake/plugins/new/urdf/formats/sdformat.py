@@ -112,7 +112,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     ]
     remarks = [f"passed over, of no effect in free flight: {', '.join(told)}"] if told else []
     if lone := keep_servicer(root):
-        remarks.append(f"bodies beside the servicer left out: {listed(lone)}")
+        remarks.append(f"bodies left out, which are not part of the servicer: {listed(lone)}")
     return root, remarks
 
 

@@ -66,7 +66,7 @@ def expand(
                 if not missing:
                     given = f" (given: {', '.join(arguments)})" if arguments else ""
                     raise ModelError(f"cannot be expanded: {told}{given}") from error
-                besides = f"; besides, {told}" if "is not defined" in told else ""
+                besides = f"; also, {told}" if "is not defined" in told else ""
                 break
             missing[found[1]] = ""
     if missing:
