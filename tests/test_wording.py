@@ -1,7 +1,9 @@
 """Numbers in messages: one thing, two things."""
 
 import ast
+import functools
 import re
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -38,10 +40,16 @@ ALWAYS_MANY = {
 }
 
 
+@functools.cache
+def nodes(file: Path) -> list[ast.AST]:
+    """The syntax tree of a file, flat."""
+    return [*ast.walk(ast.parse(file.read_text(encoding="utf-8")))]
+
+
 def plurals(file: Path) -> set[str]:
     """Expressions of whole numbers before a plural in a file's formatted texts."""
     found = set[str]()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         parts = node.values if isinstance(node, ast.JoinedStr) else []
         for value, after in pairwise(parts):
             if isinstance(value, ast.FormattedValue) and isinstance(after, ast.Constant):
@@ -64,3 +72,74 @@ def test_counted():
     assert [counted(n, "run") for n in range(3)] == ["0 runs", "1 run", "2 runs"]
     assert counted(1, "mocap body") == "1 mocap body"
     assert counted(3, "mocap body") == "3 mocap bodies"
+
+
+LONGEST = 160  # characters of a message
+VALUE = 8  # of a number or name in it
+
+
+def length(node: ast.expr) -> int:
+    """Characters of a text, its longer variant where it has two."""
+    match node:
+        case ast.Constant(value=str(text)):
+            return len(text)
+        case ast.JoinedStr(values=parts):
+            return sum(map(length, parts))
+        case ast.FormattedValue(value=ast.JoinedStr() | ast.IfExp() as inner):
+            return length(inner)
+        case ast.BinOp(op=ast.Add(), left=left, right=right):
+            return length(left) + length(right)
+        case ast.IfExp(body=body, orelse=other):
+            return max(length(body), length(other))
+    return VALUE
+
+
+def errors(file: Path) -> Iterator[tuple[int, int]]:
+    """Line and length of each text of an error in a file."""
+    for node in nodes(file):
+        name = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+        if name.endswith("Error") or name == "require":
+            texts = [each for each in node.args if not isinstance(each, ast.Starred)]
+            yield node.lineno, max(map(length, texts), default=0)
+
+
+def test_errors_are_short():
+    found = {f"{file}:{line}": size for file in PACKAGE.rglob("*.py")
+             for line, size in errors(file) if size > LONGEST}  # fmt: skip
+    assert found == {}
+
+
+# Idioms of this project, and the words that a reader knows.
+WORDS = {
+    r"\bwanted\b": "commanded, required",
+    r"\blikewise\b": "repeat the noun",
+    r"\bbesides\b": "next to, in addition to",
+    r"\bis told\b|\bsays\b|\bhears\b|\bwants\b": "prints, reports",
+    r"\beither way\b|\bboth ways\b": "in both directions",
+    r"\boff by\b": "differs by",
+    r"\b(takes?|took|taken) out\b": "removes",
+    r"\bgiven gains\b": "current gains",
+    r"\bhidden coordinates?\b": "flexible parts",
+    r"\bas wired\b": "with all blocks",
+}
+
+
+def spoken(file: Path) -> Iterator[str]:
+    """Texts of a file that are no docstrings."""
+    silent = {id(node.value) for node in nodes(file) if isinstance(node, ast.Expr)}
+    for node in nodes(file):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield "" if id(node) in silent else node.value
+
+
+def test_outputs_have_the_words_of_the_field():
+    any_word = re.compile("|".join(WORDS))
+    found = [
+        (file.name, text, instead)
+        for file in PACKAGE.rglob("*.py")
+        for text in spoken(file)
+        if any_word.search(text)
+        for word, instead in WORDS.items()
+        if re.search(word, text)
+    ]
+    assert found == []

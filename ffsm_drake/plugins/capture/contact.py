@@ -43,7 +43,7 @@ def payload_body(scenario: Scenario, model: PlantModel) -> RigidBody:
         if other.index() != body.index()
         and (other.index() not in fixed or other.default_mass() > 0.0)
     ]
-    fault = f"is not alone in its model: {', '.join(map(str, others))} beside it" if others else ""
+    fault = f"shares its model with {', '.join(map(str, others))}" if others else ""
     if body.model_instance() == hand.model_instance():
         fault = "is a body of the servicer"
     if fault:

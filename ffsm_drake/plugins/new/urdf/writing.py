@@ -217,7 +217,7 @@ class _Meshes:
     def remarks(self) -> Iterator[str]:
         """A line for meshes not found, and for shapes that cannot be drawn."""
         is_package = any(each.startswith(("package:", "model:")) for each in self._missing)
-        beside = f"put them beside {self._source.name}"
+        beside = f"put them next to {self._source.name}"
         found_by = "give --package NAME=FOLDER" if is_package else beside
         for addresses, problem, remedy in (
             (self._missing, "meshes not found", f"{found_by} to have them drawn"),
