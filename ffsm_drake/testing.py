@@ -22,7 +22,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.guard import failure, guarded, passes
 from ffsm_drake.loop.blocks import check_ports
 from ffsm_drake.runs.rollout import Rollout
@@ -150,7 +150,7 @@ def check_block(
         first = rollout.run()
         for name, values in first.series.items():
             if not np.isfinite(values).all():
-                raise ConformanceError(
+                raise BlockError(
                     f"{place}: '{name}' is not finite in the closed loop; {first.outcome.message}"
                 )
         for again, when in (
@@ -167,7 +167,7 @@ def check_block(
                 not np.array_equal(again.series[name], values)
                 for name, values in first.series.items()
             ):
-                raise ConformanceError(f"{place}: {when}; draw random numbers from a RandomSource")
+                raise BlockError(f"{place}: {when}; draw random numbers from a RandomSource")
     except FfsmError as error:
         raise ConformanceError(str(error)) from _users(error)
     return Conformance(
@@ -288,7 +288,7 @@ def _reordered(samples: list[Sample], order: np.ndarray) -> list[Sample]:
 def _check_ports(candidate: _Candidate, scenario: Scenario) -> str:
     controller = candidate.build(scenario)
     if controller.num_continuous_states() > 0:
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate} has continuous state; a sampled controller keeps discrete state"
         )
     return "ports: names and sizes"
@@ -302,7 +302,7 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
             force = candidate.run(scenario, given)
             if not np.isfinite(force).all():
                 sample = int(np.argmin(np.isfinite(force).all(axis=1)))
-                raise ConformanceError(
+                raise BlockError(
                     f"{candidate}: the force is not finite at sample {sample} with {situation}"
                 )
     return "finite force, with errors and without any"
@@ -316,12 +316,12 @@ def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
         [bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)]
     )
     if not np.array_equal(force, held):
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate}: the force follows its inputs between two samples; output a discrete "
             "state (DeclareStateOutputPort), updated every sample_time"
         )
     if all(np.array_equal(force[0], later) for later in force[1:]):
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate}: the force never changes; declare a periodic update every "
             f"sample_time ({scenario.sample_time:g} s), offset 0"
         )
@@ -332,7 +332,7 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=4), _inputs(scenario, seed=5)
     first = candidate.run(scenario, samples)
     if not np.array_equal(first, candidate.run(scenario, samples)):
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate}: two new controllers give different forces for the same inputs; draw "
             "random numbers from an input port, and keep no state in module or class"
         )
@@ -342,7 +342,7 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     again = candidate.bench(scenario, controller).run(samples)
     if not np.array_equal(first, again):
         where = int(np.argmin((first == again).all(axis=1)))
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate} hides state on self: after a reset, the force at sample {where} "
             f"depends on the run before; {remedy}"
         )
@@ -353,7 +353,7 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
         interleaved.append(one.step(sample))
         two.step(other)
     if not np.array_equal(first, np.array(interleaved)):
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate} hides state on self: two runs at once disturb each other; {remedy}"
         )
     return (
@@ -373,7 +373,7 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     back = second[:, np.argsort(order)]
     if not np.allclose(first, back, rtol=1e-6, atol=1e-9 * max(1.0, float(np.abs(first).max()))):
         worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
-        raise ConformanceError(
+        raise BlockError(
             f"{candidate}: the force on '{worst}' depends on the order of the joints in the "
             "model; give gains by name, with gain(...) or setup.coordinates.vector"
         )

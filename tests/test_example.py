@@ -115,7 +115,7 @@ def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, 
     ]
     assert main([*scenario, *unstable, "--out", "mine"]) == 3
     out, err = capfd.readouterr()
-    assert re.search(r"Diverged at t = [\d.]+ s: \S+ moves at", out)
+    assert re.search(r"diverged at t = [\d.]+ s: \S+ moves at", out)
     assert "warning: not expected to go as planned: motion: unstable at rest" in err
     record = RunRecord.load("mine")
     assert record.outcome.status == "diverged"

@@ -44,10 +44,10 @@ def test_a_remark_names_the_worst_sample():
         rows = values(0.5, -3.0, 2.5)
         return list(limit(*args).remark(rows, "it", lambda sample: f" at {sample}"))
 
-    assert said(RATE, -2.0, 2.0) == ["it: beyond somebody's limits: a 3 m/s at 1 (limit 2)"]
-    assert said(FORCE, -2.0, 2.0) == ["it: beyond somebody's limits: a 3 N at 1 (limit 2)"]
+    assert said(RATE, -2.0, 2.0) == ["it exceeds somebody's limits: a 3 m/s at 1 (limit 2)"]
+    assert said(FORCE, -2.0, 2.0) == ["it exceeds somebody's limits: a 3 N at 1 (limit 2)"]
     assert said(POSITION, -3.0, 2.0) == [
-        "it: outside somebody's limits: a 2.5 at 2 (limits -3 to 2 m)"
+        "it exceeds somebody's limits: a 2.5 at 2 (limits -3 to 2 m)"
     ]
     assert said(RATE, -4.0, 4.0) == []
 

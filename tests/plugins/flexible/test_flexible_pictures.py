@@ -147,7 +147,9 @@ def test_report_and_table_tell_what_is_left(record, run):
     figures = record.metrics["hidden"]
     assert figures["residual_since"] == pytest.approx(0.4)
     assert figures["peak"].keys() == {"port", "starboard_1", "starboard_2", "fuel"}
-    line = next(line for line in results_table([record]).splitlines() if line.startswith("hidden"))
+    line = next(
+        line for line in results_table([record]).splitlines() if line.startswith("flexible")
+    )
     assert f"fuel {figures['peak']['fuel']:.3g} m" in line
     assert f"port {figures['residual_amplitude']['port']:.3g} rad" in line
     results = results_of([record, run("postcapture", "controller=tdc", "duration=0.3")])

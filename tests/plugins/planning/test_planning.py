@@ -381,6 +381,6 @@ def test_a_motion_beyond_the_actuators_is_told_before_the_run():
         if "actuation.limit" in line
     ]
     assert line.startswith(
-        "perfect tracking of the planned motion needs: beyond actuation.limit: base_rotation_x"
+        "perfect tracking of the planned motion exceeds actuation.limit: base_rotation_x"
     )
     assert "(limit 10)" in line
