@@ -1,8 +1,9 @@
-"""Model files read in a process of their own: parsers of others may hang, crash, or take all
-memory.
+"""Reading of model files in a separate process, because third-party parsers may hang, crash or use
+up memory.
 
-The process ends with its parent, and after a time, by signals of the system: a parser in compiled
-code does not return to Python. It gets one line of JSON and writes one.
+The process ends with its parent, or after a time limit, by signals of the system. A parser in
+compiled code does not return to Python, so Python cannot stop it. The process reads one line of
+JSON and writes one.
 """
 
 import contextlib
@@ -34,9 +35,10 @@ _SAID = 300  # characters of what a library wrote last
 
 
 def answer(task: str, **question: Any) -> Any:
-    """What a function of ``_tasks`` returns for arguments of plain data, in a process of its own.
+    """Return the result of a function of ``_tasks`` for arguments of plain data, from a separate
+    process.
 
-    Raises ModelError: the function's, or how the process ended.
+    Raises ModelError: the error of the function, or how the process ended.
     """
     request = {"task": task, "deadline": DEADLINE, "memory": MEMORY, "question": question}
     with tempfile.TemporaryFile() as said:
@@ -69,7 +71,7 @@ def answer(task: str, **question: Any) -> Any:
 
 
 def _ended(code: int, said: str) -> str:
-    """How a process ended that gave no answer."""
+    """Return how a process without an answer ended."""
     name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
     if name in ("SIGALRM", "SIGXCPU"):
         return (
@@ -82,7 +84,7 @@ def _ended(code: int, said: str) -> str:
 
 
 def serve() -> None:
-    """Answer one question; in the process of its own."""
+    """Answer one question, in the separate process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGIO, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
     out = os.dup(1)
@@ -128,8 +130,9 @@ def _tasks() -> dict[str, Any]:
 
 
 def _try(file: str, packages: Mapping[str, str]) -> None:
-    """Parse a file by Drake; its errors are left to those who parse it again. Raises ModelError
-    for a file of which Drake drops a part that changes the motion.
+    """Parse a file with Drake. Parser errors are ignored, because the file is parsed again later.
+
+    Raises ModelError: Drake drops a part of the file that changes the motion.
     """
     from ffsm_drake.plugins.new.urdf.formats.direct import check_direct, plant_of
 
@@ -146,13 +149,13 @@ def _try(file: str, packages: Mapping[str, str]) -> None:
 def check_by_trial(
     address: str, place: str, files: tuple[Path, ...], packages: Mapping[str, str]
 ) -> None:
-    """Raise ModelError for a model on which Drake's parser hangs or crashes, or that it reads with
-    another motion than the file means.
+    """Raise ModelError for a model on which Drake's parser hangs or crashes, or whose motion it
+    changes.
 
     Args:
-      address: as Drake gets it.
-      place: names it in the error.
-      files: of the model. URDFs, and directives of URDFs only, have been checked elsewhere.
+      address: address that Drake parses.
+      place: name of the model in the error.
+      files: files of the model. URDFs, and directives of URDFs only, are checked elsewhere.
       packages: package:// name -> folder.
     """
     if files and not _is_plain(files[0]):

@@ -1,4 +1,4 @@
-"""The options of ``ffsm new`` beside an arm: sensors, actuators, panels, a grasp."""
+"""The options of ``ffsm new`` in addition to the arm: sensors, actuators, panels, a grasp."""
 
 import dataclasses
 import math
@@ -54,7 +54,7 @@ _FORMS: dict[str, tuple[str, str, Callable[..., Any]]] = {
 
 @dataclasses.dataclass(frozen=True)
 class WheelData:
-    """A number of wheels, and what their data sheet says; None: sized."""
+    """A number of wheels and the values of their data sheet; None: chosen for the base."""
 
     count: int
     torque: float | None = None  # N m
@@ -62,8 +62,13 @@ class WheelData:
     rpm: float | None = None  # largest speed, 1/min
 
     def units(self, torque: float, inertia: float | None) -> dict[str, dict[str, Any]]:
-        """Wheels by name, with a torque (N m) and an inertia (kg m^2; None: the default) where the
-        data sheet has none: axes evenly on a cone about z, three of them at right angles.
+        """Return wheels by name.
+
+        Their axes are spread evenly on a cone about z; three of them are at right angles.
+
+        Args:
+          torque: N m, if the data sheet has none.
+          inertia: kg m^2, if the data sheet has no momentum; None: the default.
         """
         settings = {"torque_limit": self.torque or torque}
         if self.rpm is not None:
@@ -90,7 +95,7 @@ class WheelData:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Asked:
-    """The parts that a new scenario is to have; None: without."""
+    """The parts of a new scenario; None: without the part."""
 
     sensors: str | None = None  # the shipped scenario that has them
     thrusters: tuple[int, float | None] | None = None  # number, thrust (N; None: by the base)
@@ -103,9 +108,9 @@ class Asked:
 
     @classmethod
     def parsed(cls, *, friction: bool = False, **words: str | None) -> "Asked":
-        """From the options of ``ffsm new`` by name; None: not given.
+        """Return the options of ``ffsm new`` by name; None: the option is not given.
 
-        Raises ScenarioError: one of them cannot be used.
+        Raises ScenarioError: a value cannot be used.
         """
         given = {name: word.strip() for name, word in words.items() if word is not None}
         asked = cls(friction=friction, **{name: _value(name, word) for name, word in given.items()})
@@ -121,13 +126,13 @@ class Asked:
 
     @property
     def is_paper(self) -> bool:
-        """Whether the request is for the paper's mission alone."""
+        """Whether no option is given, so that the mission is the one of the paper."""
         return self == Asked()
 
     @property
     def has_approach(self) -> bool:
-        """Whether the run begins before the grasp: where one hand grasps, and all coordinates are
-        driven.
+        """Whether the run begins before the grasp. This needs a capture with one hand and all
+        coordinates driven.
         """
         return self.capture is not None and self.drives("all") and self.tips is None
 
@@ -137,7 +142,7 @@ class Asked:
 
     @property
     def source(self) -> Scenario:
-        """The shipped scenario whose sensors, estimator and bandwidth are taken."""
+        """The shipped scenario that provides sensors, estimator and bandwidth."""
         found = load_scenario(self.sensors or "paper")
         grasp = load_scenario(_CAPTURE)
         # The inertia of a light wrist grows by orders of magnitude at a grasp: an estimate of
@@ -145,7 +150,7 @@ class Asked:
         return grasp if self.capture is not None and grasp.sensing == found.sensing else found
 
     def milder(self) -> Iterator[tuple[str, "Asked"]]:
-        """Requests that ask less of the spacecraft, each after the words for what is to change."""
+        """Yield requests that need less of the spacecraft, each with the words for its change."""
         if self.thrusters is not None and self.thrusters[1] is not None:
             count = self.thrusters[0]
             yield f"give --thrusters {count}", dataclasses.replace(self, thrusters=(count, None))
@@ -159,8 +164,10 @@ class Asked:
             yield "leave out --panels", dataclasses.replace(self, panels=None)
 
     def thruster_settings(self, mass: float, box: BaseBox) -> dict[str, Any]:
-        """A shipped layout with the given number and thrust where it fits a base of a mass (kg) in
-        a box; else one with the number, moved and sized to fit.
+        """Return the settings of the thrusters for a base of a mass (kg) in a box.
+
+        A shipped layout with the number and the thrust is used if it fits the box. Otherwise a
+        shipped layout with the number is moved and scaled.
         """
         count, force = self.thrusters or (0, None)
         layouts = {name: name for name in thruster_layouts() if name.startswith(f"{count}x")}
@@ -182,7 +189,7 @@ class Asked:
         return {"layout": None, "units": units}
 
     def fill(self, data: dict[str, Any]) -> None:
-        """Fill the sections that do not depend on the spacecraft; an empty one is left out."""
+        """Fill the sections that do not depend on the spacecraft. Empty sections are left out."""
         estimator, tolerance = _own(self.source.estimator), data["tolerance"]
         if estimator or self.thrusters is None:
             data["estimator"] = estimator
@@ -210,7 +217,7 @@ class Asked:
 
 
 def _own(settings: Any) -> dict[str, Any]:
-    """The settings of a section that differ from its defaults, as plain data."""
+    """Return the settings of a section that differ from its defaults, as plain data."""
     usual, data = dataclasses.asdict(type(settings)()), dataclasses.asdict(settings)
     return {key: value for key, value in data.items() if value != usual[key]}
 

@@ -1,4 +1,4 @@
-"""The box of a base, for the places of thrusters and panels, and the parts they overlap."""
+"""The box of a base, for the places of thrusters and panels, and the parts that overlap them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _NEAR = 0.02  # m; a point nearer to a shape overlaps it
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Shape:
-    """A shape of the base as the box about it."""
+    """A shape of the base, replaced with the box around it."""
 
     body: str
     place: RigidTransform  # its centre and axes, in a frame of the base
@@ -29,14 +29,15 @@ class _Shape:
 
     @property
     def span(self) -> np.ndarray:
-        """Half the sides (3), m, of the box about it along the frame's axes."""
+        """Half the sides (3), m, of the box around it along the axes of the frame."""
         return np.abs(self.place.rotation().matrix()) @ self.half
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BaseBox:
-    """The box of a base's largest shape, and of the large ones centred in it, along the axes of one
-    of its bodies; lengths in m.
+    """The box around the largest shape of a base and around large shapes centred in it.
+
+    Its axes are the axes of one of the bodies of the base. Lengths are in m.
     """
 
     centre: np.ndarray  # (3)
@@ -48,10 +49,10 @@ class BaseBox:
         """Find the box of a base.
 
         Args:
-          model: a model whose base is drawn, if need be as the box of its inertia.
-          links: the names of the bodies of the base.
-          body: gives the frame of the box.
-          side: half the side (m) of a cube about the origin, for a base without a picture.
+          model: model whose base is drawn, or is replaced with the box of its inertia.
+          links: names of the bodies of the base.
+          body: body whose frame the box has.
+          side: half the side (m) of a cube about the origin, for a base without visuals.
         """
         shapes = _shapes(model, links, body)
         if not shapes:
@@ -73,7 +74,7 @@ class BaseBox:
         return cls(centre=0.5 * (low + high), half=0.5 * (high - low), others=others)
 
     def overlapped(self, points: np.ndarray) -> list[str]:
-        """The bodies of the shapes beside the box that points (n, 3) are in."""
+        """Return the bodies, outside the box, whose shapes contain one of the points (n, 3)."""
         found = set[str]()
         for each in self.others:
             local = np.abs(each.place.inverse().multiply(points.T).T)
@@ -83,7 +84,7 @@ class BaseBox:
 
 
 def _shapes(model: Model, links: Sequence[str], body: str) -> list[_Shape]:
-    """The shapes drawn of a base's links."""
+    """Return the drawn shapes of the links of a base."""
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, model)
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()

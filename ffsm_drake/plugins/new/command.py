@@ -43,7 +43,7 @@ _CUBE = re.compile(r"([\d.eE+-]+)(?:kg)?(?:,([\d.eE+-]+)m)?")
 
 
 def _target(value: str) -> tuple[float | None, float | None, Path | None]:
-    """A target's mass, kg, and side, m, or its file."""
+    """Return the mass (kg) and side (m) of a target, or its file."""
     if found := _CUBE.fullmatch(value):
         with suppress(ValueError):
             return float(found[1]), None if found[2] is None else float(found[2]), None

@@ -1,8 +1,7 @@
 """Numbers of a new scenario: postures, durations, disturbance, wheels, panels and gains.
 
-The rule: a motion takes at most a part of what the actuators give; the bandwidth is what they leave
-for the sensors' noise. Then the mission is looked at; where it does not settle, the bandwidth
-shrinks.
+A motion uses at most a part of the force of the actuators. The bandwidth is limited by sensor
+noise, which may use the rest. If the mission does not settle, the bandwidth is reduced.
 """
 
 import copy
@@ -86,12 +85,12 @@ _PANEL_SIDES = ([0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
 
 
 class Draft:
-    """A scenario's plain data, filled step by step; ``remarks`` say what cannot be met."""
+    """The plain data of a scenario, filled step by step; ``remarks`` list what cannot be met."""
 
     def __init__(
         self, data: dict[str, Any], asked: Asked, servicer: Servicer, source: str, *, seed: int = 0
     ) -> None:
-        """Args: see the attributes; another seed draws other postures."""
+        """See the attributes. Another seed draws other postures."""
         self.data, self.asked, self.servicer, self.source = data, asked, servicer, source
         self._seed, self._starts = seed, list[np.ndarray]()
         self.remarks, self.margins = list[str](), dict[str, Margins]()
@@ -112,11 +111,11 @@ class Draft:
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario so far."""
+        """The present scenario."""
         return self._scenario()
 
     def _scenario(self, **changes: Any) -> Scenario:
-        """The scenario so far, with other sections; without the empty ones."""
+        """Return the present scenario with other sections, without empty ones."""
         before = self.data["capture"]["approach"]["duration"] if self.asked.has_approach else 0.0
         hold = _HOLD if self.asked.is_paper else _LONG_HOLD
         self.data["duration"] = before + self.data["reference"]["duration"] + hold
@@ -130,7 +129,7 @@ class Draft:
 
     @step("searching for postures without contact")
     def place(self, target: Target) -> None:
-        """Thrusters, panels, postures, and the way to the grasp; where a second hand holds."""
+        """Choose thrusters, panels, postures, the approach, and the frame of a second hand."""
         self._thrusters()
         self._panels()
         if self.servicer.second is not None:
@@ -142,7 +141,7 @@ class Draft:
 
     @step("choosing wheels and durations")
     def pace(self) -> None:
-        """Disturbance, durations and wheels, once all is placed."""
+        """Choose disturbance, durations and wheels, after ``place``."""
         self._disturb()
         moves = bool(self._starts) and self.asked.capture is not None
         for _ in range(_ROUNDS):
@@ -156,20 +155,20 @@ class Draft:
 
     @property
     def faults(self) -> list[str]:
-        """Faults of the plan that other postures may not have."""
+        """Faults of the plan that other postures may avoid."""
         return [*filter(None, (self.touching, self._outside))]
 
     @step("choosing gains")
     def fill(self) -> None:
-        """Steps for friction, then gains, once durations are known."""
+        """Choose integrator steps for friction, then gains, after ``pace``."""
         self._resolve_friction()
         self.remarks += [*self.faults, *filter(None, (self.weak,))]
         self._tune()
 
     def _postures(self) -> list[np.ndarray]:
-        """Put the target and the initial posture, and a duration of moderate rates.
+        """Choose target posture, initial posture, and a duration with moderate rates.
 
-        Returns: initial configurations (nq) that are clear of contact, the best first.
+        Returns: initial configurations (nq) without contact, the best first.
         """
         arm, rng = _Arm(self), np.random.default_rng(self._seed)
         low, high = arm.limits.T
@@ -193,13 +192,13 @@ class Draft:
         return [arm.whole(start) for start in starts]
 
     def rate_of(self, name: str) -> float:
-        """The moderate rate of a joint, rad/s or m/s."""
+        """Return the moderate rate of a joint, rad/s or m/s."""
         joint = next(each for each in self.servicer.joints if each.name == name)
         return min(_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity)
 
     def _used(self) -> tuple[float, str]:
-        """The share of the joints' limits, less their margins, that the planned motion uses, and
-        the joint that uses it, in words.
+        """Return the largest share of the joint limits, minus their margins, that the planned
+        motion uses, and the joint that uses it, as text.
         """
         motion, limits = make_motion(self.scenario, self.coordinates), self._limits
         rows = motion.rows(np.linspace(0.0, motion.end, 4 * _INSTANTS))
@@ -218,9 +217,13 @@ class Draft:
         )
 
     def _approach(self, durations: Iterable[tuple[float, float]]) -> None:
-        """The initial posture, the way to it along the grasp axis, and the durations of approach
-        and motion, in shares of the present ones, so that joints stay within their limits, and
-        parts clear of the tumbling target; where none does, the best.
+        """Choose the initial posture, the approach along the grasp axis, and the durations.
+
+        Joints stay within their limits, and parts stay clear of the tumbling target. If no choice
+        meets both, the best one is used.
+
+        Args:
+          durations: durations of approach and motion to try, as shares of the present ones.
         """
         enough, told = Scenario().clearance, ""
         best, chosen, before = (-math.inf, -math.inf), dict[str, Any](), self._choice
@@ -256,13 +259,13 @@ class Draft:
 
     @property
     def _choice(self) -> dict[str, Any]:
-        """A copy of what ``_approach`` chooses."""
+        """A copy of the sections that ``_approach`` chooses."""
         keys = "initial_posture", "reference", "capture"
         return copy.deepcopy({key: self.data[key] for key in keys})
 
     def _begin(self, start: np.ndarray, length: float, shares: tuple[float, float]) -> None:
-        """Put an initial configuration (nq), an approach of a length (m), and durations in shares
-        of the present ones.
+        """Set an initial configuration (nq), the length of the approach (m), and the durations as
+        shares of the present ones.
         """
         initial, joints = self.data["initial_posture"], start[NUM_BASE_POSITIONS:].tolist()
         initial["joints"] = dict(zip(self.coordinates.joints, joints, strict=True))
@@ -283,7 +286,7 @@ class Draft:
 
     @property
     def _bus(self) -> tuple[RigidBody, float, np.ndarray]:
-        """The base's heaviest body: its mass (kg) and moments (3, kg m^2)."""
+        """The heaviest body of the base, its mass (kg) and its moments (3, kg m^2)."""
         links = map(self.true.plant.GetBodyByName, self.servicer.base_links)
         body = max(links, key=lambda link: float(link.default_mass()))
         inertia = body.default_spatial_inertia()
@@ -291,12 +294,12 @@ class Draft:
         return body, float(inertia.get_mass()), moments
 
     def _box(self, body: str) -> BaseBox:
-        """The box of the base in the frame of one of its bodies."""
+        """Return the box of the base in the frame of one of its bodies."""
         found = self.servicer
         return BaseBox.of(self.scenario.model, found.base_links, body, side=found.half_side)
 
     def _thrusters(self) -> None:
-        """Thrusters on the box of the base, and a remark on those that a part of it covers."""
+        """Place thrusters on the box of the base; remark on thrusters that a part of it covers."""
         if self.asked.thrusters is None:
             return
         box = self._box(self.servicer.base)
@@ -314,7 +317,7 @@ class Draft:
         ]
 
     def _panels(self) -> None:
-        """Panels on the sides of the base. Raises ScenarioError: they outweigh it."""
+        """Place panels on the sides of the base. Raises ScenarioError: the panels are too heavy."""
         if self.asked.panels is None:
             return
         count, mass = self.asked.panels
@@ -360,7 +363,7 @@ class Draft:
 
     @property
     def _limit(self) -> np.ndarray:
-        """Largest forces (nv) that the actuators give in any direction, N m or N."""
+        """Largest forces (nv) of the actuators that are available in every direction, N m or N."""
         return actuation_limit(self.scenario, self.coordinates).upper
 
     @property
@@ -369,18 +372,20 @@ class Draft:
 
     @property
     def _disturbance(self) -> np.ndarray:
-        """Its largest force (nv), N m or N."""
+        """Largest force (nv) of the disturbance, N m or N."""
         harmonics = self.data["disturbance"]["harmonics"].items()
         largest = {name: each["amplitude"] for name, each in harmonics}
         return self.coordinates.vector(largest, key="disturbance", default=0.0)
 
     def _planned(self, **changes: Any) -> PlannedDynamics:
-        """The motion from the grasp on, without disturbance."""
+        """Return the motion after the grasp, without disturbance."""
         return PlannedDynamics(from_grasp(self._scenario(disturbance={}, **changes)))
 
     def _disturb(self) -> None:
-        """A harmonic per driven coordinate, sized by how easily that is moved in the target
-        posture, and so that it leaves most of given actuators' forces to the motion.
+        """Choose a harmonic disturbance for each driven coordinate.
+
+        Its amplitude is proportional to the effective inertia of the coordinate in the target
+        posture, and leaves most of the actuator force to the motion.
         """
         planned, harmonics = self._planned(capture=None), dict[str, dict[str, float]]()
         inertia = _effective_inertia(planned.mass_matrices(planned.motion.end)[0])
@@ -401,8 +406,9 @@ class Draft:
         self.data["disturbance"]["harmonics"] = harmonics
 
     def _pace(self) -> bool:
-        """Size wheels, and lengthen the motion, then the approach, until the actuators have enough
-        for it; whether one became longer.
+        """Size the wheels, and lengthen motion and approach until the actuators can follow them.
+
+        Returns: whether a duration was increased.
         """
         reference, longer = self.data["reference"], math.inf
         before = reference["duration"]
@@ -429,19 +435,23 @@ class Draft:
         return any(self._longer(*each) > each[0] for each in timed)
 
     def _motion_peaks(self) -> np.ndarray:
-        """The largest forces (nv) of the motion, N m or N, without a moment after a grasp."""
+        """Return the largest forces (nv) of the motion, N m or N, except just after a grasp."""
         planned = self._planned()
         first = 0.0 if self.asked.capture is None else min(_SETTLE, 0.1 * planned.motion.end)
         return _peaks(planned, first)
 
     def _approach_peaks(self) -> np.ndarray:
-        """The largest forces (nv) of the approach, N m or N, as if the target were held."""
+        """Return the largest forces (nv) of the approach, N m or N, as if the target were held."""
         whole = PlannedDynamics(self._scenario(disturbance={}))
         return _peaks(whole, 0.0, self.data["capture"]["approach"]["duration"])
 
     def _longer(self, duration: float, peaks: np.ndarray) -> float:
-        """The duration, a multiple of 5 s, of a motion whose peak forces (nv) leave the actuators
-        their reserve.
+        """Return the duration, a multiple of 5 s, with which a motion leaves the actuators their
+        reserve.
+
+        Args:
+          duration: s, the present duration.
+          peaks: largest forces (nv) with the present duration, N m or N.
         """
         limit, base = self._limit, np.arange(peaks.size) < NUM_BASE_VELOCITIES
         share = np.where(base, _MOTION, _JOINT)
@@ -452,18 +462,19 @@ class Draft:
         return min(_SECONDS * whole, _LONGEST)
 
     def motion_forces(self) -> np.ndarray:
-        """The largest forces (nv) of perfect tracking of the planned motion, N m or N."""
+        """Return the largest forces (nv) of perfect tracking of the planned motion, N m or N."""
         return _peaks(self._planned())
 
     def _at_postures(self, *, holds: bool) -> Iterator[np.ndarray]:
-        """Mass matrices (nv, nv) in the postures, with the target or without."""
+        """Yield the mass matrices (nv, nv) in the postures, with the target or without."""
         model = make_true_plant(dataclasses.replace(self.scenario, holds=holds))
         for key, each in self.scenario.postures.items():
             yield model.calc_mass_matrix(configuration(model.plant, each, key=key))
 
     def _resolve_friction(self) -> None:
-        """Steps of the integrator that resolve friction near rest, with its change of sign within
-        the slowest rate that one of few steps resolves.
+        """Choose integrator steps that resolve friction near rest.
+
+        Large steps are preferred, then a slow rate within which friction changes its sign.
         """
         drives, config = self.data["actuation"].get("drives"), self.data["simulator_config"]
         if drives is None:
@@ -485,8 +496,9 @@ class Draft:
         )
 
     def _size_wheels(self) -> None:
-        """Wheels with the torque for the peak forces and, beside thrusters, for their pulses; given
-        ones, and those that feel a grasp, get the thrusters' help.
+        """Size the wheels for the peak torque and, with thrusters, for the torque of their pulses.
+
+        Thrusters assist wheels that are too weak or that hold the momentum of a grasp.
         """
         if self.asked.wheels is None:
             return
@@ -512,13 +524,16 @@ class Draft:
             wheels["assist_above"] = 1.0
 
     def _torque(self, actuation: dict[str, Any]) -> float:
-        """Torque of the base's actuators of a section, available in any direction, N m."""
+        """Return the torque of the base actuators of a section in every direction, N m."""
         scenario = self._scenario(actuation=actuation)
         return float(actuation_limit(scenario, self.coordinates).upper[0])
 
     def _tune(self) -> None:
-        """Natural frequencies: those of the sensors' scenario, or less where noise would take more
-        than the actuators have left, equal within a group; then as large as settles.
+        """Choose natural frequencies and gains.
+
+        The frequencies start at the values of the sensors' scenario, or lower if noise would exceed
+        the reserve of the actuators. They are equal within a group, and shrink until the mission
+        settles.
         """
         coordinates, source = self.coordinates, self.asked.source
         planned, limit = self._planned(), self._limit
@@ -549,9 +564,14 @@ class Draft:
         self.remarks.append(f"{found}; see 'ffsm stability'")
 
     def _put_gains(self, omega: np.ndarray, matrices: np.ndarray) -> None:
-        """Gains of every law of the package for natural frequencies (nv), rad/s, with the mass
-        matrices (m, nv, nv) along the motion. With real sensors, laws that are not designed by axis
-        have half of them, since they may be stiffer.
+        """Set the gains of every law of the package.
+
+        With real sensors, laws that are not designed by axis have half the frequencies, because
+        they may be stiffer.
+
+        Args:
+          omega: natural frequencies (nv), rad/s.
+          matrices: mass matrices (m, nv, nv) along the motion.
         """
         found = self.data["controllers"]
         for name in SHIPPED["controller"]:
@@ -571,8 +591,8 @@ class Draft:
                 }
 
     def _too_fast(self) -> int:
-        """How many coordinates, from the first on, have too large a bandwidth: none, those of the
-        base, or all.
+        """Return how many coordinates, from the first one, have too large a bandwidth: none, the
+        six of the base, or all.
         """
         if self.asked.is_paper:
             for name in BY_AXIS:
@@ -588,7 +608,7 @@ class Draft:
 
 
 class _Arm:
-    """Postures of the joints that move the tip; the others rest at zero or the next limit."""
+    """Postures of the joints that move the tip. The other joints are at ``Joint.rest``."""
 
     def __init__(self, draft: Draft) -> None:
         self.true, self.plant, tip = draft.true, draft.true.plant, draft.servicer.tip
@@ -605,22 +625,24 @@ class _Arm:
         self.limits = np.array([each.range for each in moving])
 
     def whole(self, values: np.ndarray) -> np.ndarray:
-        """The configuration (nq) with values (m), the base at the origin."""
+        """Return the configuration (nq) with values (m), with the base at the origin."""
         joints = self.rest.copy()
         joints[self.moving] = values
         return np.concatenate([[1.0], np.zeros(NUM_BASE_POSITIONS - 1), joints])
 
     def by_name(self, values: np.ndarray) -> dict[str, float]:
-        """The angles of all joints, rad or m."""
+        """Return the positions of all joints by name, rad or m."""
         joints = self.whole(values)[NUM_BASE_POSITIONS:].tolist()
         return dict(zip(self.true.coordinates.joints, joints, strict=True))
 
     def best(
         self, candidates: list[np.ndarray], *, to: np.ndarray | None = None, count: int = 1
     ) -> list[np.ndarray]:
-        """The ``count`` most dexterous candidates (m) that are clear of contact, also on the way
-        ``to`` another; where none is, those clear of real shapes, else the one with the largest
-        distance of these.
+        """Return the ``count`` most dexterous candidates (m) without contact, also on the way
+        ``to`` another.
+
+        If there is none, candidates without contact of real shapes are returned, or else the
+        candidate with the largest distance.
         """
         ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
         has_invented = len([*self.all_shapes.placed()]) > len([*self.clearance.placed()])
@@ -642,8 +664,10 @@ class _Arm:
     def nearest(
         self, start: np.ndarray, end: np.ndarray, shapes: Clearance | None = None
     ) -> Nearest:
-        """The nearest parts on the straight way between two postures (m), by default of real
-        shapes; as far as ``_CLEAR`` of interest.
+        """Return the nearest parts on the straight way between two postures (m), by default of real
+        shapes.
+
+        Distances above ``_CLEAR`` are not computed.
         """
         shares = np.linspace(0.0, 1.0, 1 if np.array_equal(start, end) else _WAY)
         ways = (self.whole(start + share * (end - start)) for share in shares)
@@ -651,8 +675,8 @@ class _Arm:
         return min(found, key=lambda each: each.distance)
 
     def _stiffness(self, values: np.ndarray) -> float:
-        """How far from dexterous and outstretched a posture (m) is: the ratio of the tip's singular
-        values over its distance from the base.
+        """Return how far a posture (m) is from dexterous and outstretched: the ratio of the
+        singular values of the tip, divided by its distance from the base.
         """
         self.plant.SetPositions(self.true.context, self.whole(values))
         base = base_body(self.plant).body_frame()
@@ -673,11 +697,11 @@ def _written(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:
-    """Force per acceleration of each coordinate (..., nv), the others free to react."""
+    """Return force divided by acceleration of each coordinate (..., nv), the others free."""
     return 1.0 / np.diagonal(np.linalg.inv(mass_matrix), axis1=-2, axis2=-1)
 
 
 def _peaks(planned: PlannedDynamics, begin: float = 0.0, end: float | None = None) -> np.ndarray:
-    """Largest forces (nv) of perfect tracking between two times, s."""
+    """Return the largest forces (nv) of perfect tracking between two times, s."""
     times = np.linspace(begin, planned.motion.end if end is None else end, _INSTANTS)
     return np.abs(planned.perfect_tracking(times)[1]).max(axis=0)

@@ -1,5 +1,5 @@
-"""The starting scenario for a URDF: a folder with a commented YAML file, the URDF as Drake loads
-it, and its meshes.
+"""The first scenario for a URDF: a folder with a commented YAML file, the URDF as Drake loads it,
+and its meshes.
 """
 
 import copy
@@ -62,19 +62,19 @@ class NewScenario:
     tried: tuple[str, ...] = ()
 
     def judged(self) -> "NewScenario":
-        """The same with a verdict on the mission in its file."""
+        """Return the same scenario with the verdict on the mission in its file."""
         with step("predicting the mission"):
             mission = verdict(load_scenario(str(self.scenario_file)), advises=False)
         return dataclasses.replace(self, mission=mission)
 
     @property
     def is_as_planned(self) -> bool:
-        """Whether nothing is known that speaks against the mission as planned."""
+        """Whether no check speaks against the mission as planned."""
         return self.mission is None or self.mission.is_as_planned
 
     @property
     def payload_mass(self) -> float:
-        """The target's true mass, kg."""
+        """True mass of the target, kg."""
         return self.scenario.payload.truth.mass
 
     def data(self) -> dict[str, Any]:
@@ -105,9 +105,7 @@ class NewScenario:
         }
 
     def summary(self) -> str:
-        """The findings as text: base, joints, tip, masses, margins, and the commands that
-        come next.
-        """
+        """Return the findings as text: base, joints, tip, masses, margins, next commands."""
         found, folder = self.servicer, _relative(self.scenario_file.parent)
         lines = [
             f"base        {found.base}, {short(found.base_mass, 4)} kg of "
@@ -162,33 +160,33 @@ def new_scenario(
     trust: bool = False,
     rehearse: bool = False,
 ) -> NewScenario:
-    """Write a folder with a scenario for the servicer of a model file, its URDF as Drake loads it,
-    and its meshes.
+    """Write a folder with a scenario for the servicer of a model file, its URDF for Drake, and its
+    meshes.
 
-    The folder is complete in itself: it can be moved or sent. Nothing is written if an argument is
+    The folder is complete in itself, and can be moved or sent. Nothing is written if an argument is
     refused.
 
     Args:
-      urdf: the model of base and arm, whose base is the root link: URDF, xacro, MJCF or SDFormat.
-      directory: the new folder, missing or empty; the scenario gets its name.
-      tip: link or frame that holds the target; None for the end of the longest chain.
-      packages: folders of the packages that mesh addresses name.
-      payload_mass: true mass of the target, a cube, kg; None for a quarter of the base's.
-      payload_size: its side, m; None: by its mass and the arm's reach.
-      target: model file of the target in place of that: one rigid body, and a frame where it is
+      urdf: model of base and arm, with the base as its root link: URDF, xacro, MJCF or SDFormat.
+      directory: new folder, missing or empty; the scenario has its name.
+      tip: link or frame that holds the target; None: the end of the longest chain.
+      packages: folders of the packages in mesh addresses.
+      payload_mass: true mass of the target, a cube, kg; None: a quarter of the mass of the base.
+      payload_size: side of the cube, m; None: from its mass and the reach of the arm.
+      target: model file of the target, in place of a cube: one rigid body, and a frame where it is
         held (``grasp``, or the only one), with z into the target.
-      bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world``
-        says where. The box is the base then.
-      bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
-      asked: sensors, actuators, panels and a grasp; None for the paper's mission.
+      bus_mass: mass of a box, kg, which becomes the base. The arm is mounted on its +z face, where
+        a fixed joint to ``world`` is.
+      bus_size: sides of the box, m: one or three; None: a cube of 50 kg/m^3.
+      asked: sensors, actuators, panels and a grasp; None: the mission of the paper.
       xacro_args: values of the arguments of a xacro file.
       trust: allow xacro files ``load_yaml``, environment variables, and files outside the folder of
         the model and of packages.
-      rehearse: run the mission; if its verdict is not good, try other options for a remedy, which
-        takes some times as long.
+      rehearse: run the mission. If its verdict is not good, try other options, which takes a
+        multiple of the time.
 
     Raises:
-      ModelError: the URDF is not that of a free base with an arm; the message says what to change.
+      ModelError: the model is not a free base with an arm; the message names the change.
       ScenarioError: an argument cannot be used.
       RecordError: the folder cannot be written.
     """
@@ -256,8 +254,11 @@ def new_scenario(
 
 
 def _rehearsed(made: NewScenario, others: Mapping[str, Callable[[], NewScenario]]) -> NewScenario:
-    """A mission with its verdict; if it is not expected to go as planned, with what helps of other
-    options, by the words for it.
+    """Return a mission with its verdict and, if it is not expected to go as planned, an option that
+    helps.
+
+    Args:
+      others: words for a change of options -> function that makes the scenario with it.
     """
     made = made.judged()
     if made.is_as_planned:
@@ -295,10 +296,11 @@ def _make(
     side: float | None,
     strict: bool,
 ) -> NewScenario:
-    """Make everything in a folder that is still temporary, with a target, or a cube of a mass (kg)
-    and side (m).
+    """Write everything into a temporary folder.
 
-    Raises ScenarioError, if strict, where no posture drawn has a plan without faults.
+    Args:
+      target: the target; None: a cube of a mass (kg) and side (m).
+      strict: raise ScenarioError if no drawn posture has a plan without faults.
     """
     file, text = folder / f"{folder.name}.yaml", _TEMPLATE.read_text(encoding="utf-8")
     data = yaml.safe_load(text)
@@ -323,7 +325,7 @@ def _make(
     sides = [rounded((given.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1)]
 
     def clear(place: Path) -> Target | None:
-        """The largest cube of half the side, a quarter, ... that touches nothing."""
+        """Return the largest cube, of half the side, a quarter, ..., that touches nothing."""
         for each in sides:
             smaller = cube(given.mass, each, servicer, share=_PAYLOAD_SHARE)
             with step(f"trying a target of {each:g} m"):
@@ -395,7 +397,10 @@ def _write_models(
     *,
     packages: Mapping[str, Path],
 ) -> list[str]:
-    """Write the URDFs, and name them and the payload in a scenario's data; what was left out."""
+    """Write the URDFs, and set models and payload in the data of a scenario.
+
+    Returns: remarks on omitted parts.
+    """
     copied, name = (f"{each.source.name.split('.')[0]}.urdf" for each in (servicer, target))
     left_out = [*write_urdf(servicer, folder, file_name=copied, packages=packages)]
     stripped = write_urdf(target, folder / _TARGET, file_name=name, packages=packages)
@@ -418,8 +423,9 @@ def _write_models(
 
 
 def _filled(template: str, data: Mapping[str, Any]) -> str:
-    """The template with a scenario's data in place of its own, block by block; nested values on one
-    line where they are short, empty sections left out.
+    """Return the template with the data of a scenario, block by block.
+
+    Short nested values are on one line, and empty sections are left out.
     """
     parts = list[str]()
     for block in template.split("\n\n"):
@@ -447,5 +453,5 @@ def _limits(joint: Joint) -> str:
 
 
 def _relative(path: Path) -> Path:
-    """Relative to the working directory where that is shorter to type."""
+    """Return the path relative to the working directory if it is inside."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

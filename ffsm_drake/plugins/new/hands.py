@@ -1,7 +1,9 @@
-"""Two hands on one target: the place of the second one, and postures in which both hold it.
+"""Two hands on one target: the place of the second hand, and postures in which both hold the
+target.
 
-The second hand holds a cube at the middle of another face, or beside the first hand on its face,
-with z into the cube; the turn about z is free. A target from a file has its own frame for it.
+The second hand holds a cube at the middle of another face, or next to the first hand on the same
+face, with z into the cube. The rotation about z is free. A target from a file has its own frame for
+the second hand.
 """
 
 import dataclasses
@@ -53,12 +55,14 @@ class Hands:
     """The search for postures in which two hands hold a target, and for a motion between two."""
 
     def __init__(self, draft: Any, target: Target, *, clear: float) -> None:
-        """Args:
-          draft: the scenario so far (``Draft``).
-          target: the target, with a frame for the second hand if it is from a file.
+        """Prepare the search.
+
+        Args:
+          draft: the present scenario (``Draft``).
+          target: the target; a target from a file needs a frame for the second hand.
           clear: distance that parts should keep, m.
 
-        Raises ScenarioError: an arm has too few joints of its own, or a file has one frame only.
+        Raises ScenarioError: an arm has too few joints of its own, or a file has only one frame.
         """
         if target.second is None and target.side is None:
             raise ScenarioError(
@@ -105,7 +109,7 @@ class Hands:
         return find_frame(self._plant, name, key="--tips")
 
     def _jacobian(self, frame: Frame, other: Frame) -> np.ndarray:
-        """Twist (6) of a frame in another, in its axes, by joint rates; rad/s, m/s."""
+        """Return the twist (6) of a frame in another, in its axes, per joint rate; rad/s, m/s."""
         jacobian = self._plant.CalcJacobianSpatialVelocity(
             self._context, JacobianWrtVariable.kV, frame, np.zeros(3), other, other
         )
@@ -113,8 +117,9 @@ class Hands:
         return found
 
     def place(self) -> bool:
-        """Put contacts, postures and a duration; whether there are any. The draft's ``touching``
-        says what is wrong.
+        """Choose contacts, postures and a duration.
+
+        Returns: whether there are any. If not, ``touching`` of the draft gives the reason.
         """
         draft = self._draft
         with step(lambda: f"posture {self._drawings} of {_DRAWN} of both hands"):
@@ -153,7 +158,7 @@ class Hands:
         return False
 
     def _best(self) -> list[_Hold]:
-        """Some holds that are clear of contact, the most dexterous first, else that with the
+        """Return some holds without contact, the most dexterous first, or else the hold with the
         largest distance.
         """
         found, nearest = list[_Hold](), list[_Hold]()
@@ -189,12 +194,12 @@ class Hands:
                 break
 
     def _place(self) -> RigidTransform:
-        """The second hand's pose in the target's frame."""
+        """Return the pose of the second hand in the frame of the target."""
         pose: RigidTransform = self._hands[1].CalcPose(self._context, self._body)
         return pose
 
     def _places(self) -> list[RigidTransform]:
-        """Where the second hand may hold the target: poses in its body's frame."""
+        """Return poses of the second hand in the frame of the target at which it may hold it."""
         if self._target.second is not None:
             frame = self._frame(f"debris::{self._target.second}")
             return [frame.CalcPose(self._context, self._body)]
@@ -209,8 +214,13 @@ class Hands:
     def _reached(
         self, joints: np.ndarray, X_PG: RigidTransform, *, turned: bool
     ) -> np.ndarray | None:
-        """The joints with those of the second arm moved until its hand is in place, ``turned``
-        about z as it comes; None: out of reach.
+        """Return the joints, with the second arm moved until its hand is in place; None: out of
+        reach.
+
+        Args:
+          joints: positions of all joints, rad or m.
+          X_PG: pose of the hand in the frame of the target.
+          turned: whether the rotation about z is free.
         """
         joints, second, tip = joints.copy(), self._second, self._tips[1]
         R_PG, z = X_PG.rotation(), X_PG.rotation().matrix()[:, 2]
@@ -248,7 +258,7 @@ class Hands:
         return None
 
     def _dexterity(self, arm: int, joints: np.ndarray) -> float:
-        """The least singular value of an arm's motions."""
+        """Return the least singular value of the motions of an arm."""
         self._set(joints)
         base = base_body(self._plant).body_frame()
         jacobian = self._jacobian(self._hands[arm], base)[:, self._arms[arm]]
@@ -257,8 +267,10 @@ class Hands:
         return float(singular[len(self._rows) - 1])
 
     def _start(self, hold: _Hold) -> bool:
-        """Put an initial posture from which both hands take the target to that of a hold, within
-        the joints' limits, and clear of contact if one is found; and a duration.
+        """Choose an initial posture from which both hands move the target to a hold, and a
+        duration.
+
+        The motion is within the joint limits and, if possible, without contact.
         """
         draft, data, best, n = self._draft, self._draft.data, None, hold.joints.size
         for share, _ in itertools.product(_SHARES, range(_WAYS)):
@@ -305,7 +317,7 @@ class Hands:
         return bool(((joints > self._low - _SLACK) & (joints < self._high + _SLACK)).all())
 
     def _distance(self, joints: np.ndarray) -> float:
-        """The smallest distance of parts, m, as far as ``clear`` is of interest."""
+        """Return the smallest distance of parts, m; distances above ``clear`` are not computed."""
         return self._shapes.nearest(self._whole(joints), below=self._clear).distance
 
     def _drawn(self) -> np.ndarray:

@@ -15,13 +15,13 @@ _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": 
 
 
 def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> list[str]:
-    """Draw the links of a URDF that have no visual; returns their names.
+    """Draw the links of a URDF that have no visual; return their names.
 
-    A link of the base becomes the box with its moments of inertia. Any other becomes a ball at its
-    joint, with rods of the given radius (m) from there to the joints and frames on it, over the
-    stroke of a sliding joint, or, at the end of a chain, past its centre of mass. So the bodies
-    touch from joint to joint. Shapes of the base do not count for clearances: its mass says little
-    about its size.
+    A link of the base becomes the box with its moments of inertia. Any other link becomes a ball at
+    its joint, with rods of the given radius (m). The rods end at the joints and frames on the link,
+    over the stroke of a sliding joint, or past the centre of mass at the end of a chain, so that
+    bodies touch from joint to joint. Shapes of the base do not count for clearances, because its
+    mass says little about its size.
     """
     drawn = list[str]()
     given = {name_of(link): link.findall("visual") for link in root.findall("link")}

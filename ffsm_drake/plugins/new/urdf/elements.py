@@ -40,13 +40,13 @@ class Joint:
 
     @property
     def rest(self) -> float:
-        """The value nearest to 0 that keeps a tenth of the range to the limits, rad or m."""
+        """Position nearest to 0 with a distance of a tenth of the range to the limits, rad or m."""
         margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
         return min(max(0.0, self.lower + margin), self.upper - margin)
 
     @property
     def range(self) -> tuple[float, float]:
-        """The part of its range that a motion may use, rad or m."""
+        """Part of the range that a motion may use, rad or m."""
         margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
         way = _TURN
         if self.unit == "m":
@@ -62,17 +62,17 @@ class Joint:
 
 
 def name_of(element: Element) -> str:
-    """The name of a link, joint or frame, which ``check`` found good."""
+    """Return the name of a link, joint or frame, which ``check`` has checked."""
     return element.get("name", "")
 
 
 def listed(names: list[str]) -> str:
-    """The first of some names, and the number of the others."""
+    """Return the first of some names, and the number of the others."""
     return ", ".join(names[:4]) + f" and {len(names) - 4} more" * (len(names) > 4)
 
 
 def end_of(joint: Element, role: str) -> str:
-    """The link that a joint names as its ``parent`` or ``child``."""
+    """Return the link that a joint names as its ``parent`` or ``child``."""
     end = joint.find(role)
     link = "" if end is None else end.get("link", "")
     require(link, f"joint '{name_of(joint)}': has no <{role} link=...>")
@@ -82,7 +82,7 @@ def end_of(joint: Element, role: str) -> str:
 def vector(
     element: Element | None, attribute: str, place: str, default: str = "0 0 0"
 ) -> np.ndarray:
-    """Three numbers; the default if there is no element or no attribute."""
+    """Return three numbers; the default if there is no element or no attribute."""
     text = default if element is None else element.get(attribute, default)
     try:
         values = np.array([float(part) for part in text.split()])
@@ -94,7 +94,9 @@ def vector(
 
 
 def package_folders(package: str, source: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    """Where a package's folder may be: as given in ``packages``, else above a file ``source``."""
+    """Return where the folder of a package may be: as given in ``packages``, else above a file
+    ``source``.
+    """
     if package in packages:
         yield packages[package]
     yield from (above if above.name == package else above / package for above in source.parents)
@@ -103,8 +105,8 @@ def package_folders(package: str, source: Path, packages: Mapping[str, Path]) ->
 def found_file(
     address: str, source: Path, packages: Mapping[str, Path], *, is_model: bool = False
 ) -> Path | None:
-    """The file of an address: a path relative to a file ``source``, or a URL; of a model's folder
-    in SDFormat the file that it names.
+    """Return the file of an address: a path relative to a file ``source``, or a URL. For the folder
+    of a model in SDFormat, it is the file that the model names.
     """
     scheme, _, rest = address.rpartition("://")
     if scheme in ("", "file"):

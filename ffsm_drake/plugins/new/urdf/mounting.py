@@ -51,10 +51,12 @@ def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
 
 
 def mount(root: Element, bus: Bus) -> str:
-    """Join the arm of a parsed URDF to a new base link, moving world-fixed links to its +z face.
+    """Join the arm of a parsed URDF to a new base link; links fixed to the world move to its +z
+    face.
 
-    Returns: the link of the bus. Raises ModelError if the arm's foot is ambiguous, or the model is
-    a spacecraft.
+    Returns: the link of the bus.
+
+    Raises ModelError: the foot of the arm is ambiguous, or the model is a spacecraft.
     """
     _check_is_arm(root)
     links = [name_of(link) for link in root.findall("link")]
@@ -91,7 +93,7 @@ def mount(root: Element, bus: Bus) -> str:
 
 
 def _check_is_arm(root: Element) -> None:
-    """Raise ModelError where a free root has half of the mass or more, and so is a spacecraft."""
+    """Raise ModelError if a free root has half of the mass or more, so that it is a spacecraft."""
     free = copy.deepcopy(root)
     free_base(free)
     joints = free.findall("joint")

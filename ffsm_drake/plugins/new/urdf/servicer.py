@@ -59,13 +59,13 @@ class Servicer:
 
     @property
     def reach(self) -> float:
-        """Reach of the arm that holds the target, of two the shorter one's, m."""
+        """Reach of the arm that holds the target, m; with two arms, the shorter reach."""
         return min(tip.reach for tip in (self.tip, self.second) if tip is not None)
 
     @property
     def other_frames(self) -> list[str]:
         """Frames that could hold the target in place of the tip: other tips, named frames, and
-        links that carry none, such as a fork's.
+        links that carry no other link, such as the links of a fork.
         """
         carrying = {parent.get("link") for parent in self.root.iterfind("joint/parent")}
         frames = [
@@ -79,8 +79,8 @@ class Servicer:
 
     @property
     def drives(self) -> dict[str, dict[str, float]]:
-        """Drives with the damping and friction of the moving joints, as a scenario has them; empty
-        if there are none.
+        """Drives with the damping and friction of the moving joints, as in a scenario; empty if
+        there are none.
         """
         found: dict[str, dict[str, float]] = {}
         moving = {joint.name for joint in self.joints}
@@ -95,7 +95,7 @@ class Servicer:
 
     @property
     def half_side(self) -> float:
-        """Half the side of the cube with the mean inertia of the base's heaviest link, m."""
+        """Half the side of the cube with the mean inertia of the heaviest link of the base, m."""
         links = [link for link in self.root.findall("link") if name_of(link) in self.base_links]
         link = max(links, key=read_mass)
         return 0.5 * math.sqrt(2.0 * float(np.trace(read_inertia(link))) / read_mass(link))
@@ -111,16 +111,16 @@ def read_urdf(
     arguments: Mapping[str, str] | None = None,
     trust: bool = False,
 ) -> Servicer:
-    """Read and check a URDF, or a file of another format as one.
+    """Read and check a URDF, or a file of another format as a URDF.
 
     Args:
       path: the file.
-      bus: the bus to mount it on, if it is an arm without a base.
-      tip: name of the link or frame that holds the target; None for the end of the longest chain.
-      second: likewise of a second hand.
-      packages: folders of the packages that it names.
+      bus: bus on which an arm without a base is mounted.
+      tip: link or frame that holds the target; None: the end of the longest chain.
+      second: link or frame of a second hand.
+      packages: folders of the packages that the file names.
       arguments: values of the arguments of a xacro file.
-      trust: allow a xacro file to read what is outside its folder.
+      trust: allow a xacro file to read files outside its folder.
 
     Raises:
       ModelError: the file is not a model of a free base with single-degree joints and physical
@@ -192,7 +192,7 @@ def read_urdf(
 
 
 def _check_apart(first: Tip, second: Tip) -> None:
-    """Raise ModelError where two tips are on one arm."""
+    """Raise ModelError if two tips are on one arm."""
     require(
         first.frame != second.frame,
         f"both tips are '{first.frame}'; name the hands of two arms",
@@ -330,7 +330,9 @@ class _Tree:
         faults.raise_all()
 
     def tips(self, chosen: str | None) -> list[Tip]:
-        """The chosen tip (default: the longest chain's), then the others, longest chain first."""
+        """Return the chosen tip (default: end of the longest chain), then the others, longest chain
+        first.
+        """
         ends = sorted(self._ends(), key=lambda tip: (-len(tip.joints), -tip.reach))
         if chosen is None:
             return ends
@@ -365,7 +367,9 @@ class _Tree:
         return [name for name, frame in self.frames.items() if frame.get("link") in links]
 
     def _ends(self) -> list[Tip]:
-        """The ends of the chains; for a gripper its palm or a link fixed there, not its fingers."""
+        """Return the ends of the chains. The end of a gripper is its palm or a link fixed to the
+        palm.
+        """
         ends = []
         for head in (joint.child for joint in self.joints if joint.moves):
             # A rigid group counts once, by its outermost frame.

@@ -1,5 +1,5 @@
-"""Simplification of a URDF: bases held by joints become free, following joints become fixed, ranges
-of zero go.
+"""Simplification of a URDF: bases held by joints become free, following joints become fixed, and
+ranges of zero are removed.
 """
 
 import math
@@ -33,11 +33,13 @@ _DEGREES = (20.0, 720.0)  # a range (upper less lower) between these is not in r
 
 
 def free_base(root: Element) -> np.ndarray | None:
-    """Remove the joints between a floating or sliding base and the world, or a massless root, with
-    the massless links between. Returns the normal (3) of the plane of a planar base, in the base's
-    axes at the joints' zero; None of any other.
+    """Remove the joints between a floating or sliding base and the world or a massless root, with
+    the massless links between them.
 
-    Raises ModelError: such a joint has a rotor, an inertia that no body has.
+    Returns: the normal (3) of the plane of a planar base, in the axes of the base with the joints
+    at zero; None for other bases.
+
+    Raises ModelError: one of the joints has a rotor, whose inertia no body has.
     """
     joints = root.findall("joint")
     links = {name_of(link): link for link in root.findall("link")}
@@ -99,7 +101,10 @@ def rotor_of(root: Element, joint: str) -> float:
 
 
 def fix_followers(root: Element) -> dict[str, str]:
-    """Fix the joints that follow others (<mimic>) where those rest; follower -> leader."""
+    """Fix the joints that follow others (<mimic>) at the rest positions of their leaders.
+
+    Returns: follower -> leader.
+    """
     joints = {name_of(joint): joint for joint in root.findall("joint")}
     found = dict[str, str]()
     _check_leaders(joints)
@@ -151,7 +156,7 @@ def _check_leaders(joints: Mapping[str, Element]) -> None:
 
 
 def vague_limits(root: Element) -> Iterator[str]:
-    """Remove ranges of 0 to 0; yields remarks on limits that say nothing, or are in degrees."""
+    """Remove ranges of 0 to 0; yield remarks on limits that are useless, or in degrees."""
     unknown: dict[str, list[str]] = {"effort": [], "velocity": [], "range": []}
     degrees, beyond = list[str](), list[str]()
     for joint in root.findall("joint"):

@@ -54,13 +54,13 @@ class Target:
 
 
 def cube(mass: float | None, side: float | None, servicer: Servicer, *, share: float) -> Target:
-    """A solid cube, held at the middle of a face.
+    """Return a solid cube, held at the middle of a face.
 
     Args:
-      mass: kg; None: a ``share`` of the base's.
-      side: m; None: that of a cube of 100 kg/m^3, but no longer than the arm reaches, and then of
-        1000 kg/m^3 at most, if the mass is not given.
-      servicer: what holds it.
+      mass: kg; None: a ``share`` of the mass of the base.
+      side: m; None: from a density of 100 kg/m^3, at most the reach of the arm. If the mass is not
+        given, the density is at most 1000 kg/m^3.
+      servicer: servicer that holds the cube.
     """
     chosen = rounded(share * servicer.base_mass) if mass is None else mass
     if side is None:
@@ -80,12 +80,14 @@ def cube(mass: float | None, side: float | None, servicer: Servicer, *, share: f
 def read_target(
     path: Path, packages: Mapping[str, Path] | None = None, *, trust: bool = False
 ) -> Target:
-    """Read and check a URDF, or a file of another format as one.
+    """Read and check a URDF, or a file of another format as a URDF.
 
-    Links fixed to each other count as one body: that of the heaviest link. ``trust``: see
-    ``read_urdf``.
+    Links fixed to each other count as one body, with the name of the heaviest link.
 
-    Raises ModelError unless it is one rigid body with a grasp frame.
+    Args:
+      trust: see ``read_urdf``.
+
+    Raises ModelError: the file is not one rigid body with a grasp frame.
     """
     try:
         root, header, remarks = read_model(path, "its URDF", packages or {}, {}, trust=trust)
@@ -132,9 +134,10 @@ def read_target(
 
 
 def _gathered(root: Element, body: str) -> tuple[np.ndarray, np.ndarray]:
-    """Give one link the mass of all that are fixed to it.
+    """Give one link the mass of all links that are fixed to it.
 
-    Returns: the centre of mass (3), m, and the inertia (3, 3) about it, kg m^2, in its frame.
+    Returns: the centre of mass (3), m, and the inertia (3, 3) about it, kg m^2, in the frame of the
+    link.
     """
     joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
     parts = list[tuple[float, np.ndarray, np.ndarray]]()
@@ -173,7 +176,7 @@ def _origin(element: Element | None, place: str) -> RigidTransform:
 
 
 def _pose_of(link: str, joints: Mapping[str, Element]) -> RigidTransform:
-    """The pose of a link in the root, over fixed joints by child."""
+    """Return the pose of a link in the root. ``joints``: fixed joints by child."""
     pose, seen = RigidTransform(), set[str]()
     while link in joints:
         require(link not in seen, f"link '{link}': its joints form a loop")

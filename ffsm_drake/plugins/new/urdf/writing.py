@@ -36,13 +36,15 @@ _REASONS = {
 def write_urdf(
     servicer: Servicer | Target, directory: Path, *, file_name: str, packages: Mapping[str, Path]
 ) -> tuple[str, ...]:
-    """Write the copy for Drake, with its meshes. Returns the omissions, one per line.
+    """Write the copy for Drake, with its meshes.
 
     Args:
       servicer: the servicer or target read from the original.
-      directory: gets the URDF and a folder ``meshes``.
+      directory: folder for the URDF and a folder ``meshes``.
       packages: folder of each ROS package in mesh addresses; other packages are searched above the
         URDF.
+
+    Returns: the omissions, one per line.
 
     Raises:
       RecordError, OSError: the folder cannot be written.
@@ -151,9 +153,9 @@ def _inline_colors(root: Element) -> None:
 
 
 class _Meshes:
-    """Copies the drawable meshes of a URDF, STL and COLLADA as Wavefront, and addresses the copies.
+    """Copies of the drawable meshes of a URDF; STL and COLLADA become Wavefront files.
 
-    Other shapes become marks, by which clearances name them.
+    Shapes that cannot be drawn become marks, so that clearances name them.
     """
 
     def __init__(self, source: Path, folder: Path, packages: Mapping[str, Path]) -> None:
@@ -162,8 +164,9 @@ class _Meshes:
         self._places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
 
     def draw(self, link: Element) -> Counter[str]:
-        """Copy the meshes of a link. Without a picture that can be drawn, its collision shapes are
-        drawn. Returns the numbers of those that are, and are not.
+        """Copy the meshes of a link. If no visual can be drawn, its collision shapes are drawn.
+
+        Returns: the numbers of drawn and omitted collision shapes.
         """
         marks = [each for each in link.findall("visual") if not self._copy(each)]
         is_needed = bool(marks) or link.find("visual") is None
@@ -181,7 +184,7 @@ class _Meshes:
         return counts
 
     def _copy(self, visual: Element) -> bool:
-        """Copy the mesh of a visual, if it has one; whether it can be drawn."""
+        """Copy the mesh of a visual, if it has one. Return whether it can be drawn."""
         shape = next(visual.iterfind("geometry/*"), Element("nothing"))
         if shape.tag.removeprefix(DRAKE) in _SHAPES:
             return True
@@ -215,7 +218,7 @@ class _Meshes:
         return bool(converted) or file.suffix.lower() != ".dae"
 
     def remarks(self) -> Iterator[str]:
-        """A line for meshes not found, and for shapes that cannot be drawn."""
+        """Yield a line for missing meshes, and a line for shapes that cannot be drawn."""
         is_package = any(each.startswith(("package:", "model:")) for each in self._missing)
         beside = f"put them next to {self._source.name}"
         found_by = "give --package NAME=FOLDER" if is_package else beside
@@ -245,7 +248,7 @@ class _Meshes:
 
 
 def _with_companions(mesh: Path) -> list[Path]:
-    """A mesh and the files in its folder that it names: materials, textures, buffers."""
+    """Return a mesh and the files in its folder that it names: materials, textures, buffers."""
     files = [mesh]
     for file in files:  # grows during the loop
         if file.suffix.lower() not in (*DRAWABLE, ".mtl"):

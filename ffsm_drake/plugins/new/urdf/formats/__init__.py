@@ -1,6 +1,6 @@
 """Models in MJCF, SDFormat and xacro, converted to URDF.
 
-Elements without effect in free flight are passed over and listed. Elements that change dynamics and
+Elements without effect in free flight are omitted and listed. Elements that change the dynamics and
 have no counterpart are errors, all in one message.
 """
 
@@ -30,17 +30,18 @@ def read_model(
     *,
     trust: bool = False,
 ) -> tuple[Element, str, list[str]]:
-    """The root element of a file's URDF, the comments before it, and remarks on omissions.
+    """Return the root element of the URDF of a file, the comments before it, and remarks on
+    omissions.
 
-    A URDF is read here. Other formats, and URDFs that declare the namespace of xacro, are read in a
-    process of its own.
+    A URDF is read in this process. Other formats, and URDFs that declare the namespace of xacro,
+    are read in a separate process.
 
     Args:
       path: the file.
-      what: what it should be, for errors.
+      what: what the file should be, for errors.
       packages: folders of its packages.
       arguments: values of the arguments of a xacro file.
-      trust: allow what ``xacro.expand`` says.
+      trust: see ``xacro.expand``.
 
     Raises ModelError, also for unusable names and numbers.
     """
@@ -64,8 +65,10 @@ def read_model(
 
 
 def as_urdf(path: Path) -> str:
-    """The text of a model file's URDF, without pictures and the joints' friction, for its dynamics
-    alone. Raises ModelError.
+    """Return the URDF of a model file as text, without visuals and joint friction, for its dynamics
+    only.
+
+    Raises ModelError.
     """
     root, _, _ = read_model(path, "a model", {}, {})
     for joint in root.findall("joint"):

@@ -14,7 +14,7 @@ _ZERO = 1e-14  # relative; products of inertia below it come from rounding
 
 
 def text(values: object) -> str:
-    """Numbers as text that gives them back."""
+    """Return numbers as text without loss."""
     return " ".join(f"{value + 0.0!r}" for value in np.ravel(np.asarray(values, float)).tolist())
 
 
@@ -25,8 +25,8 @@ def origin(parent: Element, pose: RigidTransform) -> None:
 
 
 def add_link(root: Element, name: str, mass: float, center: object, inertia: np.ndarray) -> Element:
-    """A link with a mass (kg), its centre (3, m) and the inertia (3, 3, kg m^2) about that, in the
-    link's axes.
+    """Return a link with a mass (kg), its centre (3, m), and the inertia (3, 3, kg m^2) about the
+    centre, in the axes of the link.
     """
     link = SubElement(root, "link", name=name)
     if mass or inertia.any():
@@ -52,8 +52,11 @@ def add_joint(
     limits: Mapping[str, float] | None = None,
     rotor: float = 0.0,
 ) -> Element:
-    """A joint between a parent and a child, at a pose in the parent; with the limits (attributes of
-    <limit>), and the inertia (kg m^2 or kg) that its drive's rotor adds.
+    """Return a joint between a parent and a child, at a pose in the parent.
+
+    Args:
+      limits: attributes of <limit>.
+      rotor: inertia (kg m^2 or kg) that the rotor of the drive adds.
     """
     joint = SubElement(root, "joint", name=name, type=kind)
     SubElement(joint, "parent", link=ends[0])
@@ -91,9 +94,10 @@ def add_visual(
 
 
 def keep_servicer(root: Element) -> list[str]:
-    """Remove the bodies beside a free body that carries moving joints; the names of their roots.
+    """Remove the bodies that are not on a free body with moving joints; return the names of their
+    roots.
 
-    Bodies held by the world stay where no such body is free.
+    If no free body has moving joints, bodies held by the world stay.
     """
     joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
     links = {name_of(link): link for link in root.findall("link")}
@@ -121,7 +125,7 @@ def keep_servicer(root: Element) -> list[str]:
 
 
 def without_pictures(root: Element) -> str:
-    """The text of a URDF, whose visuals are removed."""
+    """Return the text of a URDF without its visuals."""
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)

@@ -1,5 +1,7 @@
-"""Models of other formats that Drake's parser reads by itself, compared with our reading of them:
-it passes over elements that change the motion.
+"""Models of other formats that Drake parses by itself, compared with the conversion of this
+package.
+
+Drake's parser ignores elements that change the motion.
 """
 
 import logging
@@ -30,8 +32,8 @@ _TOLERANCE = 1e-9  # relative, of numbers that two readers compute
 
 
 def check_direct(address: str, packages: Mapping[str, str]) -> None:
-    """Raise ModelError for a file, or one named in model directives, of which Drake reads another
-    motion than ``convert``.
+    """Raise ModelError for a file, or a file in model directives, whose motion differs between
+    Drake and ``convert``.
 
     Args:
       address: a path, or a package:// address.
@@ -98,7 +100,7 @@ def plant_of(
 
 
 def _differences(root: Element, ours: MultibodyPlant, theirs: MultibodyPlant) -> Iterator[str]:
-    """What Drake reads otherwise, in words, after "reads"."""
+    """Return what Drake reads differently, as text after "reads"."""
     own, other = _joints(ours), _joints(theirs)
     if strange := sorted(own.keys() ^ other.keys()):
         yield f"other joints ({listed(strange)}); name every joint and body"
@@ -166,7 +168,7 @@ def _same(one: float, two: float) -> bool:
 def _mass_matrix(
     plant: MultibodyPlant, pose: RigidTransform, angles: Mapping[str, float]
 ) -> np.ndarray:
-    """H with the free bodies at a pose: those first, in order of name, then the joints."""
+    """Return H with the free bodies at a pose: free bodies by name first, then the joints."""
     context, joints = plant.CreateDefaultContext(), _joints(plant)
     bodies = sorted(map(plant.get_body, plant.GetFloatingBaseBodies()), key=lambda b: b.name())
     order = list[int]()

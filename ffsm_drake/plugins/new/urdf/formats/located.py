@@ -1,4 +1,4 @@
-"""Elements of an XML file with their lines, which stay where other elements are removed."""
+"""Elements of an XML file with their lines, which stay when other elements are removed."""
 
 import math
 import re
@@ -91,7 +91,7 @@ def _number(word: str) -> float:
 
 
 def check_names(root: Element, lines: Lines, folder: Path) -> None:
-    """Raise ModelError for a version that is none, or the address of a device or FIFO."""
+    """Raise ModelError for an invalid version, or for the address of a device or FIFO."""
     version = root.get("version", "1.0")
     if not re.fullmatch(r"\d{1,3}(\.\d{1,3}){0,2}", version):
         raise ModelError(f"<sdf version> must be such as 1.9, not '{version[:40]}'")

@@ -127,7 +127,7 @@ def _repeated(root: Element) -> Iterator[tuple[Element, float]]:
 
 
 def _counts(element: Element, keys: tuple[str, ...]) -> list[float]:
-    """The numbers of attributes, 1 for those that are none."""
+    """Return the numbers of attributes; 1 if the text is no number."""
     found = [1.0]
     for word in " ".join(element.get(key, "") for key in keys).split():
         try:
@@ -167,7 +167,7 @@ def _drop_missing_files(mujoco: Any, spec: Any, path: Path) -> list[str]:
 
 
 def _places(path: Path) -> set[Path]:
-    """The folders in which the files of a model may be, and of those that it includes."""
+    """Return the folders in which the files of a model, and of included models, may be."""
     pending, found = [path], set[Path]()
     for file in pending:  # grows during the loop
         try:
@@ -280,8 +280,10 @@ class _Reader:
             yield f"effort limits hold in both directions, so the smaller counts: {listed(told)}"
 
     def _rotors(self) -> dict[str, float | None]:
-        """The inertia that drives add to each joint: the mass matrix with and without armature.
-        None: it is not the joint's alone.
+        """Return the inertia that drives add to each joint, from the mass matrix with and without
+        armature.
+
+        None: the inertia acts on several joints.
         """
         m, found = self.m, dict[str, float | None]()
         fields = ("dof_armature", "actuator_armature")
@@ -419,8 +421,9 @@ class _Reader:
                 )  # fmt: skip
 
     def _efforts(self, joint: int) -> np.ndarray:
-        """The least and the greatest force (2) of a joint's actuators, N m or N: the sum of all,
-        within the joint's own range. Infinite: not limited, or no actuator that acts.
+        """Return the least and the greatest force (2) of the actuators of a joint, N m or N.
+
+        It is their sum, within the range of the joint. Infinite: not limited, or no actuator acts.
         """
         m, total = self.m, np.zeros(2)
         tendons = dict[int, list[tuple[float, np.ndarray]]]()
@@ -442,7 +445,9 @@ class _Reader:
         return np.clip(total, *m.jnt_actfrcrange[joint]) if m.jnt_actfrclimited[joint] else total
 
     def _arm(self, actuator: int, joint: int) -> float:
-        """A joint's force by the force of an actuator, 0: it does not move that; nan: it varies."""
+        """Return the force of a joint per force of an actuator. 0: the actuator does not move the
+        joint; NaN: the ratio varies.
+        """
         m, kinds = self.m, self.mujoco.mjtTrn
         kind, (first, second) = int(m.actuator_trntype[actuator]), m.actuator_trnid[actuator][:2]
         gear = float(np.ravel(m.actuator_gear[actuator])[0])
@@ -467,7 +472,7 @@ class _Reader:
         return bool(body)
 
     def _force(self, actuator: int) -> np.ndarray:
-        """The least and greatest force (2) of an actuator; infinite where it depends on motion."""
+        """Return the least and greatest force (2) of an actuator; infinite: depends on motion."""
         m, mj, k = self.m, self.mujoco, actuator
         off = int(mj.mjtDisableBit.mjDSBL_ACTUATION)
         if (
@@ -531,7 +536,7 @@ class _Reader:
             add_visual(link, "unread", pose, None, name=name)
 
     def _add_mesh(self, link: Element, pose: RigidTransform, color: Any, mesh: int) -> None:
-        """A mesh as MuJoCo has compiled it: scaled, moved, of any format, from any folder."""
+        """Add a mesh as MuJoCo has compiled it: scaled, moved, of any format and folder."""
         m = self.m
         first, count = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
         lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in m.mesh_vert[first:][:count].tolist()]

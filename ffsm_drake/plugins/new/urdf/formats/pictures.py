@@ -1,5 +1,5 @@
-"""The visuals of an SDFormat file and of the files that it includes, where Drake's parser puts
-them.
+"""The visuals of an SDFormat file and of the files that it includes, at the places where Drake's
+parser puts them.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -28,15 +28,15 @@ _SHAPES = {  # geometry of SDFormat -> element of a URDF, and its attributes by 
 
 
 class Pictures:
-    """Takes the visuals out of files, and gives them to the bodies of a URDF."""
+    """Moves the visuals of files to the bodies of a URDF."""
 
     def __init__(
         self, packages: Mapping[str, Path], folder: Path, prepare: Callable[[Path], Element]
     ) -> None:
         """Args:
         packages: folders of the packages that the files name.
-        folder: gets the copies of included files.
-        prepare: reads an included file, calls ``take``, and makes it ready for Drake.
+        folder: folder for the copies of included files.
+        prepare: reads an included file, calls ``take``, and makes the file ready for Drake.
         """
         self._packages, self._folder, self._prepare = packages, folder, prepare
         self.visuals = dict[str, Element]()  # by the name of the frame in its place

@@ -117,8 +117,9 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
 
 
 def _take_mimics(element: Element, scope: str = "") -> Iterator[tuple[str, tuple[str, Element]]]:
-    """Remove the <mimic> of each joint, which Drake refuses in continuous time; yields the joint,
-    its leader (scoped names), and a URDF's <mimic>.
+    """Remove the <mimic> of each joint, which Drake refuses in continuous time.
+
+    Yields: the joint, its leader (scoped names), and the <mimic> of a URDF.
     """
     for child in element:
         name = f"{scope}{child.get('name', '')}"
@@ -144,8 +145,8 @@ def _scoped(plant: MultibodyPlant, element: Any) -> str:
 
 
 def _unique(plant: MultibodyPlant, elements: list[Any]) -> dict[str, str]:
-    """Names of bodies or joints by scoped name: their own, or where others have that, with the
-    model's.
+    """Return names of bodies or joints by scoped name: their own name, or with the name of the
+    model if others have the same name.
     """
     taken = Counter(element.name() for element in elements)
     return {
@@ -157,7 +158,7 @@ def _unique(plant: MultibodyPlant, elements: list[Any]) -> dict[str, str]:
 
 
 def _remove(tree: Element) -> Iterator[str]:
-    """Remove what is passed over; yields its tags. Shapes that give a link its inertia stay."""
+    """Remove ignored elements and yield their tags. Shapes with the inertia of a link stay."""
     for element in list(tree.iter()):
         inertial = element.find("inertial")
         weighs = inertial is not None and inertial.get("auto", "").lower() in ("1", "true")
@@ -172,14 +173,14 @@ def _remove(tree: Element) -> Iterator[str]:
 
 
 def _value(element: Element | None, what: str) -> float:
-    """The number that is an element's text; 0 without the element."""
+    """Return the number in the text of an element; 0 without the element."""
     given = "0" if element is None else (element.text or "").strip()
     return number(Element("axis", {what: given}), what, "a joint")
 
 
 def _complete(tree: Element, folder: Path, faults: Faults) -> None:
-    """Give relative meshes their folder, and Drake's elements the prefix that its parser looks
-    for; remove rounding from inertias, and effort limits of 0, which say nothing.
+    """Add the folder to relative meshes, and the prefix to Drake's elements; remove rounding from
+    inertias, and effort limits of 0, which mean unknown.
     """
     for link in tree.iter("link"):
         for inertia in link.findall("inertial/inertia"):
@@ -212,8 +213,8 @@ def _complete(tree: Element, folder: Path, faults: Faults) -> None:
 def _parsed(
     tree: Element, line: int, path: Path, packages: Mapping[str, Path], folder: Path
 ) -> tuple[MultibodyPlant, int]:
-    """Drake's reading of a file whose unused elements are removed, with its root on a line, and its
-    number of springs.
+    """Return Drake's reading of a file without its unused elements, with its root on a line, and
+    the number of springs.
     """
     plant, told = MultibodyPlant(time_step=0.0), _Told()
     parser, log = Parser(plant), logging.getLogger("drake")
@@ -273,7 +274,7 @@ def _add_joint(
     root: Element, name: str, plant: MultibodyPlant, joint: Any, names: Mapping[str, str],
     friction: float,
 ) -> None:  # fmt: skip
-    """A joint; where its frame is not the child's, with a link between."""
+    """Add a joint, with an additional link if its frame is not the frame of the child."""
     kind = joint.type_name()
     known = ("revolute", "prismatic", "weld")
     require(kind in known, f"joint '{name}' is {kind}; replace it by joints of one degree")

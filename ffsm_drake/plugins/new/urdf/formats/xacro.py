@@ -1,7 +1,8 @@
 """Xacro files: macros of ROS that expand to a URDF.
 
-The package xacro runs expressions as Python, with escapes. Here ``expressions.py`` computes them,
-and files are opened only in the model's own folder and in packages, unless the file is trusted.
+The package xacro runs expressions as Python, which code can escape from. Here ``expressions.py``
+computes them. Files are opened only in the folder of the model and in packages, unless the file is
+trusted.
 """
 
 import contextlib
@@ -34,13 +35,13 @@ _TRUST = "; if you trust the file, give --trust"
 def expand(
     path: Path, arguments: Mapping[str, str], packages: Mapping[str, Path], *, trust: bool
 ) -> str:
-    """The text of a xacro file's URDF.
+    """Return the text of the URDF of a xacro file.
 
     Args:
       arguments: values of its <xacro:arg>.
       packages: folders of the packages in $(find NAME); others are searched above the file.
-      trust: allow load_yaml, environment variables, and files outside the model's folder, which is
-        that of its package, and outside of the packages.
+      trust: allow load_yaml, environment variables, and files outside the folder of the package of
+        the model and outside other packages.
 
     Raises ModelError: the package xacro is not installed, or cannot expand the file.
     """
@@ -77,7 +78,7 @@ def expand(
 
 
 def _told(xacro: Any, error: BaseException, path: Path) -> str:
-    """What went wrong, once, and where."""
+    """Return what went wrong, once, and where."""
     cause, suffix = error, ""
     while isinstance(cause, xacro.XacroException) and cause.exc is not None:
         suffix, cause = (cause.suffix or suffix).strip()[:_SUFFIX], cause.exc
@@ -92,7 +93,7 @@ def _told(xacro: Any, error: BaseException, path: Path) -> str:
 
 
 class _Reader:
-    """What the package xacro calls in place of its own functions, for one reading of a file."""
+    """Replacements of functions of the package xacro, for one reading of a file."""
 
     def __init__(self, xacro: Any, path: Path, packages: Mapping[str, Path], trust: bool) -> None:
         self.xacro, self.packages, self.trust = xacro, packages, trust
@@ -168,7 +169,9 @@ class _Reader:
                 raise ModelError(f"{file}: {one_line(error)}; give a file") from error
 
     def find(self, package: str) -> str:
-        """The folder of a package. One that was not named must hold package.xml, or the model."""
+        """Return the folder of a package. A package that is not named must hold package.xml, or the
+        model.
+        """
         for folder in package_folders(package, self.source, self.packages):
             place = folder.resolve()
             holds = place in self.source.parents and not Path.home().resolve().is_relative_to(place)
@@ -206,7 +209,7 @@ class _Reader:
         )
 
     def _symbol(self, symbols: Any, name: str) -> Any:
-        """A property, or a function that is known here."""
+        """Return a property, or a known function."""
         while isinstance(symbols, self.xacro.Table):
             if dict.__contains__(symbols, name):
                 return symbols._resolve_(name)
@@ -214,7 +217,7 @@ class _Reader:
         return self.known[name]
 
     def _attribute(self, value: Any, name: str) -> Any:
-        """What stands after the dot: a property of included files, or an entry of YAML."""
+        """Return the name after a dot: a property of included files, or an entry of YAML."""
         if isinstance(value, self.xacro.NameSpace):
             try:
                 return self._symbol(value, name)
