@@ -103,7 +103,7 @@ class Asked:
     panels: tuple[int, float] | None = None  # number, mass of each, kg
     capture: float | None = None  # rad/s, at which the target tumbles
     tips: tuple[str, str] | None = None  # frames of two hands
-    friction: bool = False  # that of the model's joints, in their drives
+    friction: bool = False  # of the joints of the model, in their drives
     driven: tuple[str, ...] = ("all",)  # groups of coordinates
 
     @classmethod

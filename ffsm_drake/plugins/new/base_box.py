@@ -42,7 +42,7 @@ class BaseBox:
 
     centre: np.ndarray  # (3)
     half: np.ndarray  # (3) half its sides
-    others: tuple[_Shape, ...]  # the shapes beside
+    others: tuple[_Shape, ...]  # shapes outside the box
 
     @classmethod
     def of(cls, model: Model, links: Sequence[str], body: str, *, side: float) -> "BaseBox":

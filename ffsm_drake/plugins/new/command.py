@@ -164,10 +164,10 @@ def new(
 ) -> None:
     """Start a scenario for your own servicer from its model file.
 
-    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run, a copy of
-    the URDF for Drake, and its meshes. The folder can be edited, moved or sent. The mission is
-    rehearsed. Exit code 0: it is expected to go as planned, or the verdict cannot tell; 3: it is
-    not, and the last line names an option that helps, if one of a few tried does.
+    DIR is a new folder for DIR/<name of DIR>.yaml, commented and ready to run, a copy of the
+    URDF for Drake, and its meshes. The folder can be edited, moved or sent. The command runs the
+    mission once. Exit code 0: it is expected to go as planned, or the verdict is uncertain; 3: it
+    is not. The last line then names an option that helps, if the command finds one.
 
     \b
     Examples:
@@ -206,7 +206,7 @@ def new(
     if not made.is_as_planned:
         helps = f"what helps: {made.remedy}: with it, the mission is expected to go as planned"
         if not made.remedy:
-            helps = f"nothing that was tried helps alone ({', '.join(made.tried)})"
+            helps = f"no single change that was tried helps ({', '.join(made.tried)})"
         lines.append(helps)
     print_result(as_json, made.data() | {"mission": mission.as_data()}, "\n".join(lines))
     sys.exit(EXIT_GOOD if made.is_as_planned else EXIT_UNSTABLE)

@@ -60,7 +60,7 @@ _ROUNDS, _SECONDS = 3, 5.0  # of durations, then postures; durations are multipl
 # Peaks along the motion.
 _RATE, _SHARE_OF_VELOCITY = {"rad": 0.1, "m": 0.05}, 0.2  # rad/s, m/s; of the URDF's limits
 _JOINT, _MOTION, _DISTURBED = 0.3, 0.65, 0.3  # shares of what the actuators give
-_LEAST_LEFT = 0.05  # likewise, where the disturbance takes the rest
+_LEAST_LEFT = 0.05  # share of the force, if the disturbance uses the rest
 _LONGEST, _SETTLE, _INSTANTS = 120.0, 1.0, 60  # s; s after a grasp that do not count
 # The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or
 # m/s^2; its frequencies, rad/s, are taken in turn.

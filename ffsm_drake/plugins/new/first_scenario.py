@@ -40,7 +40,7 @@ _TEMPLATE = Path(__file__).with_suffix(".yaml")
 _TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # share of the base's mass
 _TRIES, _LIGHTER = 3, 0.4  # draws of postures; share of a target's mass
-_OTHER_TIPS = 2  # tried where a mission fails
+_OTHER_TIPS = 2  # number tried if a mission fails
 _HALVED = 3  # times that the side of a target may be, until it touches nothing
 _NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
@@ -368,7 +368,7 @@ def _make(
         draft.fill()
         scenario, forces = draft.scenario, draft.motion_forces()
     except FfsmError as error:
-        # The line numbers in Drake's messages are those of the copy, not of the user's file.
+        # Line numbers in Drake's messages refer to the copy, not to the user's file.
         told = re.sub(r"([^/ ]+\.urdf):\d+: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
     data = draft.written

@@ -42,12 +42,6 @@ class Growth:
         size: np.ndarray = np.linalg.norm(self.wrench[:, :3], axis=1)
         return size
 
-    @property
-    def rate(self) -> float:
-        """Growth of the force over the last second, N/s."""
-        before = np.searchsorted(self.time, self.time[-1] - 1.0)
-        return float((self.force[-1] - self.force[before]) / (self.time[-1] - self.time[before]))
-
 
 def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray) -> Growth:
     """The growth of the internal force at rest, without noise and disturbance.
@@ -107,13 +101,13 @@ def growth_in_words(scenario: Scenario, law: ControlLaw, q: np.ndarray, poles: i
     found = growth(scenario, law, q)
     errors = "calibration errors"
     if found.is_example:
-        errors = "a calibration error of 1 mrad of each joint of an arm"
+        errors = "calibration errors, such as 1 mrad of each joint of an arm"
     told = (
         f"{short(found.force[-1])} N and {short(found.moment[-1])} N m in {short(found.time[-1])} s"
     )
     if not math.isfinite(found.force[-1]) or found.force[-1] >= _HUGE:
         told = f"more than {_HUGE:g} N in {short(found.time[-1])} s"
     return (
-        f"internal force not controlled: {counted(poles, 'pole')} at one; at rest {errors} let "
-        f"it grow to {told}, by {short(found.rate)} N/s in the end; set chain.law: minimal"
+        f"internal force not controlled, {counted(poles, 'pole')} at one: at rest it grows to "
+        f"{told} because of {errors}; set chain.law: minimal"
     )

@@ -12,7 +12,7 @@ from ffsm_drake.plugins.new.urdf.simplifying import free_base
 from ffsm_drake.spacecraft.checked_urdf import require
 from ffsm_drake.spacecraft.inertia import read_mass
 
-DENSITY = 50.0  # kg/m^3, of a bus without a given size; that of the shipped servicer
+DENSITY = 50.0  # kg/m^3, of a bus without a size, as of the shipped servicer
 _NAME, _MOUNT = "bus", "bus_mount"
 
 
@@ -107,7 +107,7 @@ def _check_is_arm(root: Element) -> None:
         group += [end_of(each, "child") for each in fixed if end_of(each, "parent") == name]
     own, total = sum(masses.get(name, 0.0) for name in group), sum(masses.values())
     require(
-        own < 0.5 * total or own == total,  # all of it: no arm, which is said later
+        own < 0.5 * total or own == total,  # all of it: there is no arm, which is an error later
         f"has a free base, '{roots[0]}' with {short(own, 4)} of {short(total, 4)} kg; leave "
         f"out --bus-mass, or join an arm to a link '{WORLD}' by a fixed joint",
     )

@@ -28,7 +28,7 @@ from ffsm_drake.spacecraft.checked_urdf import MAX_URDF
 _MISSING = re.compile(r"Undefined substitution argument (\w+)")
 _DEPTH, _FILES, _CALLS = 50, 1000, 20_000  # nested includes, files read, macros called
 _PACKAGE = "package.xml"  # in the folder of every ROS package
-_SUFFIX = 80  # characters of an expression that is told
+_SUFFIX = 80  # characters of an expression in an error
 _TRUST = "; if you trust the file, give --trust"
 
 
