@@ -23,7 +23,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, FfsmError
-from ffsm_drake.common.guard import failure, guarded, passes
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.loop.blocks import check_ports
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import (
@@ -193,12 +193,7 @@ class _Candidate:
 
     def run(self, scenario: Scenario, samples: Sequence[Sample]) -> np.ndarray:
         """The forces (n, nv) of a new controller."""
-        return self.bench(scenario).run(samples)
-
-    def bench(self, scenario: Scenario, controller: System | None = None) -> "_Bench":
-        """A bench for a controller, by default a new one."""
-        controller = self.build(scenario) if controller is None else controller
-        return _Bench(controller, scenario.sample_time, place=str(self))
+        return _Bench(self.build(scenario), scenario.sample_time).run(samples)
 
     def __str__(self) -> str:
         return f"controller '{self.name}'"
@@ -207,8 +202,8 @@ class _Candidate:
 class _Bench:
     """A controller alone, with given inputs sample by sample."""
 
-    def __init__(self, controller: System, sample_time: float, *, place: str) -> None:
-        self._controller, self._place = controller, place
+    def __init__(self, controller: System, sample_time: float) -> None:
+        self._controller = controller
         self._sample_time = sample_time
         self._simulator = Simulator(controller, controller.CreateDefaultContext())
         self._sample = 0
@@ -219,18 +214,13 @@ class _Bench:
         self._set(inputs)
         if self._sample == 0:
             self._simulator.Initialize()
-        try:
-            self._simulator.AdvancePendingEvents()
-            self._sample += 1
-            if later is not None:
-                self._simulator.AdvanceTo((self._sample - 0.5) * self._sample_time)
-                self._set(later)
-            force = np.array(self._controller.GetOutputPort("generalized_force").Eval(context))
-            self._simulator.AdvanceTo(self._sample * self._sample_time)
-        except BaseException as error:
-            if passes(error):
-                raise
-            raise failure(error, self._place) from error
+        self._simulator.AdvancePendingEvents()
+        self._sample += 1
+        if later is not None:
+            self._simulator.AdvanceTo((self._sample - 0.5) * self._sample_time)
+            self._set(later)
+        force = np.array(self._controller.GetOutputPort("generalized_force").Eval(context))
+        self._simulator.AdvanceTo(self._sample * self._sample_time)
         return force
 
     def run(self, samples: Sequence[Sample]) -> np.ndarray:
@@ -311,7 +301,7 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
 def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=2), _inputs(scenario, seed=3)
     force = candidate.run(scenario, samples)
-    bench = candidate.bench(scenario)
+    bench = _Bench(candidate.build(scenario), scenario.sample_time)
     held = np.array(
         [bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)]
     )
@@ -338,8 +328,8 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
         )
     remedy = "a controller must keep its state in the context (discrete state), not on self"
     controller = candidate.build(scenario)
-    candidate.bench(scenario, controller).run(others)
-    again = candidate.bench(scenario, controller).run(samples)
+    _Bench(controller, scenario.sample_time).run(others)
+    again = _Bench(controller, scenario.sample_time).run(samples)
     if not np.array_equal(first, again):
         where = int(np.argmin((first == again).all(axis=1)))
         raise BlockError(
@@ -347,7 +337,7 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
             f"depends on the run before; {remedy}"
         )
     controller = candidate.build(scenario)
-    one, two = (candidate.bench(scenario, controller) for _ in range(2))
+    one, two = (_Bench(controller, scenario.sample_time) for _ in range(2))
     interleaved = []
     for sample, other in zip(samples, others, strict=True):
         interleaved.append(one.step(sample))
@@ -432,7 +422,7 @@ def _update_time(candidate: _Candidate, scenario: Scenario) -> float:
     samples = _inputs(scenario, seed=7)
     best = np.inf
     for _ in range(3):
-        bench = candidate.bench(scenario)
+        bench = _Bench(candidate.build(scenario), scenario.sample_time)
         bench.step(samples[0])
         start = time.perf_counter()
         bench.run(samples)

@@ -160,6 +160,13 @@ class Peeks(Follows):
         self.DeclareVectorOutputPort("generalized_force", self.size, self.calc, prerequisites)
 
 
+class Breaks(Peeks):
+    """Drake calls its own code, which fails."""
+
+    def calc(self, context, output):
+        raise ZeroDivisionError("nothing to divide by")
+
+
 class Plain(Ports):
     """A sampled controller without a law."""
 
@@ -233,6 +240,7 @@ class OddField(DividesByZero):
             Peeks,
             "follows its inputs between two samples; output a discrete state",
         ),
+        (Breaks, "^user-supplied 'Breaks' failed: ZeroDivisionError: nothing to divide by"),
         (Ports, "needs an output port 'generalized_force' of size 11"),
         (SmallPort, "input port 'estimated_state' must have size 23, not 6"),
         (OddPort, "unknown input port 'state'; known: estimated_state"),
