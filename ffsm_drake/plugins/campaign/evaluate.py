@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -240,16 +240,16 @@ class Batch:
 
 
 def batches(
-    tasks: Iterator[tuple[Case, str]], *, size: int, controllers: Sequence[str]
+    tasks: Iterator[tuple[Case, str]], *, size: Callable[[], int], controllers: Sequence[str]
 ) -> Iterator[Batch]:
-    """Tasks (case, controller) as batches of at most ``size`` cases, nearly in order; as many tasks
-    are held as ``size`` cases have.
+    """Tasks (case, controller) as batches of at most ``size()`` cases, nearly in order; as many
+    tasks are held as so many cases have.
     """
-    while some := list(itertools.islice(tasks, size * len(controllers))):
+    while some := list(itertools.islice(tasks, (most := size()) * len(controllers))):
         for name in controllers:
             cases = tuple(case for case, controller in some if controller == name)
-            for first in range(0, len(cases), size):
-                yield Batch(cases[first : first + size], name)
+            for first in range(0, len(cases), most):
+                yield Batch(cases[first : first + most], name)
 
 
 # A cluster's worker may have several threads; a simulator and the building of one serve one.

@@ -68,7 +68,10 @@ def write_report(
         cannot be written.
     """
     if store.num_results() == 0:
-        raise CampaignError(f"{store.path}: holds no result yet")
+        raise CampaignError(
+            f"{store.path}: holds no result yet; wait for the first runs of 'ffsm campaign run', "
+            f"or type 'ffsm campaign resume {store.path}'"
+        )
     with store.snapshot():
         findings = find(store, axes=axes, boundary=0.0)
         files = _write(store, findings, directory)

@@ -48,6 +48,7 @@ from ffsm_drake.systems.reference import timed
 MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
 _BATCHES_EACH = 4  # least number for each task in flight
+LONGEST = 30.0  # s for a batch: what an interruption may lose, and the silence before its rows
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
     **error_row(
@@ -224,6 +225,25 @@ def merge_campaigns(databases: Sequence[Path], out: Path) -> None:
             merged.add_results_of(databases)
 
 
+@dataclasses.dataclass
+class BatchSizes:
+    """The number of cases in the next batch: one until runs have shown their time, then as many
+    as take LONGEST, as the runs of a batch end together.
+    """
+
+    most: int
+    runs: int = 0
+    seconds: float = 0.0
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Count the time of stored runs."""
+        self.runs += len(rows)
+        self.seconds += sum(row["wall_time"] or 0.0 for row in rows)
+
+    def __call__(self) -> int:
+        return max(1, min(self.most, int(LONGEST * self.runs / max(self.seconds, 1e-9))))
+
+
 def _drive(
     store: Store,
     workers: Workers,
@@ -251,9 +271,10 @@ def _drive(
     with contextlib.suppress(FfsmError):  # an error becomes a row
         if any(runs_alone(scenario_of(store.spec, *each)) for each in first):
             most = 1  # each result is kept as soon as it is there
+    sizes = BatchSizes(most)
     results = run_tasks(
         evaluate,
-        batches(store.pending(), size=most, controllers=store.spec.controllers),
+        batches(store.pending(), size=sizes, controllers=store.spec.controllers),
         arguments=lambda some: (campaign, some),
         workers=workers,
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
@@ -267,6 +288,7 @@ def _drive(
                 rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
                 store.add(some, rows)
                 outcomes = [row["outcome"] for row in rows]
+                sizes.add(rows)
                 tally["session"] += len(outcomes)
                 tally["failed"] += outcomes.count("error")
                 tally["unsettled"] += sum(map(outcomes.count, UNSETTLED))

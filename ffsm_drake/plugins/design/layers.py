@@ -42,8 +42,8 @@ def layer_remarks(name: str, overrides: Iterable[Override] = ()) -> Iterator[str
         keys = [key for key in stale if stale[key] == at]
         seconds = ", ".join(other for key, other in _COUNTED if key in keys)
         yield (
-            f"sample_time: {now:g} s changes the sensors, because sensing.{', '.join(keys)} were "
-            f"given in samples of {at:g} s; set {seconds} instead"
+            f"sample_time: {now:g} s changes the sensors, because of values that were "
+            f"given in samples of {at:g} s: sensing.{', '.join(keys)}; set {seconds} instead"
         )
 
 

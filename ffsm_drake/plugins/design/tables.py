@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.numbers import NONE, counted, number
-from ffsm_drake.plugins.design.gains import Design, DesignPoint
+from ffsm_drake.plugins.design.gains import INTERRUPT, Design, DesignPoint
 from ffsm_drake.plugins.design.rounding import rounded_down
 from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_DELAY,
@@ -81,7 +81,10 @@ def boundaries_table(boundaries: Boundaries, scenario: Scenario) -> str:
         return f"no boundaries: the loop is unstable at the {'K_s' if where else 'given'}" + (
             where or " values"
         )
-    heading = "largest stable values at that posture, one parameter at a time"
+    heading = (
+        "largest stable values at that posture, one parameter at a time; without actuator limits "
+        "and noise"
+    )
     if found == before:
         return "\n".join([f"{heading}:", *aligned([[*row] for row in found.items()])])
     rows = [[name, value, before[name]] for name, value in found.items()]
@@ -291,11 +294,21 @@ def design_table(found: Design) -> str:
             f"{found.ideal_isv:.1f}; current gains {given.prediction.isv:.4g})",
             *aligned(masses),
             "",
-            *(aligned(margins) if found.margins else ["margins: not evaluated"]),
+            *(aligned(margins) if found.margins else [_no_margins(found)]),
             "",
             *found.remarks,
         ]
     )
+
+
+def _no_margins(found: Design) -> str:
+    """The reason for missing margins."""
+    if found.given.alarm:
+        return "margins: not compared, because the given gains are not expected to go as planned"
+    if not found.ended_by:
+        return "margins: not evaluated"
+    more = "" if found.ended_by == INTERRUPT else "; give a larger --time"
+    return f"margins: not evaluated before {found.ended_by}{more}"
 
 
 def _gain_cell(value: Any, group: str) -> str:

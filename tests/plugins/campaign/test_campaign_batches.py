@@ -4,16 +4,17 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from campaign_tools import forked, run_here, table, write_spec
+from campaign_tools import HERE, forked, run_here, table, write_spec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import ffsm_drake.plugins.campaign.run as campaign_run
 from ffsm_drake.common.errors import InterruptedCampaign
 from ffsm_drake.common.workers import Stop
 from ffsm_drake.plugins.campaign.cases import Case
-from ffsm_drake.plugins.campaign.evaluate import batches
-from ffsm_drake.plugins.campaign.run import resume_campaign, start_campaign
-from ffsm_drake.plugins.campaign.spec import load_spec
+from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES, batches, error_row
+from ffsm_drake.plugins.campaign.run import LONGEST, BatchSizes, resume_campaign, start_campaign
+from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 from ffsm_drake.plugins.campaign.store import open_store
 
 CONTROLLERS = ("tdc", "asmc", "aismc")
@@ -28,7 +29,7 @@ def test_every_task_is_in_one_batch(tasks, size):
     given_tasks = [
         (cases[i], name) for i, name in sorted(tasks, key=lambda t: (t[0], CONTROLLERS.index(t[1])))
     ]
-    found = list(batches(iter(given_tasks), size=size, controllers=CONTROLLERS))
+    found = list(batches(iter(given_tasks), size=lambda: size, controllers=CONTROLLERS))
     assert all(1 <= len(batch.cases) <= size for batch in found)
     made = [(case.index, batch.controller) for batch in found for case in batch.cases]
     assert sorted(made) == sorted(tasks)
@@ -85,6 +86,36 @@ def test_rows_depend_on_no_batch_size_and_no_stop(spec, rows, first, then, worke
         assert table(path) == rows
     assert len(rows) == 10
     assert sum(row[3] == "error" for row in rows) == 2
+
+
+@given(seconds=st.lists(st.floats(0.0, 100.0), min_size=1, max_size=40), most=st.integers(1, 24))
+def test_a_batch_takes_no_longer_than_an_interruption_may_lose(seconds, most):
+    """The runs of a batch end together; a batch has one run until the time of a run is known."""
+    sizes = BatchSizes(most)
+    assert sizes() == 1
+    for each in seconds:
+        sizes.add([{"wall_time": each}])
+    mean = sum(seconds) / len(seconds)
+    assert 1 <= sizes() <= most
+    assert sizes() == 1 or sizes() * mean <= LONGEST * (1 + 1e-9)
+    assert sizes() == most or (sizes() + 1) * mean > LONGEST * (1 - 1e-9)
+
+
+def test_the_rows_say_how_many_runs_a_batch_has(spec, tmp_path, monkeypatch):
+    found = {}
+    for seconds in (0.0, 10.0, 40.0):
+        sizes = found.setdefault(seconds, [])
+
+        def slow(_, batch, sizes=sizes, seconds=seconds):
+            sizes.append(len(batch.cases))
+            own = {**dict.fromkeys(CIRCUMSTANCES), "software": "", "wall_time": seconds}
+            return [{**own, "rss_mib": 0.0, **error_row("x")} for _ in batch.cases]
+
+        monkeypatch.setattr(campaign_run, "evaluate", slow)
+        loaded = spec_from_data({**load_spec(spec).data, "cases": 100})
+        start_campaign(loaded, tmp_path / f"{seconds:g}.db", workers=HERE, batch=8)
+        assert sum(sizes) == 200
+    assert {seconds: max(sizes) for seconds, sizes in found.items()} == {0.0: 8, 10.0: 3, 40.0: 1}
 
 
 KILLS_SOME = """

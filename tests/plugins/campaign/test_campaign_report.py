@@ -469,4 +469,5 @@ def test_a_report_of_nothing(database, tmp_path):
         connection.execute("DELETE FROM results")
     result = CliRunner().invoke(campaign, ["report", str(path)])
     assert result.exit_code == 2
-    assert result.output.strip().endswith("holds no result yet")
+    assert "holds no result yet; wait for the first runs" in result.output
+    assert f"'ffsm campaign resume {path}'" in result.output

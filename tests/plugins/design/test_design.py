@@ -18,6 +18,7 @@ from ffsm_drake.plugins.design.gains import INTERRUPT, design
 from ffsm_drake.plugins.design.gains.requirement import Baseline, DesignPoint, Requirement
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries
 from ffsm_drake.plugins.design.stability.prediction import Prediction
+from ffsm_drake.plugins.design.tables import design_table
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 SHORT = ("duration=6", "reference.duration=6")
@@ -141,6 +142,8 @@ def test_what_is_predicted_of_the_given_gains_frees_the_choice():
     assert never.kept
     assert never.ended_by == INTERRUPT
     assert "it misses" in never.remarks[0]
+    reason = "because the given gains are not expected to go as planned"
+    assert f"margins: not compared, {reason}" in design_table(never)
 
 
 @pytest.mark.parametrize(
@@ -177,6 +180,7 @@ def test_the_limit_bounds_all_of_a_design(limit):
     found = design(scenario, time_limit=0.0)
     evaluation = time.monotonic() - begin  # of the given gains, and of what is said of the choice
     assert found.ended_by == "the time limit"
+    assert "not evaluated before the time limit; give a larger --time" in design_table(found)
     begin = time.monotonic()
     found = design(scenario, time_limit=limit)
     assert time.monotonic() - begin < 1.1 * limit + 2.5 * evaluation

@@ -10,7 +10,9 @@ import pytest
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.common.numbers import power_of_ten
+from ffsm_drake.common.steps import current_step
 from ffsm_drake.plugins.design.rounding import rounded_down
+from ffsm_drake.plugins.design.stability import boundaries
 from ffsm_drake.plugins.design.stability.adaptation import reached_gains
 from ffsm_drake.plugins.design.stability.boundaries import (
     Boundaries,
@@ -139,6 +141,19 @@ def test_drawn_limits_against_runs(seed, law):
         print(seed, *row)
 
 
+def test_a_search_for_limits_says_at_which_parameter_it_is(monkeypatch):
+    told = []
+
+    def stable(*_, **__):
+        told.append(current_step())
+        return 0.5
+
+    monkeypatch.setattr(boundaries, "probed_radius", stable)
+    find_boundaries(load_scenario("postcapture", ["controller=tdc"]), time=0.0)
+    names = ("feedback gains", "nominal payload", "sample time", "sensor delay")
+    assert [*dict.fromkeys(told)] == [f"computing stability limits ({name})" for name in names]
+
+
 def test_the_table_names_both_limits_rounded_down():
     values = {"gains": 1.2399, "nominal_payload": float("inf"), "sample_time": 2.6285}
     starting = Boundaries(**values, flexible_mass={}, delay=16.0)
@@ -149,6 +164,7 @@ def test_the_table_names_both_limits_rounded_down():
     assert "x 2.62 (26.2 ms)" in one
     assert "16 samples (160 ms)" in one
     assert "adaptation" not in one
+    assert "without actuator limits and noise:\n" in one
     both = boundaries_table(after, scenario)
     assert "after adaptation" in both
     assert "x 1.99 (19.9 ms)" in both

@@ -86,14 +86,25 @@ def _find(scenario: Scenario, times: Sequence[float], *, adapted: bool) -> Bound
         return Boundaries(
             gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
         )
+    has_gains = any(gain.feedback for gain in declared_gains(scenario).values())
+    with step("feedback gains"):
+        gains = float("inf")
+        if has_gains:
+            gains = _largest_factor(lambda factor: radius(with_gains(scenario, factor)))
+    with step("nominal payload"):
+        nominal_payload = _largest_payload(scenario, radius)
+    with step("sample time"):
+        sample_time = _largest_factor(lambda factor: radius(with_sample_time(scenario, factor)))
+    with step("flexible masses"):
+        flexible_mass = {label: largest_mass(names) for label, names in parts.items()}
+    with step("sensor delay"):
+        delay = _largest_delay(scenario, radius)
     return Boundaries(
-        gains=_largest_factor(lambda factor: radius(with_gains(scenario, factor)))
-        if any(gain.feedback for gain in declared_gains(scenario).values())
-        else float("inf"),
-        nominal_payload=_largest_payload(scenario, radius),
-        sample_time=_largest_factor(lambda factor: radius(with_sample_time(scenario, factor))),
-        flexible_mass={label: largest_mass(names) for label, names in parts.items()},
-        delay=_largest_delay(scenario, radius),
+        gains=gains,
+        nominal_payload=nominal_payload,
+        sample_time=sample_time,
+        flexible_mass=flexible_mass,
+        delay=delay,
     )
 
 
