@@ -86,9 +86,7 @@ def test_validate_names_what_was_given_for_another_sample_time(overrides, named)
     lines = [line for line in shown.stderr.splitlines() if "given in samples of 0.01 s" in line]
     assert len(lines) == bool(named)
     for name in ("velocity_noise", "position_noise"):
-        assert any(f"{name}," in line or f"{name};" in line for line in lines) == (
-            name in named
-        )
+        assert any(f"{name}," in line or f"{name};" in line for line in lines) == (name in named)
 
 
 def test_a_wrong_density_is_refused():

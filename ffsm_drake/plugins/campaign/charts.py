@@ -85,7 +85,7 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
         curves.append(Curve(x, y, style, label, width=2.0, steps=True))
     chart = Chart(
         title=f"Cases settled with at most a given {name}", kind="chart", curves=curves, x=name,
-        y="settled [% of cases]", log_x="~e" if metric == "itae" else "~g", range=_SHARE,
+        y="settled [% of cases]", log_x="~g", range=_SHARE,
         legend=True,
     )  # fmt: skip
     return panel(chart, _THIN)
@@ -197,7 +197,7 @@ def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str
     refused = runs.outcome == "refused"
     for limit, count in limits_of(runs).items():
         which = failed & ~refused & (runs.first_limit == limit)
-        marked.append((which, f"{limit or 'no limit left'}: {count}", colors[limit], "x"))
+        marked.append((which, f"{limit or 'within all limits'}: {count}", colors[limit], "x"))
     return [
         *marked,
         (refused, f"no plan within the limits: {refused.sum()}", NEUTRAL, "triangle-up"),

@@ -22,6 +22,7 @@ from ffsm_drake.plugins.campaign.evaluate import OUTCOMES, metric_tables
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.statistics import (
     CONFIDENCE,
+    FEWEST_PAIRS,
     Findings,
     Interval,
     find,
@@ -155,6 +156,7 @@ def _page(store: Store, findings: Findings) -> str:
         "laws": [spec.label(name) for name in spec.controllers],
         "runs": findings.runs,
         "complete": findings.runs == spec.runs,
+        "fewest_pairs": FEWEST_PAIRS,
         "confidence": f"{100.0 * CONFIDENCE:.0f}",
         "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
         "has_capture": spec.base["capture"] is not None,

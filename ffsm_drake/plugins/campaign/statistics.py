@@ -37,7 +37,7 @@ from ffsm_drake.runs.record import software_versions
 CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
 _PERMUTATIONS = 500
-_COMPARED = 10  # fewest pairs for a confidence interval
+FEWEST_PAIRS = 10  # fewest pairs for a confidence interval
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,7 +164,7 @@ def _difference(first: Runs, second: Runs) -> Difference:
         success=_paired_proportions(
             int((settled > 0).sum()), int((settled < 0).sum()), int(i.size)
         ),
-        itae_ratio=_median(ratios) if ratios.size >= _COMPARED else None,
+        itae_ratio=_median(ratios) if ratios.size >= FEWEST_PAIRS else None,
         both=int(both.sum()),
         ratios=ratios,
     )
