@@ -116,7 +116,7 @@ def prepare(
         if check_stability and (plan_remarks := optional(SERVICES, "plan_remarks")) is not None:
             for remark in plan_remarks(scenario):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
-        # before the verdict, which takes longer: a wrong name shows at once
+        # before the verdict, which takes longer: what is refused shows at once
         with step("building the loop"):
             rollout = make_rollout(scenario, blocks=blocks, meshcat=meshcat)
         try:
@@ -125,6 +125,7 @@ def prepare(
                 and not user_supplied(scenario, blocks)
                 and (verdict := optional(SERVICES, "verdict")) is not None
             ):
+                rollout.check()
                 for remark in verdict(scenario, rehearsal=False).warnings:
                     warnings.warn(remark, StabilityWarning, stacklevel=3)
         except BaseException:

@@ -406,9 +406,10 @@ class JointDrives(Part):
                 f"cut by the rate in {percent(found['drives.rate_limited'])} of the samples"
             )
         if "drives.friction_loss" in found:
+            peak, name = max((x, name) for name, x in found["drives.peak_friction"].items())
             parts.append(
-                f"friction of up to {max(found['drives.peak_friction'].values()):.3g} in a "
-                f"joint, which dissipated {short(sum(found['drives.friction_loss'].values()))} J"
+                f"friction of up to {peak:.3g} N m or N, in {name}, and "
+                f"{short(sum(found['drives.friction_loss'].values()))} J dissipated in all joints"
             )
         return f"drives: {', '.join(parts)}" if parts else ""
 

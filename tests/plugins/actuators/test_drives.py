@@ -16,6 +16,7 @@ from ffsm_drake.plugins.analysis.balances import energy_residual
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.simulate import prepare
 from ffsm_drake.scenario import Drives, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -316,6 +317,8 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
     coarse = two_bodies(0.1, drives, step=1.01 * constant)
     with pytest.raises(ScenarioError) as error:
         simulate(coarse)
+    with pytest.raises(ScenarioError, match=r"max_step_size"):  # before the verdict, too
+        prepare(coarse)
     assert str(error.value) == (
         "simulator_config.max_step_size: 0.0326861 s exceeds the time constant of friction near "
         "rest (hinge: 0.032 s); set at most 0.029, or 1.1 times actuation.drives.smoothing_rate"
