@@ -4,6 +4,7 @@ import dataclasses
 from typing import Literal
 
 UNEXPLAINED = "no_single_mistake"  # cause of a check that no tried mistake explains
+AMBIGUOUS = "cannot_say_which"  # cause of a check that several mistakes explain, none completely
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -13,7 +14,7 @@ class Check:
     name: str
     statement: str
     verdict: Literal["holds", "measured", "not tested", "cannot tell", "does not hold"] = "holds"
-    cause: str = ""  # one word for the mistake or doubt; empty if there is none
+    cause: str = ""  # name of the mistake or doubt; empty if there is none
 
 
 def fault(name: str, cause: str, statement: str) -> Check:

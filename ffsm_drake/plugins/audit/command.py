@@ -38,10 +38,10 @@ _file = click.Path(path_type=Path, dir_okay=False)
 def audit(log: Path, urdf: Path, columns: tuple[str, ...], tolerance: float, as_json: bool) -> None:
     """Check another simulator's log: is it physics?
 
-    LOG is CSV or netCDF with named columns: time, the base's quaternion, position and velocities,
-    each joint's position and rate; efforts where they are known. Or MCAP with standard messages of
-    ROS 2 or Foxglove. Tells frames, units and the order of joints apart, then checks momentum and
-    energy with the model. Exits with 3 when a check does not hold.
+    LOG is CSV, netCDF or MATLAB with named columns: time, quaternion, position and velocities of
+    the base, position and rate of each joint, and efforts if they are known. MCAP with standard
+    messages of ROS 2 or Foxglove is read too. The audit finds frames, units and the order of
+    joints, then checks momentum and energy with the model. Exit code 3: a check does not hold.
 
     \b
     Examples:

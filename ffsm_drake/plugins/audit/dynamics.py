@@ -17,11 +17,11 @@ _STEP = 1e-4  # rad or m; step of a numerical derivative
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Bodies:
-    """The bodies as they move relative to the base, in its axes (n, bodies, ...)."""
+    """Motion of the bodies relative to the base, in its axes (n, bodies, ...)."""
 
     mass: Array  # (bodies), kg
     center: Array  # (n, bodies, 3) centres of mass from the base's origin, m
-    velocity: Array  # (n, bodies, 3) of these
+    velocity: Array  # (n, bodies, 3) of the centres of mass
     spin: Array  # (n, bodies, 3) angular velocities
     inertia: Array  # (n, bodies, 3, 3) about the centres of mass
     turn: Array  # (n, bodies, 3, 3) from a body's own axes
@@ -38,9 +38,10 @@ class Bodies:
         )
 
     def momenta(self, log: Log) -> tuple[Array, Array]:
-        """Momenta of every body (n, bodies, 6) with the base's motion from a log: the part of its
-        mass, and the part of its rotation about its own centre of mass; [angular; linear] about the
-        origin, world axes.
+        """Momenta of each body (n, bodies, 6) with the base's motion from a log.
+
+        The first array is the momentum of the mass, the second the momentum of the rotation about
+        the body's own centre of mass. Both are [angular; linear] about the origin, world axes.
         """
         turn, angular, linear, position = log.turns, log.angular, log.linear, log.position
         w = np.einsum("nji,nj->ni", turn, angular)[:, None]
@@ -101,8 +102,8 @@ class Dynamics:
         )
 
     def points(self, log: Log) -> dict[str, tuple[Array, Array]]:
-        """Points likely to be mistaken for the base's origin: positions from it (n, 3), m, and
-        velocities relative to it (n, 3), m/s, world axes.
+        """Points that are often logged in place of the base's origin: positions from the origin
+        (n, 3), m, and velocities relative to it (n, 3), m/s, world axes.
         """
         turn = log.turns
         w = np.einsum("nji,nj->ni", turn, log.angular)
@@ -127,8 +128,9 @@ class Dynamics:
         }
 
     def joint_terms(self, log: Log) -> tuple[Array, Array]:
-        """Generalized momentum of each joint p = (M v)_i and its rate without efforts dT/dq_i,
-        (n, joints) each: dp/dt = effort + dT/dq.
+        """Generalized momentum of each joint p = (M v)_i and its rate without efforts dT/dq_i.
+
+        Both are (n, joints), with dp/dt = effort + dT/dq.
         """
         nv, plant, context = self.plant.num_velocities(), self.plant, self.context
         momenta, rates = np.zeros((len(log.time), nv)), np.zeros((len(log.time), nv))

@@ -1,4 +1,4 @@
-"""Check that each joint's momentum follows the logged effort, and the explaining mistake."""
+"""Check that each joint's momentum follows the logged effort; name the mistake otherwise."""
 
 import dataclasses
 import functools
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from ffsm_drake.plugins.audit.checks import UNEXPLAINED, Check, fault
+from ffsm_drake.plugins.audit.checks import AMBIGUOUS, UNEXPLAINED, Check, fault
 from ffsm_drake.plugins.audit.dynamics import MOST, Dynamics
 from ffsm_drake.plugins.audit.log import Log, only
 from ffsm_drake.plugins.audit.misfit import (
@@ -27,7 +27,7 @@ from ffsm_drake.plugins.audit.momentum import Momentum
 
 _PARTS = 4  # number of stretches checked in a long log
 _LEAST = 1e-2  # lower bound of a joint's momentum, as a share of the largest joint's
-_ONE_WAY = 0.95  # mean sign of a rate, from which on a joint moves one way
+_ONE_WAY = 0.95  # least mean sign of the rate of a joint that moves in one direction
 _WORST = ("does not hold", "cannot tell", "not tested", "holds", "measured")
 
 
@@ -41,7 +41,7 @@ class _Work:
     effort: np.ndarray
 
     def motion(self) -> Motion:
-        """Change of momentum without the contribution of the other bodies, and the effort."""
+        """Change of momentum minus the contribution of the other bodies, and the effort."""
         moved = np.diff(self.momentum, axis=0) - areas(self.time, self.rate)
         return Motion(time=self.time, rate=self.effort, moved=moved)
 
@@ -63,8 +63,9 @@ def _works(log: Log, dynamics: Dynamics) -> list[_Work]:
 
 
 def check_efforts(log: Log, found: Momentum, tolerance: float) -> list[Check]:
-    """The checks of the joints' efforts; long logs in stretches at their own steps. The loops of a
-    closed chain are springs, or rigid: what fits better.
+    """Check the joints' efforts. A long log is checked in stretches with all of their samples.
+
+    The loops of a closed chain are springs or rigid; the result that fits better counts.
     """
     if log.chain.any():
         rigid = log.driven().replace(chain=0.0 * log.chain)
@@ -125,7 +126,8 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
     faults = [check for check, _ in checks if check.verdict == "does not hold"]
     if not faults:
         return [max(zip(wrong, checks, strict=True), key=lambda each: joints[each[0]].share)[1][0]]
-    if UNEXPLAINED in {each.cause for each in faults} and not log.chain.any():
+    causes = {each.cause for each in faults}
+    if causes & {UNEXPLAINED, AMBIGUOUS} and not (log.chain.any() or found.excuses_efforts):
         explained = found.mistake  # of a change of momentum within the tolerance
         if explained and explained.left < SURE * swing(found.missed):
             said = (
@@ -136,7 +138,7 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
     moving = [each for each, size in zip(factors, sizes, strict=True) if size > least]
     each, errors = ([float(getattr(x, k)[0]) for x in moving] for k in ("sizes", "errors"))
     factor = common_factor([1.0 + size for size in each], errors)
-    if factor and abs(factor - 1.0) > tolerance and "effort_scale" in {x.cause for x in faults}:
+    if factor and abs(factor - 1.0) > tolerance and "effort_scale" in causes:
         said = (
             f"is {factor:.4g} times the work of the efforts: all masses of the log are "
             f"{1.0 / factor:.4g} times the URDF's, or the efforts have another unit"
@@ -146,13 +148,13 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
 
 
 def _is_odd(joint: Followed, factor: Estimate, tolerance: float) -> bool:
-    """Whether a small effort, hidden by other loads on the joint, has another scale."""
+    """Whether an effort that is small beside other loads on the joint has another scale."""
     off = abs(factor.sizes[0]) > max(tolerance, 3.0 * factor.errors[0])
     return bool(off and factor.left < NAMED * joint.left)
 
 
 def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) -> Iterator[Mistake]:
-    """Mistakes of one joint's effort; the columns are changes of momentum in each period."""
+    """Mistakes of one joint's effort. The columns are changes of momentum in each period."""
     expected, period = joints[j].expected, np.diff(log.time)[:, None]
     moved, rate = np.diff(log.angles[:, [j]], axis=0), log.rates[:, [j]]
     from_start = log.angles[:, [j]] - log.angles[0, j]
@@ -160,7 +162,7 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
 
     yield Mistake(
         cause="effort_scale", text="changes momentum by {0} the impulse of its effort",
-        unit="times", offset=1.0, columns=[expected], floors=[-1.0],
+        unit="times", offset=1.0, columns=[expected], floors=-1.0,
     )  # fmt: skip
     yield Mistake(
         cause="effort_shift", text="has an effort that is {0} late", columns=[joints[j].parts.lag],
@@ -187,16 +189,15 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
             least=0.0 if moves_one_way and is_positive else -math.inf,
             most=0.0 if moves_one_way and not is_positive else math.inf,
         )  # fmt: skip
-    free, real = -math.inf, 0.0  # smallest possible sizes
     for cause, text, columns, factor, unit, floors in (
         ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
-         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", [real]),
-        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", [real]),
-        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", [real]),
+         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", 0.0),
+        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", 0.0),
+        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", 0.0),
         ("friction", "is damped by {1:.4g} N m s and has dry friction of {2:.4g} N m",
-         [-moved, against], 1.0, "", [real, real]),
+         [-moved, against], 1.0, "", 0.0),
         ("spring", "has a spring of {1:.4g} N m/rad (or N/m)",
-         [-means(from_start) * period, period], 1.0, "", [real, free]),
+         [-means(from_start) * period, period], 1.0, "", [0.0, -math.inf]),
     ):  # fmt: skip
         yield Mistake(
             cause=cause, text=text, columns=columns, factor=factor, unit=unit, floors=floors

@@ -19,9 +19,9 @@ _Samples = TypeVar("_Samples")
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
-    """Samples of a spacecraft's motion as a log gives them, in whatever axes and units.
+    """Samples of a spacecraft's motion in the axes and units of the log.
 
-    Arrays that are not logged are zero; a missing rate is differentiated.
+    An array that is not logged is zero. A missing rate is differentiated.
     """
 
     time: Array  # (n), s
@@ -34,8 +34,8 @@ class Log:
     efforts: Array  # (n, joints) at the joints, N m or N
     torque: Array  # (n, 3) on the base, world axes, N m
     force: Array  # (n, 3) on the base at its origin, world axes, N
-    disturbance: Array  # (n, 6 + joints) generalized force beside all these
-    chain: Array  # (n, joints) part of it, of the loops of a closed chain
+    disturbance: Array  # (n, 6 + joints) generalized force in addition to these
+    chain: Array  # (n, joints) part of the disturbance, from the loops of a closed chain
     stated: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """Axes that the log states, such as angular -> body axes."""
     missing: tuple[str, ...] = ()  # arrays that are not logged
@@ -61,9 +61,11 @@ class Log:
         return self.replace(**changed)
 
     def driven(self) -> "Log":
-        """The log with the force of a rigid chain as a part of the efforts of the sample before:
-        it is logged before each sample's efforts, with which it jumps. In a period it turns with
-        the posture, by at most about its size times the change of the joints; half is not known.
+        """The log with the force of a rigid chain added to the efforts of the sample before.
+
+        The force is logged before the efforts of its sample, and jumps with them. In a period it
+        turns with the posture, by at most about its size times the change of the joints. Half of
+        this change is the uncertainty of the efforts.
         """
         rest = self.disturbance.copy()
         rest[:, -self.chain.shape[1] :] -= self.chain
@@ -74,7 +76,7 @@ class Log:
         return self.replace(disturbance=rest, efforts=self.efforts + held, unsure=unsure)
 
     def shaken(self) -> "Log":
-        """The log with half a last digit added or subtracted at random, held for equal values."""
+        """The log with half a last digit added or subtracted at random; equal values stay equal."""
         draw, changes = np.random.default_rng(0), {}
         for what, digit in self.digits.items():
             values = getattr(self, what)
@@ -96,7 +98,7 @@ def in_world_axes(quaternions: Array, vectors: Array) -> Array:
 
 
 def only(samples: _Samples, kept: Array | slice) -> _Samples:
-    """Some samples of a dataclass of arrays; all of them are not copied."""
+    """Some samples of a dataclass of arrays. If all are kept, nothing is copied."""
     if isinstance(kept, np.ndarray) and kept.dtype == bool and kept.all():
         return samples
     changes: dict[str, object] = {}
@@ -115,8 +117,8 @@ def every(count: int, *, most: int) -> Array:
 
 
 def resolution(values: Array) -> float | None:
-    """Step of the last digit (decimal, or of single precision) of columns (n, k) that vary; None:
-    none does.
+    """Step of the last digit (decimal, or of single precision) of the columns (n, k) that vary;
+    None if no column varies.
     """
     worst = None
     for column in values[:: -(-len(values) // 2000)].T:
@@ -141,10 +143,9 @@ def resolution(values: Array) -> float | None:
 
 
 def with_rates(log: Log) -> Log:
-    """The log with the rates that are missing, in world axes: those of cubic splines through its
-    poses. Times must increase.
+    """The log with its missing rates, in world axes, from cubic splines through the poses. Times
+    must increase.
     """
-
     turned = (log.quaternion[1:] * log.quaternion[:-1]).sum(axis=1) < 0.0
     q = log.quaternion * np.cumprod(np.where([False, *turned], -1.0, 1.0))[:, None]
     paths = {"angular": q, "linear": log.position, "rates": log.angles}
@@ -166,8 +167,10 @@ def with_rates(log: Log) -> Log:
 def interpolated(
     time: Array, values: Array, wanted: Array, *, smooth: bool, step: int = 1
 ) -> Array:
-    """Columns (n, k) with blank cells, interpolated to the times ``wanted`` (m, k) from every
-    ``step``-th value: by cubic splines if smooth, else linearly; NaN outside their times.
+    """Columns (n, k) with blank cells, interpolated to the times ``wanted`` (m, k).
+
+    Every ``step``-th value is used. Smooth columns are interpolated by cubic splines, others
+    linearly. Results outside a column's times are NaN.
     """
     found = np.full((len(wanted), values.shape[1]), math.nan)
     for i, column in enumerate(values.T):

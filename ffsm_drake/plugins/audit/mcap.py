@@ -1,6 +1,6 @@
 """Logs in MCAP: standard messages of ROS 2 and Foxglove as named columns.
 
-Their definitions: tf2_msgs/TFMessage, sensor_msgs/JointState, nav_msgs/Odometry and
+Definitions of the messages: tf2_msgs/TFMessage, sensor_msgs/JointState, nav_msgs/Odometry and
 geometry_msgs/WrenchStamped (https://docs.ros.org/en/rolling/p/common_interfaces);
 foxglove.FrameTransforms and foxglove.JointStates (https://docs.foxglove.dev/docs/sdk/schemas).
 """
@@ -44,14 +44,15 @@ _COLUMNS = {
 
 
 def read_mcap(path: Path, base: str) -> tuple[dict[str, np.ndarray], str, dict[str, str]]:
-    """Read a log; times are the headers', or the log's if a header's never advances.
+    """Read a log. Times are those of the headers; if a header never advances, those of the log.
 
     Args:
-      base: the base's frame, with or without a prefix that ends in "::" or "/".
+      base: the frame of the base, with or without a prefix that ends in "::" or "/".
 
-    Returns: columns by this package's names and, as TOPIC.FIELD, the numbers of JSON topics, with
-    blank cells for series with other times; a note on the changes made; the axes defined by the
-    messages.
+    Returns:
+      The columns, a note on changes, and the axes that the messages define. Columns have this
+      package's names; numbers of JSON topics are called TOPIC.FIELD. A series with other times
+      has blank cells.
 
     Raises:
       FfsmError: a library is missing.
@@ -93,7 +94,7 @@ def _called(base: str, frames: Mapping[str, object]) -> str:
 
 
 def _read(path: Path) -> tuple[_Series, bool]:
-    """All series of a file, and whether their times are those of the log."""
+    """All series of a file, and whether their times are from the log."""
     try:
         make_reader = importlib.import_module("mcap.reader").make_reader
     except ImportError as error:
@@ -121,7 +122,7 @@ def _read(path: Path) -> tuple[_Series, bool]:
                         rows.setdefault(key, []).append(row)
     except (OSError, FfsmError):
         raise
-    except Exception as error:  # the decompressors and decoders raise many kinds
+    except Exception as error:  # decompressors and decoders raise exceptions of many kinds
         raise ValueError(one_line(error)) from error
     times = {key: np.array(pairs) for key, pairs in stamps.items()}
     stopped = [not np.ptp(pair[:, 0]) and np.ptp(pair[:, 1]) > 0 for pair in times.values()]
@@ -130,8 +131,9 @@ def _read(path: Path) -> tuple[_Series, bool]:
 
 
 def _check_unpacked(stream: BinaryIO) -> None:
-    """Raise ValueError for a file whose chunks are too large when unpacked, by the size stated in
-    the file or in the chunks; lz4 expands a file at most 255 times.
+    """Raise ValueError if the chunks of a file are too large when unpacked.
+
+    The size is stated in the file or in the chunks. lz4 expands a file at most 255 times.
     """
     reader: Any = importlib.import_module("mcap.stream_reader")
     total = 0

@@ -14,19 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.audit.checks import UNEXPLAINED, Check, fault, undecided
+from ffsm_drake.plugins.audit.checks import AMBIGUOUS, UNEXPLAINED, Check, fault, undecided
 from ffsm_drake.plugins.audit.log import Array, every, only
 
 NAMED = 0.15  # largest share of the residual that a named mistake may leave
 SURE = 0.03  # the same, for residuals within the doubt of sampling, digits or noise
-_ALIKE = 2.0  # ratio of the remainders of two mistakes that cannot be told apart
-_CLEAR = 0.01  # the same, below which fewer sizes are preferred to a smaller remainder
+_ALIKE = 4.0  # ratio of the remainders of two mistakes that cannot be told apart
 TRIMMED = 0.9  # share of the periods used in a fit; jumps are found separately
 STILL = 1e-9  # rad or m
 _FOLDS = 8  # parts of a log that are left out in turn, for standard errors
 _MOST = 2000  # samples of a fit
 DOUBTS = {
-    "sampling": "every second sample tells as little: log more of them, and all that is known",
+    "sampling": "a coarser sampling changes it as much: log more samples, and all known signals",
     "digits": "the last digits of the numbers change it as much: log more digits",
     "noise": "it jumps as much from sample to sample: log true values",
     "integrator": "the drift of an integrator explains as much: log a run with shorter steps",
@@ -46,8 +45,10 @@ class Mistake:
     offset: float = 0.0
     least: float = -math.inf  # limits of the first size
     most: float = math.inf
-    floors: Sequence[float] = ()  # smallest physically possible sizes; empty: any
-    more: int = 0  # number of sizes beside those of the columns
+    floors: (
+        Sequence[float] | float
+    ) = -math.inf  # smallest physically possible size, or one for each
+    more: int = 0  # number of further sizes that are not fitted here
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +60,7 @@ class Estimate:
     errors: Array  # standard errors
     left: float  # largest remaining residual
     others: Sequence["Estimate"] = ()  # other mistakes that explain the residual about as well
+    is_sure: bool = True  # False: others are about as good, and none is complete
 
     @property
     def count(self) -> int:
@@ -69,22 +71,23 @@ class Estimate:
     def cause(self) -> str:
         """Cause, or the causes that cannot be told apart."""
         causes = [x.mistake.cause.split(" or ") for x in (self, *self.others)]
-        return " or ".join(dict.fromkeys(itertools.chain.from_iterable(causes)))
+        joined = " or ".join(dict.fromkeys(itertools.chain.from_iterable(causes)))
+        return joined if self.is_sure else AMBIGUOUS
 
     @property
     def is_possible(self) -> bool:
         """Whether the sizes are beyond their errors and within their limits."""
-        first = self.sizes[0] if len(self.sizes) else 0.0
-        within = self.mistake.least < first < self.mistake.most
-        floors = np.array(self.mistake.floors or [-math.inf])
-        possible = bool((self.sizes >= floors - 3.0 * self.errors).all())
-        return within and possible and bool((np.abs(self.sizes) > 3.0 * self.errors).any())
+        mistake, errors = self.mistake, 3.0 * self.errors
+        possible = (self.sizes >= np.array(mistake.floors) - errors).all()
+        found = possible and (np.abs(self.sizes) > errors).any()
+        return bool(found and mistake.least < self.sizes[0] < mistake.most)
 
     def __str__(self) -> str:
-        sizes = np.maximum(self.sizes, self.mistake.floors or -math.inf)
+        sizes = np.maximum(self.sizes, self.mistake.floors)
         numbers = self.mistake.offset + self.mistake.factor * sizes
         said = about(numbers, abs(self.mistake.factor) * self.errors, self.mistake.unit)
-        return ", or ".join([self.mistake.text.format(said, *numbers), *map(str, self.others)])
+        words = ", or ".join([self.mistake.text.format(said, *numbers), *map(str, self.others)])
+        return words if self.is_sure else f"{words}; none of these explains all of it"
 
 
 def swing(path: Array) -> float:
@@ -123,8 +126,10 @@ def about(values: Array, errors: Array | None, unit: str) -> str:
 
 
 def estimate(missed: Array, mistake: Mistake, lag: Array) -> Estimate:
-    """Fit the sizes of columns (n, k), and a lag within half a period (from an integrator or a
-    hold), by least squares. Standard errors are a jackknife's: parts of the log are left out.
+    """Fit the sizes of columns (n, k) by least squares.
+
+    A lag within half a period, as an integrator or a hold causes, is fitted too. The standard
+    errors are those of a jackknife, which leaves out parts of the log.
     """
     count = len(mistake.columns)
     table = np.stack([*mistake.columns, lag], axis=2)
@@ -169,52 +174,66 @@ def named(
     share: float = NAMED,
     sure: float = SURE,
 ) -> Estimate | None:
-    """The mistake with the fewest sizes among those about as good as the best; None if none
-    explains the residual up to a share of it, or nearly all of a residual within the doubt. Sizes
-    are no surer than that share.
+    """Choose the mistake that explains the residual.
+
+    It has the fewest sizes among those about as good as the best. If others with no more sizes are
+    about as good, it is sure only if it leaves little of a residual beyond the doubt, within the
+    doubt.
+
+    Args:
+      share: largest share of a residual beyond the doubt that the mistake may leave.
+      sure: largest share of a residual within the doubt that the mistake may leave.
+
+    Returns:
+      The mistake; its sizes have at least the relative error that it leaves. None if none explains
+      the residual.
     """
     before = estimate(missed, _NONE, lag).left
-    tried = [estimate(missed, each, lag) for each in mistakes]
-    tried = [each for each in tried if each.is_possible]
-    best = min((each.left for each in tried), default=math.inf)
-    most = max(share * before, doubt) if before > doubt else min(share, sure) * before
-    if best > most:
-        return None
-    enough = min(max(2.0 * best, 0.5 * doubt, _CLEAR * before), most)
+    is_beyond = before > doubt
+    most = max(share * before, doubt) if is_beyond else min(share, sure) * before
     tried = [
         dataclasses.replace(
             each, errors=np.maximum(each.errors, np.abs(each.sizes) * each.left / before)
         )
-        for each in tried
-        if each.left <= most
+        for each in (estimate(missed, x, lag) for x in mistakes)
+        if each.is_possible
     ]
-    found = min(
-        (each for each in tried if each.left <= enough), key=lambda each: (each.count, each.left)
-    )
-    alike = [
-        each for each in tried
-        if each is not found and each.count == found.count and each.left < _ALIKE * found.left
-    ]  # fmt: skip
-    return dataclasses.replace(found, others=sorted(alike, key=lambda each: each.left))
+    tried.sort(key=lambda each: each.left)
+    if not tried or tried[0].left > most:
+        return None
+    enough = min(max(_ALIKE * tried[0].left, 0.5 * doubt if is_beyond else 0.0), most)
+    found = min((each for each in tried if each.left <= enough), key=lambda each: each.count)
+    both = dataclasses.replace(
+        found,
+        others=[
+            each for each in tried
+            if each is not found and each.count <= found.count and each.left < _ALIKE * found.left
+        ],
+    )  # fmt: skip
+    whole = is_beyond and found.left <= min(doubt, sure * before)
+    alike = all(x.cause in found.cause or found.cause in x.cause for x in both.others)
+    return dataclasses.replace(both, is_sure=whole or alike)
 
 
 def noise(values: Array, parts: Array | None = None) -> float:
-    """Bound of the noise from sample to sample in values (n, k), and of the random walk of the
-    noise in ``parts`` (n - 1, k), which they sum up.
+    """Bound of the noise from sample to sample in values (n, k). If the values are sums of
+    ``parts`` (n - 1, k), it includes the random walk of the noise in the parts.
     """
     found = 4.0 * _white(values)
     return found if parts is None else found + 3.0 * math.sqrt(len(parts)) * _white(parts)
 
 
 def _white(values: Array) -> float:
-    """Standard deviation of white noise on smooth values (n, k), the norm of the columns'."""
+    """Standard deviation of white noise on smooth values (n, k); the norm over the columns."""
     third = np.diff(values, n=3, axis=0)
     return float(np.linalg.norm(np.sqrt((third**2).mean(axis=0) / 20.0)))
 
 
 def open_by_steps(paths: Sequence[Array]) -> float:
-    """Bound of the quadrature error of a path, from the paths with each, every second and every
-    fourth sample, by Richardson's extrapolation with the observed gain of the steps.
+    """Bound of the quadrature error of a path.
+
+    It is a Richardson extrapolation of the paths with every, every second and every fourth
+    sample, with the observed gain of the steps.
     """
     first, second = (
         swing(coarse - fine[::2][: len(coarse)]) for fine, coarse in itertools.pairwise(paths)
@@ -231,12 +250,12 @@ def greatest(doubts: dict[str, float]) -> tuple[float, str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Displacements of a path in each period, beside its rate."""
+    """Displacements of a path in each period, and its rate."""
 
     time: Array  # (n), s
     rate: Array  # (n, k)
     moved: Array  # (n - 1, k)
-    beside: float | Array = 0.0  # expected displacement beside the rate's integral
+    beside: float | Array = 0.0  # expected displacement in addition to the rate's integral
 
     @property
     def slope(self) -> Array:
@@ -296,7 +315,7 @@ class Followed:
         return swing(since_start(self.beyond * self.jumps[:, None]))
 
     def path(self, parts: Array) -> Array:
-        """Sum since the start, jumps left out, of contributions (n - 1, k): some samples (m, k)."""
+        """Sum since the start of contributions (n - 1, k) without jumps, at some samples (m, k)."""
         rows = every(len(parts) + 1, most=_MOST)
         return since_start(parts * ~self.jumps[:, None])[rows]
 
@@ -306,7 +325,9 @@ class Followed:
 
     @functools.cached_property
     def missed(self) -> Array:
-        """Smaller residual (m, k) of a smooth rate and a piecewise linear one (held efforts)."""
+        """The smaller of two residuals (m, k): of a smooth rate, and of a piecewise linear rate, as
+        held efforts have.
+        """
         both = (self.beyond, self.beyond + self.parts.slope)
         return min((self.path(x) for x in both), key=lambda x: estimate(x, _NONE, self.lag).left)
 
@@ -353,7 +374,7 @@ class Followed:
         return dataclasses.replace(mistake, columns=[self.path(x) for x in mistake.columns])
 
     def factor(self) -> Estimate:
-        """Fit of the factor between the motion and the expected motion; size 0: they agree."""
+        """Fit of the factor between motion and expected motion. Size 0 means that they agree."""
         scale = Mistake(cause="scale", text="", columns=[self.expected])
         return estimate(self.missed, self._along(scale), self.lag)
 
@@ -361,7 +382,8 @@ class Followed:
         self, name: str, said: str, mistakes: Iterable[Mistake], tolerance: float
     ) -> tuple[Check, Estimate | None]:
         """Check of a residual beyond the tolerance, and the mistake that explains it, if any."""
-        if found := self.named(mistakes):
+        found = self.named(mistakes)
+        if found and (found.is_sure or self.left > self.doubt[0]):
             return fault(name, found.cause, f"{said} {found}"), found
         (doubt, why), missed = self.doubt, f"{said} misses {100.0 * self.share:.2g} %"
         if self.left > max(tolerance * self.scale, doubt):
@@ -370,7 +392,9 @@ class Followed:
 
 
 def common_factor(factors: Sequence[float], errors: Sequence[float] | float) -> float | None:
-    """Median factor if all agree within 5 % of its distance from 1 and three standard errors."""
+    """Median factor; None if one differs by more than 5 % of the median's distance from 1 plus
+    three standard errors.
+    """
     values = np.array(factors)
     found = float(np.median(values)) if len(values) > 1 else 1.0
     unlike = np.abs(values - found) > 0.05 * abs(found - 1.0) + 3.0 * np.array(errors)

@@ -1,4 +1,4 @@
-"""Check of momentum conservation apart from logged forces, and the mistake behind a residual."""
+"""Check that only the logged forces change the momentum, and the mistake that explains the rest."""
 
 import dataclasses
 import functools
@@ -47,9 +47,10 @@ def _integral(time: Array, rate: Array) -> Array:
 
 
 def _impulses(log: Log) -> list[Array]:
-    """Impulse (n, 6) of the forces on the base since the start, as momenta, for three
-    conventions: a force sampled, held from each sample on, or held up to it; a disturbance is
-    smooth.
+    """Impulse (n, 6) of the forces on the base since the start, as momenta.
+
+    There are three conventions: a force is sampled, held after each sample, or held before it. A
+    disturbance is smooth in all of them.
     """
     place, period = log.position - log.position[0], np.diff(log.time)[:, None]
     moment, push = log.disturbance[:, :3], log.disturbance[:, 3:6]
@@ -67,7 +68,7 @@ def _impulses(log: Log) -> list[Array]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Momentum:
-    """Momenta at some samples of a log, and the share by which the total changes."""
+    """Momenta at some samples of a log, and the relative change of their total."""
 
     log: Log  # mended: rates in world axes
     dynamics: Dynamics
@@ -89,7 +90,7 @@ class Momentum:
 
     @functools.cached_property
     def scale(self) -> Array:
-        """Momentum exchanged by the bodies (6), N m s and N s; a single body's own momentum."""
+        """Momentum exchanged by the bodies (6), N m s and N s. For one body: its own momentum."""
         whole = np.sum(self.momenta, axis=0)
         shares = (self.dynamics.masses / self.dynamics.mass)[:, None]
         drift = whole[..., 3:].sum(axis=1, keepdims=True) * shares
@@ -157,14 +158,14 @@ class Momentum:
     @functools.cached_property
     def drift(self) -> tuple[float, float] | None:
         """Step (s) of a first-order integrator whose drift explains the residual, and the remaining
-        residual; None if none does.
+        residual. None if no step explains it.
         """
         found = self.named(_of_integrator(self), share=_DRIFTED)
         return (float(found.sizes[0]), found.left) if found else None
 
     @property
     def excuses_efforts(self) -> bool:
-        """Whether an integrator's drift, or doubt, explains the whole residual."""
+        """Whether the doubt or the drift of an integrator explains the residual."""
         return self.share <= self.doubt[0] or self.drift is not None
 
 
@@ -209,25 +210,27 @@ def _mistakes(found: Momentum) -> Iterator[Mistake]:
 
 
 def _instead(found: Momentum, cause: str, words: str, log: Log, *, more: int = 0) -> Mistake:
-    """Mistake that replaces the logged samples by ``log``; its size is near 1 if it applies."""
+    """Mistake that replaces the logged samples with ``log``. Its size is near 1 if it applies."""
     change = found.missed + found.impulse / found.scale - found.total(log)
     return Mistake(cause=cause, text=words, columns=[change], more=more, least=0.9, most=1.1)
 
 
 def _of_masses(found: Momentum) -> Iterator[Mistake]:
-    """One body with another mass and inertia: momentum is linear in both."""
+    """One body with another mass and inertia. Momentum is linear in both."""
     bodies = found.dynamics.bodies
     for i, body in enumerate(bodies if len(bodies) > 1 else ()):
         words = " has {1:.3g} times the mass of the URDF and {2:.3g} times the inertia"
         yield Mistake(
-            cause="mass", text=body.name() + words, offset=1.0, floors=[-1.0, -1.0],
+            cause="mass", text=body.name() + words, offset=1.0, floors=-1.0,
             columns=[-part[:, i] / found.scale for part in found.momenta],
         )  # fmt: skip
 
 
 def _of_centers(found: Momentum) -> Iterator[Mistake]:
-    """One body with another centre of mass: momentum is of the second degree in its offset, so
-    that the slopes halfway to an offset, times it, are the whole change.
+    """One body with another centre of mass.
+
+    Momentum is a quadratic polynomial in the offset. The slope halfway to an offset, times the
+    offset, is therefore the exact change.
     """
     bodies = found.dynamics.bodies
     for i, body in enumerate(bodies if len(bodies) > 1 else ()):
@@ -270,8 +273,10 @@ def _of_zeros(found: Momentum) -> Iterator[Mistake]:
 
 
 def _least(missed: Callable[[float], Array], *, turns: bool) -> float:
-    """The offset of a joint's position, rad or m, with the least residual. That is a polynomial of
-    the second degree in the offset, of its sine and cosine if the joint turns: five tell all.
+    """The offset of a joint's position, rad or m, with the least residual.
+
+    The residual is a quadratic polynomial in the offset, or in its sine and cosine if the joint
+    turns. Five offsets therefore determine it.
     """
     most = np.pi if turns else _FARTHEST
 
@@ -302,7 +307,7 @@ def _least(missed: Callable[[float], Array], *, turns: bool) -> float:
 
 
 def _of_forces(found: Momentum) -> Iterator[Mistake]:
-    """Gravity; a constant force; drag of the base; momentum that decays."""
+    """Gravity, a constant force, drag of the base, and momentum that decays."""
     some, place, turn = found.some, found.some.position, found.some.turns
     shares = found.dynamics.masses / found.dynamics.mass
     center = place + np.einsum("nij,b,nbj->ni", turn, shares, found.bodies.center)
@@ -328,18 +333,18 @@ def _of_forces(found: Momentum) -> Iterator[Mistake]:
             )  # fmt: skip
     for cause, text, columns, floors in (
         ("gravity", "gravity of {0} m/s^2 acts",
-         [impulse(found.dynamics.mass * axis, center, still) for axis in world], []),
+         [impulse(found.dynamics.mass * axis, center, still) for axis in world], -np.inf),
         ("damping", "the base is damped by {1:.3g} N s/m and {2:.3g} N m s",
-         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], [0.0, 0.0]),
+         [-impulse(some.linear, place, still), -impulse(still, place, some.angular)], 0.0),
         ("damping", "it decays by {1:.3g} per s, the angular part by {2:.3g} per s: a simulator's "
-         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], [0.0, 0.0]),
+         "damping", [decay * (np.arange(6) >= 3), decay * (np.arange(6) < 3)], 0.0),
     ):  # fmt: skip
         yield Mistake(cause=cause, text=text, columns=columns, floors=floors)
 
 
 def _of_frames(found: Momentum) -> Iterator[Mistake]:
-    """Constant rotations of the base's axes or of the attitude's world axes, and a log in a turning
-    frame.
+    """A constant rotation of the base's axes, one of the attitude's world axes, or a log in a
+    turning frame.
     """
     some, since = found.some, (found.some.time - found.some.time[0])[:, None]
     attitude, place = attitudes(some.quaternion), some.position + found.log.position[0]
@@ -383,8 +388,9 @@ def _of_frames(found: Momentum) -> Iterator[Mistake]:
 
 
 def _of_columns(found: Momentum) -> Iterator[tuple[str, str, Log]]:
-    """Another point of the base logged; joints exchanged, turned the other way, or in degrees:
-    cause, words, the log without it.
+    """Cause, description and the log without the mistake.
+
+    The log has another point of the base, or its joints are exchanged, reversed or in degrees.
     """
     log, names = found.some, found.dynamics.names
     for point, (arm, swung) in found.dynamics.points(log).items():
@@ -409,9 +415,7 @@ def _joints(log: Log, order: list[int], factor: float | Array) -> Log:
 
 
 def _of_integrator(found: Momentum) -> Iterator[Mistake]:
-    """The drift of first-order integrators: the change of momentum scales with the square of
-    the step.
-    """
+    """The drift of first-order integrators. The momentum changes with the square of the step."""
     log, period = found.log, np.diff(found.log.time)
     near = every(len(period), most=1000)
     here, there = only(log, near), only(log, near + 1)
@@ -421,7 +425,7 @@ def _of_integrator(found: Momentum) -> Iterator[Mistake]:
     trial = 0.01 / max(most, 1e-9)
 
     def total(is_body: bool, semi: float, step: float) -> Array:
-        """The total after a step from the middle of each period, its rates changed before poses."""
+        """The total after a step from the middle of each period; rates change before poses."""
 
         def after(what: str, step: float) -> Array:
             first, last = getattr(here, what), getattr(there, what)

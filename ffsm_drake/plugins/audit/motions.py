@@ -44,13 +44,15 @@ _Row = tuple[str, str, Sequence[Array], float, str]
 
 
 def _mistakes(log: Log, rate: str, *table: _Row) -> Iterator[Mistake]:
-    """Mistakes of a rate: a scale, a delay, and those of a table: cause, text, changes of the rate
-    (n, k) for sizes of 1, factor of the sizes in the text, and their unit.
+    """Mistakes of a rate: a scale, a delay, and the rows of a table.
+
+    A row has a cause, a text, changes of the rate (n, k) for sizes of 1, the factor of the sizes
+    in the text, and their unit.
     """
     values = getattr(log, rate)
     yield Mistake(
         cause="rate_scale", text="the position changes by {0} the logged rate", unit="times",
-        offset=1.0, columns=[areas(log.time, values)], changes=[values], floors=[-1.0],
+        offset=1.0, columns=[areas(log.time, values)], changes=[values], floors=-1.0,
     )  # fmt: skip
     lag = [np.diff(log.time)[:, None] * np.diff(values, axis=0)]
     late = "the rates are {0} "
@@ -80,7 +82,7 @@ def mended(log: Log, rate: str, found: Estimate) -> Log:
 
 
 def _constant(log: Log, axes: Array) -> list[Array]:
-    """Vectors (k) in every sample (n, k)."""
+    """Vectors (k), repeated for each sample (n, k)."""
     return [np.broadcast_to(axis, (len(log.time), len(axis))) for axis in axes]
 
 
@@ -97,7 +99,7 @@ def realigned(log: Log) -> tuple[str, Array]:
 
 
 def _of_angular(log: Log) -> Iterator[Mistake]:
-    """Mistakes of a gyro: offset, a turning frame, axes turned or scaled."""
+    """Mistakes of a gyro: an offset, a turning frame, turned or scaled axes."""
     w, axes = log.angular, [*np.moveaxis(log.turns, 2, 0)]
     along = [axis * (axis * w).sum(axis=1, keepdims=True) for axis in axes]
     across = [np.cross(w, axis) for axis in axes]
@@ -119,7 +121,7 @@ def _of_angular(log: Log) -> Iterator[Mistake]:
 
 
 def _of_linear(log: Log) -> Iterator[Mistake]:
-    """Mistakes of a velocity: offset, a turning frame, axes turned."""
+    """Mistakes of a velocity: an offset, a turning frame, turned axes."""
     still = np.eye(3)
     yield from _mistakes(
         log, "linear",
@@ -135,7 +137,7 @@ def _of_linear(log: Log) -> Iterator[Mistake]:
 
 
 def _of_joint(log: Log) -> Iterator[Mistake]:
-    """Mistakes of a joint's rate: offset."""
+    """Mistakes of a joint's rate: an offset."""
     offset = "its rate has a constant offset of {0}"
     changes = _constant(log, np.ones((1, 1)))
     return _mistakes(log, "rates", ("rate_offset", offset, changes, -1.0, "rad/s or m/s"))
@@ -150,5 +152,5 @@ LINEAR = Kind(
 
 
 def of_joint(name: str) -> Kind:
-    """The motion of one joint, in a log with its column alone."""
+    """The motion of one joint, in a log with only its column."""
     return Kind(name=name, path="angles", rate="rates", mistakes=_of_joint)

@@ -1,5 +1,6 @@
-"""Checks of the logged rates against the attitude, the position and the joints: their axes, unit,
-reference point and mistakes.
+"""Checks of the logged rates against the attitude, the position and the joints.
+
+They find the axes, unit, reference point and mistakes of the rates.
 """
 
 import dataclasses
@@ -63,14 +64,14 @@ class _Reading:
     faults: Sequence[Check] = ()
 
     def followed(self) -> Followed:
-        """The motion; not cached, because long logs need much memory."""
+        """The motion. It is not cached, because a long log needs much memory."""
         others = {"digits": self.log.shaken, "sampling": self.log.resampled}
         return Followed(samples=self.log, motion=self.kind.motion, others=others)
 
     @functools.cached_property
     def fit(self) -> tuple[float, float]:
-        """Ratio of the path's changes to the integrated rates, and the share of the path that
-        remains unexplained with it.
+        """Ratio of the path's changes to the integrated rates, and the unexplained share of the
+        path with this ratio.
         """
         found = self.followed()
         if found.scale < STILL:
@@ -142,7 +143,7 @@ def _faults(checks: Iterable[Check]) -> list[Check]:
 
 
 def _followed(reading: _Reading, tolerance: float) -> _Outcome:
-    """Compare a motion with its rates: the paths since the start, jumps apart."""
+    """Compare a motion since the start with its rates, without jumps."""
     log, found, kind = reading.log, reading.followed(), reading.kind
     if found.scale < STILL:
         check = Check(name=kind.name, statement=f"{reading.said}; still")
@@ -276,7 +277,7 @@ def check_rates(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[list[Ch
 def _time_scale(
     checks: list[Check], log: Log, outcomes: Sequence[_Outcome]
 ) -> tuple[list[Check], Log]:
-    """Replace equal rate factors of every position by one mistake: the scale of time."""
+    """Replace equal rate factors of all positions with one mistake, the scale of time."""
     found = [outcome for outcome in outcomes if outcome.factor is not None]
     factor = common_factor([outcome.factor or 1.0 for outcome in found], 0.0)
     if not factor:
@@ -293,7 +294,7 @@ def _time_scale(
 
 
 def _jumps(log: Log, jumps: Array) -> Check:
-    """Check of the jumps: dropped samples, repeated samples, or jumps of the motion itself."""
+    """Check of jumps, which are dropped samples, repeated samples or jumps of the motion itself."""
     paths = np.diff(np.hstack([log.position, log.angles]), axis=0)
     moved = np.hstack([turned(log), paths])
     expected = means(np.hstack([log.angular, log.linear, log.rates])) * np.diff(log.time)[:, None]

@@ -27,7 +27,7 @@ from ffsm_drake.plugins.audit.mcap import read_mcap
 
 _MAX_LOG = 2_000_000_000  # bytes
 _LEAST = 10  # samples
-_LARGEST = 1e50  # a number whose square is one
+_LARGEST = 1e50  # its square is still a finite number
 _SHORTEST = 1e-9  # s
 _TIME = ("time", "t")
 # Quantity -> possible column names; {} stands for w, x, y, z or the joint's name. A name with a
@@ -69,8 +69,8 @@ _MEANT = {  # quantities, in words
     "chain": "the closed chain's force",
 }
 _BASE = [f"base_{what}_{x}" for what in ("rotation", "position") for x in "xyz"]
-# Basilisk's names, and the usual numbering of their components: the label; from 0; from 1. Joints
-# count from base to end.
+# Basilisk's names and the usual numbering of their components: by label, from 0, or from 1. Joints
+# are numbered from base to end.
 _BASILISK = {
     "mrp": "sigma_BN", "position": "r_BN_N", "angular": "omega_BN_B", "linear": "v_BN_N",
     "angles": "theta", "rates": "thetaDot", "efforts": "motorTorque",
@@ -81,7 +81,7 @@ _NEEDED = ("quaternion", "position", "angles")
 
 
 class _Columns:
-    """The columns of a file, which have one length, by their names."""
+    """The columns of a file by name; all have the same length."""
 
     def __init__(self, path: Path, columns: dict[str, Array], given: Mapping[str, str]) -> None:
         self.path, self.found = path, columns
@@ -101,7 +101,7 @@ class _Columns:
         )
 
     def number(self, name: str) -> Array:
-        """One column; numbers too large to be computed with are refused."""
+        """One column; a number that is too large to compute with is refused."""
         column = self.found[name]
         if (beyond := np.flatnonzero(np.abs(column) >= _LARGEST)).size:
             said = f"{column[beyond[0]]:g} in sample {beyond[0]}, not a finite number"
@@ -109,7 +109,7 @@ class _Columns:
         return column
 
     def names(self, what: str, labels: Sequence[str]) -> list[str]:
-        """The names under which some columns stand; none if all are missing."""
+        """The file's names of some columns; empty if all are missing."""
         names = [[pattern.format(label) for pattern in _NAMES[what]] for label in labels]
         taken = [next((name for name in each if name in self.found), None) for each in names]
         if None not in taken:
@@ -124,7 +124,7 @@ class _Columns:
         return []
 
     def table(self, what: str, labels: Sequence[str]) -> Array | None:
-        """Columns (n, labels); None where all are missing or blank."""
+        """Columns (n, labels); None if all are missing or blank."""
         names = self.names(what, labels)
         values = [self.number(name) for name in names]
         blank = [name for name, column in zip(names, values, strict=True)
@@ -141,12 +141,12 @@ def read_log(
     """Read a log with a column for every coordinate, and optionally for its rate.
 
     Args:
-      path: CSV with a first line of names, netCDF, MATLAB's .mat or MCAP; further columns are
+      path: CSV with a first line of names, netCDF, MATLAB's .mat or MCAP. Other columns are
         ignored. Blank cells mean that a message came at another time.
-      joints: the joints' names, from base to end.
-      base: in MCAP, the base's frame.
-      columns: this package's names (``base_quaternion_w``, ``joint_1``, ``joint_1_rate``, ...) ->
-        the log's names; ``base`` -> its frame.
+      joints: the names of the joints, from base to end.
+      base: the frame of the base in MCAP.
+      columns: the log's names by this package's names (``base_quaternion_w``, ``joint_1``,
+        ``joint_1_rate``, ...), and the frame of the base by ``base``.
 
     Raises:
       RecordError: the log cannot be read, a column is missing, or a value is not finite.
@@ -201,8 +201,8 @@ def _read(
 
 
 def _other_attitude(file: _Columns) -> tuple[dict[str, float | None], str]:
-    """Add the quaternion's columns from MRPs, or from roll, pitch, yaw; return their digits, and a
-    note.
+    """Add the columns of the quaternion from MRPs, or from roll, pitch, yaw. Return their digits
+    and a note.
     """
     rows, note = file.table("mrp", "xyz"), ""
     read: Callable[[Array], Rotation] = Rotation.from_mrp
@@ -256,7 +256,7 @@ def _at_poses(path: Path, log: Log) -> Log:
 
 
 def _read_csv(path: Path, _: Sequence[str | None]) -> dict[str, Array]:
-    """Separators are commas, semicolons, tabs or blanks; with semicolons, decimals may have a
+    """Separators are commas, semicolons, tabs or blanks. With semicolons, a decimal point may be a
     comma.
     """
     with path.open(newline="", encoding="utf-8-sig") as file:
@@ -279,14 +279,14 @@ def _read_csv(path: Path, _: Sequence[str | None]) -> dict[str, Array]:
             decimal="," if mark == ";" and "," in second else ".", skipinitialspace=True,
             encoding="utf-8-sig", comment="#",
         )  # fmt: skip
-    return {  # a column of text is nobody's
+    return {  # a column of text has no numbers
         str(name): pd.to_numeric(table.pop(name), errors="coerce").to_numpy(dtype=float)
         for name in names if name
     }  # fmt: skip
 
 
 def _read_netcdf(path: Path, times: Sequence[str | None]) -> dict[str, Array]:
-    """Variables along the dimension of the time, and along a second one by its labels."""
+    """Variables along the dimension of time; a second dimension has labels."""
     import xarray as xr
 
     found: dict[str, Array] = {}
@@ -296,7 +296,7 @@ def _read_netcdf(path: Path, times: Sequence[str | None]) -> dict[str, Array]:
             if variable.dtype.kind not in "fiu" or variable.ndim not in (1, 2):
                 continue
             if axes and variable.dims[:1] not in axes:
-                continue  # it has other times
+                continue  # the variable has other times
             along = variable.dims[-1]
             labels = data[along].values if along in data.variables else None
             found |= _labelled(str(name), np.asarray(variable.values, dtype=float), labels)
@@ -304,7 +304,7 @@ def _read_netcdf(path: Path, times: Sequence[str | None]) -> dict[str, Array]:
 
 
 def _read_mat(path: Path, _: Sequence[str | None]) -> dict[str, Array]:
-    """Arrays, also in structs, as ``struct.name``; exported runs by their labels."""
+    """Arrays; those in structs are called ``struct.name``. Exported runs have labels."""
     from scipy.io import loadmat
 
     found: dict[str, Array] = {}
@@ -331,7 +331,9 @@ def _read_mat(path: Path, _: Sequence[str | None]) -> dict[str, Array]:
 
 
 def _labelled(name: str, values: Array, labels: Any) -> dict[str, Array]:
-    """Columns of a variable (n) or (n, k): without labels ``name.0``, and ``name_x`` of three."""
+    """Columns of a variable (n) or (n, k). Without labels they are called ``name.0``, and of three
+    also ``name_x``.
+    """
     if values.ndim == 1:
         return {name: values}
     usual = {3: "xyz", 4: "wxyz"}.get(values.shape[1], "") if labels is None else ""

@@ -1,9 +1,9 @@
-"""Audit of another simulator's log of a free-flying spacecraft against a URDF: frames and units of
-its velocities, then momentum and the joints' efforts with this package's plant.
+"""Audit of another simulator's log of a free-flying spacecraft against a URDF.
 
-Every check is a fit. Displacements must be the integrals of the logged rates, and momenta the
-integrals of the logged forces. The residual is compared with the tolerance, and with the error
-bound from sampling and digits; beyond both, the mistake that explains the residual is named.
+It checks the frames and units of the velocities, then momentum and the joints' efforts with the
+plant of this package. Every check is a fit. Displacements must be the integrals of the logged
+rates, and momenta the integrals of the logged forces. If the residual exceeds the tolerance and
+the error bound from sampling and digits, the audit names the mistake that explains the residual.
 """
 
 import tempfile
@@ -30,7 +30,7 @@ from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import base_body, make_plant
 
 TOLERANCE = 1e-3  # largest residual, as a share of the motion or of the exchanged momentum
-_DIRECT = (".urdf", ".xacro", ".yaml", ".yml")  # the others are converted
+_DIRECT = (".urdf", ".xacro", ".yaml", ".yml")  # other kinds of files are converted
 _EVEN = 0.8  # least share of equal periods in an evenly sampled log
 _FARTHEST = 2.8  # rad between samples, nearly half a turn
 _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
@@ -53,8 +53,8 @@ def audit(
     Args:
       urdf: the file of the model: URDF, MJCF, SDFormat or model directives.
       columns: other names of columns; see ``read_log``.
-      tolerance: largest residual, as a share: of a displacement, of the momentum exchanged by the
-        bodies, and of a joint's momentum.
+      tolerance: largest residual, relative to a displacement, to the momentum that the bodies
+        exchange, and to the momentum of a joint.
 
     Raises:
       ModelError, RecordError: a file cannot be used.
@@ -90,7 +90,7 @@ def _plant(file: Path) -> MultibodyPlant:
 
 def _checks(log: Log, dynamics: Dynamics, tolerance: float) -> list[Check]:
     checks: list[Check] = []
-    log = log.replace(angles=np.unwrap(log.angles, axis=0))  # logs may begin anew after a turn
+    log = log.replace(angles=np.unwrap(log.angles, axis=0))  # some logs wrap angles at a turn
     for step in (_time, _quaternion, _time_unit, _turn):
         found, log = step(log)
         checks += found
@@ -112,7 +112,7 @@ def _checks(log: Log, dynamics: Dynamics, tolerance: float) -> list[Check]:
 
 
 def _time(log: Log) -> tuple[list[Check], Log]:
-    """Check the order and gaps of the samples; the returned log has only samples in order."""
+    """Check the order and gaps of the samples. The returned log has only samples in order."""
     steps, digit = np.diff(log.time), log.digits.get("time", 0.0)
     if (back := np.flatnonzero(steps <= 0.0)).size:
         kept = log.time > np.maximum.accumulate(np.concatenate([[-np.inf], log.time[:-1]]))
@@ -143,7 +143,7 @@ def _time(log: Log) -> tuple[list[Check], Log]:
 
 
 def _quaternion(log: Log) -> tuple[list[Check], Log]:
-    """Check the norm of the quaternions; the returned log has norm 1."""
+    """Check the norm of the quaternions, which is 1 in the returned log."""
     largest = np.abs(log.quaternion).max(axis=1, keepdims=True)
     size = np.linalg.norm(log.quaternion / largest, axis=1, keepdims=True)
     whole = log.replace(quaternion=log.quaternion / largest / size)
@@ -156,7 +156,7 @@ def _quaternion(log: Log) -> tuple[list[Check], Log]:
 
 
 def _time_unit(log: Log) -> tuple[list[Check], Log]:
-    """Find the unit of time in which joints and base follow their rates; default: s."""
+    """Find the unit of time in which joints and base follow their rates; seconds by default."""
     period, ratios = np.diff(log.time), []
     for position, rate in ((log.angles, log.rates), (log.position, log.linear)):
         moved = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()

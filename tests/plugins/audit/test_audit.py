@@ -549,14 +549,15 @@ def test_sixty_drawn_logs(seed, tmp_path):
 
 
 def outcome(kind, seed, folder):
-    """Whether an audit names a drawn mistake within 5 % of its size, or 15 % where it says so:
-    right, undecided or wrong; and the audit.
+    """Whether an audit names a drawn mistake within 5 % of its size, or 15 % if it states such an
+    error: right, undecided or wrong; and the audit.
     """
     made, log, sizes = drawn_logs.mistaken(kind, seed)
     (folder / "craft.urdf").write_text(made.urdf)
     found = audit(drawn_logs.write(folder / "log.csv", log), folder / "craft.urdf")
     named = {cause for causes in found.causes for cause in causes.split(" or ")}
-    if not found.causes or "no_single_mistake" in named:
+    named -= {"no_single_mistake", "cannot_say_which"}
+    if not named:
         is_right = found.verdict == "yes" and kind == "none"
         return ("right" if is_right else "undecided"), found
     said = " ".join(check.statement for check in found.checks if check.cause)
@@ -572,9 +573,9 @@ def outcome(kind, seed, folder):
 # Logs in which many explanations are nearly as good: mistakes of a joint whose motion is of one
 # frequency or in one direction, or whose friction MuJoCo turns around earlier than its rate.
 HARD = {
-    "spring": (14, 26, 30, 31, 33, 56),
+    "spring": (14, 26, 30, 31, 33, 56, 138),
     "dry friction": (15, 32, 40, 113, 135, 142),
-    "zero shift": (23,),
+    "zero shift": (23, 72),
 }
 
 
