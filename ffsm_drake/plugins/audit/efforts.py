@@ -189,19 +189,17 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
             least=0.0 if moves_one_way and is_positive else -math.inf,
             most=0.0 if moves_one_way and not is_positive else math.inf,
         )  # fmt: skip
-    for cause, text, columns, factor, unit, floors in (
+    for cause, text, columns, unit, floors in (
         ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
-         [-np.diff(rate, axis=0)], 1.0, "kg m^2 (or kg)", 0.0),
-        ("friction", "is damped by {0}", [-moved], 1.0, "N m s (or N s/m)", 0.0),
-        ("friction", "has dry friction of {0}", [against], 1.0, "N m (or N)", 0.0),
+         [-np.diff(rate, axis=0)], "kg m^2 (or kg)", 0.0),
+        ("friction", "is damped by {0}", [-moved], "N m s (or N s/m)", 0.0),
+        ("friction", "has dry friction of {0}", [against], "N m (or N)", 0.0),
         ("friction", "is damped by {1:.4g} N m s and has dry friction of {2:.4g} N m",
-         [-moved, against], 1.0, "", 0.0),
+         [-moved, against], "", 0.0),
         ("spring", "has a spring of {1:.4g} N m/rad (or N/m)",
-         [-means(from_start) * period, period], 1.0, "", [0.0, -math.inf]),
+         [-means(from_start) * period, period], "", [0.0, -math.inf]),
     ):  # fmt: skip
-        yield Mistake(
-            cause=cause, text=text, columns=columns, factor=factor, unit=unit, floors=floors
-        )
+        yield Mistake(cause=cause, text=text, columns=columns, unit=unit, floors=floors)
     for i, other in enumerate(names):
         if i != j:
             yield Mistake(

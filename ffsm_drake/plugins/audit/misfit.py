@@ -195,8 +195,8 @@ def named(
         dataclasses.replace(
             each, errors=np.maximum(each.errors, np.abs(each.sizes) * each.left / before)
         )
-        for each in (estimate(missed, x, lag) for x in mistakes)
-        if each.is_possible
+        for mistake in mistakes
+        if (each := estimate(missed, mistake, lag)).is_possible
     ]
     tried.sort(key=lambda each: each.left)
     if not tried or tried[0].left > most:
@@ -367,8 +367,9 @@ class Followed:
 
     def named(self, mistakes: Iterable[Mistake]) -> Estimate | None:
         """The mistake that explains the residual; the columns are per period (n - 1, k)."""
-        mistakes = map(self._along, mistakes)
-        return named(self.missed, self.lag, mistakes, self.doubt[0], sure=self.sure)
+        return named(
+            self.missed, self.lag, map(self._along, mistakes), self.doubt[0], sure=self.sure
+        )
 
     def _along(self, mistake: Mistake) -> Mistake:
         return dataclasses.replace(mistake, columns=[self.path(x) for x in mistake.columns])
