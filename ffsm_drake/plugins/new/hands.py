@@ -100,9 +100,9 @@ class Hands:
             if rank < len(self._rows):
                 raise ScenarioError(
                     "--tips",
-                    f"'{tip.frame}' has {counted(alone.size, 'joint')} of its own and "
+                    f"the arm of '{tip.frame}' has {counted(alone.size, 'joint')} of its own and "
                     f"{rank} of the {len(self._rows)} degrees of freedom of the target; use an arm "
-                    "with all of them (6 joints in space, 3 in a plane)",
+                    "with all (6 joints in space, 3 in a plane)",
                 )
 
     def _frame(self, name: str) -> Frame:

@@ -243,13 +243,13 @@ FIRST = 'type="revolute"'
 REFUSED = {
     "world": (
         plus(link("world"), joint("root", "world", "bus", kind="fixed")),
-        "or free a spacecraft: remove joint 'root' and link 'world'",
+        "or remove joint 'root' and 'world'",
     ),
     "no moving joint": (replaced(FIRST, 'type="fixed"'), "has no joint that moves"),
     "planar": (
         replaced(FIRST, 'type="planar"', 1),
         "joint 'shoulder' must be revolute, continuous, prismatic or fixed, not 'planar'; replace "
-        "several degrees",
+        "it with single joints",
     ),
     "unknown kind": (
         replaced(FIRST, 'type="hinge"', 1),

@@ -92,7 +92,7 @@ def test_a_second_hand_on_any_link_is_refused_unless_it_has_enough_joints(link: 
     """On the first arm always; on the second, up to its last link."""
     for side, words in (
         ("left", "is on the arm of contact 'left' too"),
-        ("right", f"{link} joints?, for its hand {link} of the 6"),
+        ("right", f"{link} joints? and {link} of the 6"),
     ):
         if (side, link) == ("right", 6):
             continue
