@@ -116,4 +116,4 @@ def _differences(rows: list[Row]) -> tuple[bool, str]:
     texts = (
         named(each, lambda values: between(values, "{:+.1f}".format)) for each in (ours, printed)
     )
-    return holds, "ISV: the differences to TDC are {}; in the paper {}.".format(*texts)
+    return holds, "ISV minus that of TDC: {}; in the paper: {}.".format(*texts)
