@@ -304,7 +304,7 @@ def design_table(found: Design) -> str:
 def _no_margins(found: Design) -> str:
     """The reason for missing margins."""
     if found.given.alarm:
-        return "margins: not compared, because the given gains are not expected to go as planned"
+        return "margins: not compared, because the current gains are not expected to go as planned"
     if not found.ended_by:
         return "margins: not evaluated"
     more = "" if found.ended_by == INTERRUPT else "; give a larger --time"

@@ -101,8 +101,8 @@ class Hands:
                 raise ScenarioError(
                     "--tips",
                     f"the arm of '{tip.frame}' has {counted(alone.size, 'joint')} of its own and "
-                    f"{rank} of the {len(self._rows)} degrees of freedom of the target; use an arm "
-                    "with all (6 joints in space, 3 in a plane)",
+                    f"{rank} of the {len(self._rows)} degrees of freedom of the target; use an "
+                    "arm with all (6 in space, 3 in a plane)",
                 )
 
     def _frame(self, name: str) -> Frame:

@@ -570,7 +570,7 @@ def test_the_weak_axis_of_thrusters_is_found_wherever_it_points(rpy, arm, weak):
     }
     overrides = [f"actuation.thrusters={json.dumps({'layout': None, 'units': units})}"]
     (remark,) = uneven_remarks(load_scenario("postcapture", overrides))
-    found = re.search(r"torque along \[(.*)\] of the base is (\S+) N m", remark)
+    found = re.search(r"torque along \[(.*)\] is (\S+) N m", remark)
     along = np.array([float(each) for each in found[1].split(",")])  # to two digits
     assert abs(along @ axes[weak]) == pytest.approx(np.linalg.norm(along), rel=1e-3)
     assert float(found[2]) == pytest.approx(2.0 * arm, rel=0.01)

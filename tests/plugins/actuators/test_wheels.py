@@ -393,7 +393,7 @@ def test_nearly_coplanar_wheels_are_remarked_on():
     flat = f"actuation.wheels.units={units}"
     (remark,) = uneven_remarks(load_scenario("postcapture", [flat % 1e-4]))
     assert "wheels nearly degenerate: torque along [0, 0, -1]" in remark
-    assert "is 1.41e-05 N m, and up to " in remark
+    assert "is 1.41e-05 N m, elsewhere up to " in remark
     assert not list(uneven_remarks(load_scenario("postcapture", [flat % 1])))
 
 

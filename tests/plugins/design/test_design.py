@@ -142,7 +142,7 @@ def test_what_is_predicted_of_the_given_gains_frees_the_choice():
     assert never.kept
     assert never.ended_by == INTERRUPT
     assert "it misses" in never.remarks[0]
-    reason = "because the given gains are not expected to go as planned"
+    reason = "because the current gains are not expected to go as planned"
     assert f"margins: not compared, {reason}" in design_table(never)
 
 

@@ -299,7 +299,7 @@ def test_a_grasp_shakes_the_panels_and_keeps_momentum(run):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (panels(300.0), "600 kg of the 400 kg of 'base' are on springs"),
+        (panels(300.0), "600 kg of the 400 kg of 'servicer::base' are on springs"),
         (
             ["model.flexible.x={body: servicer::bass, frequency: 1}"],
             "did you mean 'servicer::base'",
