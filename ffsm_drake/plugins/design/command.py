@@ -117,7 +117,8 @@ def _further_margins(
 @click.option(
     "--budget",
     type=FiniteFloat(),
-    help="Largest ISV (default: 1.1 times that of perfect tracking).",
+    help="Largest ISV (default: that of the current gains; with unstable gains or --trade effort, "
+    "at least 1.1 times that of perfect tracking).",
 )
 @click.option(
     "--payload-range",
