@@ -140,6 +140,10 @@ class _Runs:
 
     def results(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
         """The log of each scenario of a batch, or the exception of a separate run."""
+        if self._dynamics.runs_whole:
+            for scenario, log in zip(scenarios, self._dynamics.run_all(scenarios), strict=True):
+                yield log if isinstance(log, RunLog) else self._otherwise(scenario, log)
+            return
         logs = self._side_by_side(scenarios) if len(scenarios) > 1 else [None]
         for scenario, log in zip(scenarios, logs, strict=True):
             yield self._by_itself(scenario) if log is None else log
@@ -158,16 +162,20 @@ class _Runs:
     def _by_itself(self, scenario: Scenario) -> RunLog | Exception:
         if self._dynamics.name == DRAKE:
             return self._with_drake(scenario)
-        reason = "the run fails or diverges"
         try:
             if (log := self._doubled(scenario)) is not None:
                 return log
         except NotCovered as error:
-            if not self._else_drake:
-                return error
-            reason = one_line(error)
+            return self._otherwise(scenario, error)
         except _FAILURES:  # Drake's run shows it
             self._together.drop()
+        return self._otherwise(scenario, None)
+
+    def _otherwise(self, scenario: Scenario, error: NotCovered | None) -> RunLog | Exception:
+        """The run with Drake, as it is not covered, or fails or diverges."""
+        if error is not None and not self._else_drake:
+            return error
+        reason = "the run fails or diverges" if error is None else one_line(error)
         result = self._with_drake(scenario)
         if isinstance(result, RunLog):
             result = dataclasses.replace(result, dynamics=f"{DRAKE} ({reason})")

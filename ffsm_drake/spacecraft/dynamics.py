@@ -28,6 +28,7 @@ class Dynamics:
 
     name = DRAKE
     batch: int | None = None  # usual number of runs side by side; None: see ``usual_batch``
+    runs_whole = False  # whether ``run_all`` computes all of a run, not its plant alone
 
     def check(self, scenario: Scenario) -> None:
         """Raise NotCovered for a run that these dynamics do not compute."""
@@ -39,6 +40,13 @@ class Dynamics:
     def models(self, models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
         """Return the models of several laws as one; arguments as ``copies_of``."""
         return copies_of(models, scenario)
+
+    def run_all(self, scenarios: Sequence[Scenario]) -> Sequence[Any]:
+        """Return, of dynamics that compute whole runs, the log (``RunLog``) of each run. In its
+        place, NotCovered: it is not computed; None: it fails or diverges, so
+        that Drake's run shows how.
+        """
+        raise NotCovered(f"whole runs with {self.name}")
 
 
 class Chosen(NamedTuple):

@@ -236,7 +236,7 @@ class Sensors(Part):
         None if only some sensors are slow, or drift, or have errors in the base's axes.
         """
         settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
-        each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
+        each = [SensorErrors(of, coordinates, setups[0].sample_time) for of in settings]
         kinds = [
             (
                 *measurement_times(of.settings, coordinates),
@@ -264,7 +264,7 @@ def make_sensing(
       ScenarioError: a value is given for an unknown coordinate, or cannot be applied to the base's
         rotation.
     """
-    errors = [_Errors(each, coordinates, sample_time) for each in settings]
+    errors = [SensorErrors(each, coordinates, sample_time) for each in settings]
     for each in errors:
         each.check_rotation()
     # The white noise comes before the drift, so that its draws of a seed do not depend on it.
@@ -280,8 +280,8 @@ def make_sensing(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Errors:
-    """The settings of the sensors, as vectors."""
+class SensorErrors:
+    """The settings of the sensors, as vectors. Raises ScenarioError for an unknown coordinate."""
 
     settings: SensingSettings
     coordinates: Coordinates
@@ -298,6 +298,26 @@ class _Errors:
     def pair(self, name: str, default: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return values of positions and of velocities (nv each)."""
         return self.of(f"position_{name}", default), self.of(f"velocity_{name}", default)
+
+    @property
+    def turn(self) -> np.ndarray:
+        """Matrix (4, 4) by which the constant error turns the attitude's quaternion."""
+        return turning_matrix(self.pair("bias")[0][:3])
+
+    @property
+    def bias(self) -> np.ndarray:
+        """Constant errors along [q; v] (nq + nv), besides the attitude's."""
+        return _of_state(*self.pair("bias"))
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard deviations of white noise along [q; v] (nq + nv)."""
+        return _deviations(*self.pair("noise"))
+
+    @property
+    def resolution(self) -> np.ndarray:
+        """Quantisation along [q; v] (nq + nv); 0: none."""
+        return _of_state(*self.pair("quantization"))
 
     def drift_gains(self) -> np.ndarray:
         """Along [q; v], the intensities of random walks and the standard deviations of correlated
@@ -486,26 +506,25 @@ class _Turning(LeafSystem):
         output.SetFromVector(state.ravel())
 
 
-def _to_sensors(errors: Sequence[_Errors]) -> _Turning:
+def _to_sensors(errors: Sequence[SensorErrors]) -> _Turning:
     """Into the axes of the base's sensors."""
     stage = _Turning(errors[0].coordinates, copies=len(errors), back=False)
     stage.set_name("to_sensors")
     return stage
 
 
-def _to_world(errors: Sequence[_Errors]) -> _Turning:
+def _to_world(errors: Sequence[SensorErrors]) -> _Turning:
     """Out of them."""
     stage = _Turning(errors[0].coordinates, copies=len(errors), back=True)
     stage.set_name("to_world")
     return stage
 
 
-def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
+def _make_bias(errors: Sequence[SensorErrors]) -> Diagram | None:
     """Constant errors; that of the attitude turns it by a rotation vector."""
-    pairs = [each.pair("bias") for each in errors]
-    bias = np.concatenate([_of_state(*pair) for pair in pairs])
-    rotations = [position[:3] for position, _ in pairs]
-    turned = np.any(rotations)
+    bias = np.concatenate([each.bias for each in errors])
+    turns = [each.turn for each in errors]
+    turned = any((turn != np.eye(4)).any() for turn in turns)
     if not (turned or bias.any()):
         return None
     builder = DiagramBuilder()
@@ -517,8 +536,8 @@ def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
         sizes = [4, bias.size // len(errors) - 4] * len(errors)
         parts = builder.AddNamedSystem("parts", Demultiplexer(sizes))
         whole = builder.AddNamedSystem("whole", Multiplexer(sizes))
-        for i, rotation in enumerate(rotations):
-            turn = builder.AddNamedSystem(f"turn_{i}", MatrixGain(turning_matrix(rotation)))
+        for i, matrix in enumerate(turns):
+            turn = builder.AddNamedSystem(f"turn_{i}", MatrixGain(matrix))
             builder.Connect(parts.get_output_port(2 * i), turn.get_input_port())
             builder.Connect(turn.get_output_port(), whole.get_input_port(2 * i))
             builder.Connect(parts.get_output_port(2 * i + 1), whole.get_input_port(2 * i + 1))
@@ -527,9 +546,9 @@ def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
     return _build_stage("bias", builder, before, biased.get_output_port())
 
 
-def _make_white_noise(errors: Sequence[_Errors]) -> Diagram:
+def _make_white_noise(errors: Sequence[SensorErrors]) -> Diagram:
     """One independent Gaussian sample per coordinate and control period, held in between."""
-    deviations = np.concatenate([_deviations(*each.pair("noise")) for each in errors])
+    deviations = np.concatenate([each.deviation for each in errors])
     return _NoiseStage(
         "white_noise",
         Gain(deviations),
@@ -538,7 +557,7 @@ def _make_white_noise(errors: Sequence[_Errors]) -> Diagram:
     )
 
 
-def _make_drift(errors: Sequence[_Errors]) -> Diagram | None:
+def _make_drift(errors: Sequence[SensorErrors]) -> Diagram | None:
     """Random walks of the velocities' bias, from zero, and correlated noise."""
     if not any(each.drift_gains().any() for each in errors):
         return None
@@ -552,7 +571,7 @@ def _make_drift(errors: Sequence[_Errors]) -> Diagram | None:
     )
 
 
-def _drift(errors: _Errors) -> LinearSystem:
+def _drift(errors: SensorErrors) -> LinearSystem:
     """First-order Gauss-Markov processes, stationary from the start, from independent samples."""
     walk, correlated = errors.drift_gains()
     constant = errors.of("correlation_time", 1.0)
@@ -574,13 +593,13 @@ def _drift(errors: _Errors) -> LinearSystem:
     return drift
 
 
-def _make_quantizer(errors: Sequence[_Errors]) -> Diagram | None:
+def _make_quantizer(errors: Sequence[SensorErrors]) -> Diagram | None:
     """Rounding of all but the base's rotation."""
-    resolution = np.concatenate([_of_state(*each.pair("quantization")) for each in errors])
+    resolution = np.concatenate([each.resolution for each in errors])
     return _make_stage("quantizer", Quantizer(resolution)) if resolution.any() else None
 
 
-def _make_sampling(errors: Sequence[_Errors]) -> Sampling | None:
+def _make_sampling(errors: Sequence[SensorErrors]) -> Sampling | None:
     """Longer periods and delays."""
     times = [measurement_times(each.settings, each.coordinates) for each in errors]
     # the quaternion has four
@@ -604,7 +623,7 @@ def measurement_times(
     Raises ScenarioError for an unknown coordinate, and where the base's sensors, each of which
     measures along three axes at once, do so at different times.
     """
-    errors = _Errors(settings, coordinates, 0.0)
+    errors = SensorErrors(settings, coordinates, 0.0)
     for name, group in itertools.product(("period", "delay"), ("base_rotation", "base_position")):
         errors.check_alike(f"position_{name}", group)
         errors.check_alike(f"velocity_{name}", group)

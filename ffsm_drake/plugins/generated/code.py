@@ -1,9 +1,10 @@
 """LLVM code of traced operations, on as many copies at a time as a register holds.
 
-An array of a function has a row for each copy. The operations stand in parts of bounded size, which
-hand values over in memory, as compiling one long piece takes more than proportionally long. No
-operation is fused or reordered, and no library is called: a copy has the same bits whatever the
-others hold, on every processor.
+An array of ``function`` has a row for each copy, one of ``of_lanes`` a register for each entry. The
+operations stand in parts of bounded size, which hand values over in memory, as compiling one long
+piece takes more than proportionally long. No operation is fused or reordered: a copy has the same
+bits whatever the others hold. Only exponentials, logarithms, powers and the inverse and hyperbolic
+functions call the C library; without them the bits are those of every processor.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,19 +12,30 @@ from typing import Any
 
 from ffsm_drake.plugins.generated.angles import sine_and_cosine
 from ffsm_drake.plugins.generated.registers import Registers
-from ffsm_drake.plugins.generated.symbols import Operation, Symbol, Tape, needed
+from ffsm_drake.tape.numbers import TRUTHS, Operation, Symbol, Tape, needed
 
 _PART = 400  # operations
 _PLAIN = {"add": "fadd", "subtract": "fsub", "multiply": "fmul", "divide": "fdiv"}
-_CALLS = {"sqrt": 1, "copysign": 2}  # single instructions: kind -> operands
+# single instructions: kind -> name of LLVM's, operands
+_CALLS = {
+    "sqrt": ("sqrt", 1), "copysign": ("copysign", 2), "abs": ("fabs", 1), "floor": ("floor", 1),
+    "rint": ("rint", 1),
+}  # fmt: skip
+_COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une", "max": "ogt", "min": "olt"}
+# functions of the C library, called for each lane: kind -> operands
+_LIBRARY = dict.fromkeys(
+    ("tan", "exp", "log", "tanh", "sinh", "cosh", "expm1", "log1p", "asin", "acos", "atan"), 1
+) | {"atan2": 2, "pow": 2}
 _Places = Mapping[int, Sequence[tuple[str, int]]]  # of results: operation -> arrays and entries
 
 
 def declarations(registers: Registers) -> Iterator[str]:
     """The lines that a module of functions begins with."""
-    for kind, count in _CALLS.items():
+    for name, count in _CALLS.values():
         operands = ", ".join([registers.reals] * count)
-        yield f"declare {registers.reals} @llvm.{kind}.v{registers.width}f64({operands})"
+        yield f"declare {registers.reals} @llvm.{name}.v{registers.width}f64({operands})"
+    for name, count in _LIBRARY.items():
+        yield f"declare double @{name}({', '.join(['double'] * count)})"
 
 
 def function(
@@ -34,20 +46,39 @@ def function(
     results: Mapping[str, Sequence[Any]],
 ) -> str:
     """A function of pointers to arrays (copies, n), of inputs and of results, and of the number of
-    copies.
+    copies; see ``of_lanes`` for the arguments.
+    """
+    arrays = {**inputs, **{array: len(row) for array, row in results.items()}}
+    given = ", ".join(f"ptr %{each}.b" for each in arrays)
+    call = f"  call void @{name}.lanes({given})"
+    return "\n".join((
+        of_lanes(registers, f"{name}.lanes", tape, inputs, results),
+        _loop(registers, name, arrays, len(inputs), [call]),
+    ))  # fmt: skip
+
+
+def of_lanes(
+    registers: Registers,
+    name: str,
+    tape: Tape,
+    inputs: Mapping[str, int],
+    results: Mapping[str, Sequence[Any]],
+) -> str:
+    """An internal function of pointers to arrays with a register for each entry, of inputs and of
+    results.
 
     Args:
       inputs: the length n of the rows of each input array.
       results: symbols and numbers, a row of each array of results.
     """
     places: dict[int, list[tuple[str, int]]] = {}
-    calls = list[str]()
+    body = list[str]()
     for array, row in results.items():
         for entry, value in enumerate(row):
             if isinstance(value, Symbol):
                 places.setdefault(value.index, []).append((array, entry))
             else:
-                calls += _store(registers, registers.real(value), f"{array}.b", entry, "fixed")
+                body += _store(registers, registers.real(value), f"{array}.b", entry, "fixed")
     operations = tape.operations
     inner = [
         index
@@ -56,18 +87,22 @@ def function(
     ]
     parts = [inner[first : first + _PART] for first in range(0, len(inner), _PART)]
     slots, size = _slots(operations, parts)
-    arrays = {**inputs, **{array: len(row) for array, row in results.items()}}
-    pointers = ", ".join(f"ptr noalias %{each}.b" for each in (*arrays, "kept"))
-    given = ", ".join(f"ptr %{each}.b" for each in (*arrays, "kept"))
+    pointers = ", ".join(f"ptr noalias %{each}.b" for each in (*inputs, *results))
+    given = ", ".join(f"ptr %{each}.b" for each in (*inputs, *results, "kept"))
     texts = []
     for number, part in enumerate(parts):
         lines = "\n".join(_Part(registers, operations, slots, places, part).lines())
         texts.append(
-            f"define internal void @{name}.{number}({pointers}) noinline "
+            f"define internal void @{name}.{number}({pointers}, ptr noalias %kept.b) noinline "
             f"{{\n{lines}\n  ret void\n}}\n"
         )
-        calls.append(f"  call void @{name}.{number}({given})")
-    return "\n".join((*texts, _loop(registers, name, arrays, len(inputs), size, calls)))
+        body.append(f"  call void @{name}.{number}({given})")
+    lines = "\n".join(body)
+    room = f"%kept.b = alloca [{max(size, 1)} x {registers.reals}], align 64"
+    texts.append(
+        f"define internal void @{name}({pointers}) {{\n  {room}\n{lines}\n  ret void\n}}\n"
+    )
+    return "\n".join(texts)
 
 
 def _loop(
@@ -75,7 +110,6 @@ def _loop(
     name: str,
     arrays: Mapping[str, int],
     num_inputs: int,
-    size: int,
     body: Sequence[str],
 ) -> str:
     """Over as many copies at a time as a register holds, with pointers %ARRAY.b to their entries,
@@ -84,7 +118,7 @@ def _loop(
     pointers = ", ".join(f"ptr noalias %{each}" for each in arrays)
     rooms = "\n".join(
         f"  %{each}.b = alloca [{max(count, 1)} x {registers.reals}], align 64"
-        for each, count in {**arrays, "kept": size}.items()
+        for each, count in arrays.items()
     )
     lines, before = list[str](), "loop"
     for lane in range(registers.width):
@@ -205,7 +239,13 @@ class _Part:
             if index not in self._here:
                 yield from self._value(index)
             if index in self._slots:
-                yield from _store(self._registers, f"%t{index}", "kept.b", self._slots[index], "k")
+                value = f"%t{index}"
+                if self._operations[index].kind in TRUTHS:
+                    one, zero = map(self._registers.real, (1.0, 0.0))
+                    reals, truths = self._registers.reals, self._registers.truths
+                    yield f"  {value}.d = select {truths} {value}, {reals} {one}, {reals} {zero}"
+                    value += ".d"
+                yield from _store(self._registers, value, "kept.b", self._slots[index], "k")
             for array, entry in self._places.get(index, ()):
                 yield from _store(self._registers, f"%t{index}", f"{array}.b", entry, "o")
 
@@ -218,6 +258,10 @@ class _Part:
         (kind, operands), reals = operation, self._registers.reals
         if kind == "input":
             yield from self._fetched(index)
+        elif kind in _COMPARED or kind in TRUTHS or kind == "select":
+            yield from self._chosen(name, kind, list(map(self._operand, operands)))
+        elif kind in _LIBRARY:
+            yield from self._from_library(name, kind, list(map(self._operand, operands)))
         elif kind == "negate":
             yield f"  {name} = fneg {reals} %t{operands[0]}"
         elif kind in ("sine", "cosine"):
@@ -228,12 +272,44 @@ class _Part:
             yield f"  {name} = bitcast {self._registers.wholes} %a{angle}.{kind} to {reals}"
         elif kind in _CALLS:
             given = ", ".join(f"{reals} {self._operand(each)}" for each in operands)
-            called = f"@llvm.{kind}.v{self._registers.width}f64"
+            called = f"@llvm.{_CALLS[kind][0]}.v{self._registers.width}f64"
             yield f"  {name} = call {reals} {called}({given})"
         else:
             first, second = map(self._operand, operands)
             yield f"  {name} = {_PLAIN[kind]} {reals} {first}, {second}"
         self._here.add(index)
+
+    def _chosen(self, name: str, kind: str, operands: list[str]) -> Iterator[str]:
+        """Comparisons, what follows from truths, and what they select."""
+        reals, truths, first = self._registers.reals, self._registers.truths, operands[0]
+        if kind == "select":
+            then, otherwise = operands[1:]
+            yield f"  {name} = select {truths} {first}, {reals} {then}, {reals} {otherwise}"
+        elif kind == "not":
+            ones = f"<{', '.join(['i1 true'] * self._registers.width)}>"
+            yield f"  {name} = xor {truths} {first}, {ones}"
+        elif kind in ("and", "or"):
+            yield f"  {name} = {kind} {truths} {first}, {operands[1]}"
+        elif kind in TRUTHS:
+            yield f"  {name} = fcmp {_COMPARED[kind]} {reals} {first}, {operands[1]}"
+        else:  # the largest or least of two; NaN if one of them is
+            second = operands[1]
+            yield f"  {name}.c = fcmp {_COMPARED[kind]} {reals} {second}, {first}"
+            yield f"  {name}.n = fcmp uno {reals} {second}, {second}"
+            yield f"  {name}.s = or {truths} {name}.c, {name}.n"
+            yield f"  {name} = select {truths} {name}.s, {reals} {second}, {reals} {first}"
+
+    def _from_library(self, name: str, kind: str, operands: list[str]) -> Iterator[str]:
+        reals, value = self._registers.reals, "zeroinitializer"
+        for lane in range(self._registers.width):
+            given = []
+            for i, each in enumerate(operands):
+                given.append(f"double {name}.x{lane}.{i}")
+                yield f"  {name}.x{lane}.{i} = extractelement {reals} {each}, i64 {lane}"
+            yield f"  {name}.y{lane} = call double @{kind}({', '.join(given)})"
+            made = name if lane == self._registers.width - 1 else f"{name}.v{lane}"
+            yield f"  {made} = insertelement {reals} {value}, double {name}.y{lane}, i64 {lane}"
+            value = made
 
     def _fetched(self, index: int) -> Iterator[str]:
         """Load a value from its array, or from another part's memory."""
@@ -244,7 +320,11 @@ class _Part:
             array, entry = str(operation.operands[0]), int(operation.operands[1])
         reals = self._registers.reals
         yield f"  %p{index} = getelementptr {reals}, ptr %{array}.b, i64 {entry}"
-        yield f"  %t{index} = load {reals}, ptr %p{index}, align 8"
+        if operation.kind in TRUTHS:
+            yield f"  %l{index} = load {reals}, ptr %p{index}, align 8"
+            yield f"  %t{index} = fcmp une {reals} %l{index}, {self._registers.real(0.0)}"
+        else:
+            yield f"  %t{index} = load {reals}, ptr %p{index}, align 8"
 
     def _operand(self, operand: Any) -> str:
         return f"%t{operand}" if isinstance(operand, int) else self._registers.real(operand)

@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from ffsm_drake.plugins.generated.symbols import cosine, sine
 from ffsm_drake.plugins.generated.tree import Link, Tree
 from ffsm_drake.plugins.generated.vectors import (
     ZERO,
@@ -30,6 +29,7 @@ from ffsm_drake.plugins.generated.vectors import (
     transposed,
 )
 from ffsm_drake.spacecraft.inertia import SIX
+from ffsm_drake.tape.numbers import cosine, sine
 
 
 def derivative(

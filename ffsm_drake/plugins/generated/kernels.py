@@ -10,8 +10,8 @@ from ffsm_drake.plugins.generated.compiling import Code, registers
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
 from ffsm_drake.plugins.generated.errors import tracking_errors
 from ffsm_drake.plugins.generated.registers import Registers
-from ffsm_drake.plugins.generated.symbols import Tape
 from ffsm_drake.plugins.generated.tree import Tree
+from ffsm_drake.tape.numbers import Tape
 
 # The arrays of each function: its inputs, and then its results.
 _INPUTS = {

@@ -30,7 +30,6 @@ from ffsm_drake.plugins.generated.copies import model_of
 from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
 from ffsm_drake.plugins.generated.kernels import Kernels, module_text
 from ffsm_drake.plugins.generated.registers import Registers
-from ffsm_drake.plugins.generated.symbols import Tape, cosine, sine
 from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.scenario import MassProperties, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import tracking_errors
@@ -38,6 +37,7 @@ from ffsm_drake.spacecraft.dynamics import NotCovered
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import make_plant
+from ffsm_drake.tape.numbers import Tape, cosine, sine
 
 QUICK = ("postcapture", "flexible_panels")
 # Positions of a drawn tree with prismatic joints are large: Drake's own errors grow with them.

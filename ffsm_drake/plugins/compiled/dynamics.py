@@ -1,0 +1,320 @@
+"""Dynamics ``compiled``: whole runs in machine code, compared with Drake before the first use."""
+
+import collections
+import os
+import time
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.plugins.compiled.kernel import Kernel
+from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
+from ffsm_drake.plugins.compiled.noise import samples
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
+from ffsm_drake.plugins.generated.compiling import llvm
+from ffsm_drake.plugins.generated.dynamics import held_to_drake
+from ffsm_drake.runs.ending import COMPLETED, Outcome
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.dynamics import Dynamics, NotCovered
+from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.start import state_at_start
+from ffsm_drake.systems.controllers import SampledController, make_controller
+from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.sensing import SensorErrors, measurement_times
+
+LARGEST_DIFFERENCE = 1e-9  # from Drake's run, as a share of the largest value of a signal
+_BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
+_KEPT = 16  # kernels
+
+
+class Diverges(NotCovered):
+    """Nothing can be said of the code by this run."""
+
+
+class Compiled(Dynamics):
+    """Runs in machine code, as many at once as a register holds."""
+
+    name = "compiled"
+    batch = 64
+    runs_whole = True
+
+    def __init__(self) -> None:
+        """Raises FfsmError: llvmlite is missing."""
+        llvm()
+
+    def check(self, scenario: Scenario) -> None:
+        """See Dynamics."""
+        config = scenario.simulator_config
+        steps = steps_of(scenario.sample_time, config.max_step_size)
+        own = set(scenario.blocks.choices()) | {name for name, is_there in (
+            ("capture", scenario.capture is not None),
+            ("contacts", scenario.contacts),
+            ("supervisor", scenario.supervisor is not None),
+            ("faults", scenario.faults),
+            ("model.flexible", scenario.model.flexible),
+            ("actuation.thrusters", scenario.actuation.thrusters is not None),
+            ("actuation.wheels", scenario.actuation.wheels is not None),
+            ("actuation.drives", scenario.actuation.drives is not None),
+            ("actuation.delay", scenario.actuation.delay),
+            ("reference.frame", scenario.reference.frame is not None),
+            ("error control", config.use_error_control),
+            ("a real-time clock", config.target_realtime_rate > 0.0),
+            (f"integration_scheme {config.integration_scheme}",
+             config.integration_scheme not in SCHEMES),
+            ("steps that do not divide a sample", not steps),
+        ) if is_there}  # fmt: skip
+        if own:
+            raise NotCovered(", ".join(sorted(own)))
+
+    def run_all(self, scenarios: Sequence[Scenario]) -> list[RunLog | NotCovered | None]:
+        """See Dynamics."""
+        results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
+        groups: dict[Any, list[tuple[int, _Run]]] = {}
+        for index, scenario in enumerate(scenarios):
+            try:
+                self.check(scenario)
+                run = _Run(scenario)
+                groups.setdefault((run.key, run.samples), []).append((index, run))
+            except NotCovered as error:
+                results[index] = error
+            except FfsmError:  # Drake's run shows it
+                pass
+        for group in groups.values():
+            for (index, _), result in zip(group, _results([run for _, run in group]), strict=True):
+                results[index] = result
+        return results
+
+
+_kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.OrderedDict()
+
+
+def _kernel(run: "_Run") -> Kernel:
+    """The compiled code of a run, compared with Drake once in a process. Raises NotCovered."""
+    found = _kernels.get(run.key)
+    if found is None:
+        try:
+            found = _compiled(run)
+        except Diverges:
+            raise
+        except NotCovered as error:
+            found = error
+        _kernels[run.key] = found
+        if len(_kernels) > _KEPT:
+            _kernels.popitem(last=False)
+    if isinstance(found, NotCovered):
+        raise found
+    return found
+
+
+class _Run:
+    """One run: what its code depends on, and its numbers."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.true = make_flexible_plant(scenario)
+        nominal = make_nominal_plant(scenario)
+        controller = make_controller(scenario, nominal)
+        if not isinstance(controller, SampledController):
+            raise NotCovered("a controller that is a Drake system")
+        self.law = controller.law
+        self.coordinates: Coordinates = nominal.coordinates
+        self.samples = scenario.num_control_periods + 1
+        own, law, constants = reader_of(self.true.plant), *parameters_of(self.law)
+        errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
+        if errors.axes_matter().any():
+            raise NotCovered("sensing: errors along the base's axes")
+        if errors.drift_gains().any():
+            raise NotCovered("sensing: errors that drift")
+        period, delay = measurement_times(scenario.sensing, self.coordinates)
+        if (period > 1).any() or delay.any():
+            raise NotCovered("sensing: periods or delays")
+        disturbance, force = _sines(scenario, self.coordinates), scenario.actuation
+        limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
+        resolution = self.coordinates.vector(
+            force.quantization, key="actuation.quantization", default=0.0
+        )
+        self.parameters = {
+            "own": own.parameters(self.true.context),
+            "law": law,
+            "turn": errors.turn.ravel(),
+            "bias": errors.bias,
+            "deviation": errors.deviation,
+            "resolution": errors.resolution,
+            "limit": limit,
+            "force_resolution": resolution,
+            "sines": disturbance.ravel(),
+        }
+        memory = self.law.initial_state()
+        self.states = {
+            "x": state_at_start(scenario, self.true),
+            "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
+        }
+        self.deviation = errors.deviation
+        config = scenario.simulator_config
+        self.steps = steps_of(scenario.sample_time, config.max_step_size)
+        fixed = {
+            "num_parameters": law.size,
+            "nq": len(self.coordinates.position_names),
+            "nv": len(self.coordinates.names),
+            "tree": own.tree,
+            "undriven": tuple(np.flatnonzero(~self.coordinates.is_driven).tolist()),
+            "biased": bool(errors.bias.any() or (errors.turn != np.eye(4)).any()),
+            "noisy": bool(errors.deviation.any()),
+            "rounded": bool(errors.resolution.any()),
+            "limited": bool(np.isfinite(limit).any()),
+            "quantized": bool(resolution.any()),
+            "scheme": config.integration_scheme,
+            "step": scenario.sample_time / self.steps,
+        }
+        self.key = (*fixed.values(), constants, self.steps, scenario.sample_time)
+        self.blocks = Blocks(law=self.law, **fixed)
+
+    def rows(self) -> np.ndarray:
+        """What the run reads at each sample (samples, n)."""
+        period = self.scenario.sample_time
+        reference = make_motion(self.scenario, self.coordinates).rows(
+            period * np.arange(self.samples)
+        )
+        if not self.blocks.noisy:
+            return reference
+        noise = samples(self.scenario.random_seed, self.samples, self.deviation.size)
+        return np.hstack([reference, noise])
+
+
+def _sines(scenario: Scenario, coordinates: Coordinates) -> np.ndarray:
+    """Amplitude, frequency, phase and constant part of the disturbance (4, nv)."""
+    settings = scenario.disturbance
+    amplitude, frequency, phase, bias = (
+        coordinates.vector(
+            {name: getattr(harmonic, field) for name, harmonic in settings.harmonics.items()},
+            key="disturbance.harmonics",
+            default=0.0,
+        )
+        for field in ("amplitude", "frequency", "phase", "bias")
+    )
+    return np.array([
+        settings.amplitude_scale * amplitude, settings.frequency_scale * frequency, phase,
+        settings.amplitude_scale * bias,
+    ])  # fmt: skip
+
+
+def _results(runs: Sequence[_Run]) -> list[RunLog | NotCovered | None]:
+    """The results of runs with the same code."""
+    kernel = None
+    for run in runs:
+        try:
+            kernel = _kernel(run)
+            break
+        except Diverges:  # the next one may tell more of the code
+            continue
+        except NotCovered as error:
+            return [error] * len(runs)
+    if kernel is None:
+        return [None] * len(runs)
+    parts = [runs[at : at + kernel.width] for at in range(0, len(runs), kernel.width)]
+    return [log for part in parts for log in _logs(kernel, part)]
+
+
+def _logs(kernel: Kernel, runs: Sequence[_Run]) -> list[RunLog | None]:
+    """The logs of at most as many runs as a register holds; None: a run diverges."""
+    start = time.perf_counter()
+    lanes = [*runs, *[runs[-1]] * (kernel.width - len(runs))]
+    given = {name: np.array([run.parameters[name] for run in lanes]) for name in runs[0].parameters}
+    given |= {name: np.array([run.states[name] for run in lanes]) for name in runs[0].states}
+    rows = np.empty((runs[0].samples, sum(kernel.blocks.row.values()), kernel.width))
+    for lane, run in enumerate(runs):
+        rows[..., lane] = run.rows()
+    rows[..., len(runs) :] = rows[..., len(runs) - 1 : len(runs)]
+    began = time.perf_counter()
+    series = kernel.run(given, rows)
+    ended = time.perf_counter()
+    wall_time = {"build": began - start, "advance_to": ended - began, "total": ended - start}
+    return [
+        _log(
+            run, {name: values[lane] for name, values in series.items()}, rows[..., lane], wall_time
+        )
+        for lane, run in enumerate(runs)
+    ]
+
+
+def _log(
+    run: _Run, series: dict[str, np.ndarray], rows: np.ndarray, wall_time: dict[str, float]
+) -> RunLog | None:
+    nq, nv = run.blocks.nq, run.blocks.nv
+    with np.errstate(invalid="ignore"):
+        within = np.abs(series["state"][:, nq:]).max() <= run.scenario.divergence_speed
+    if not within or not all(np.isfinite(values).all() for values in series.values()):
+        return None
+    scenario, duration = run.scenario, (run.samples - 1) * run.scenario.sample_time
+    copied = {name: np.ascontiguousarray(values) for name, values in series.items()}
+    return RunLog(
+        scenario=scenario,
+        outcome=Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s"),
+        coordinates=run.coordinates,
+        split=run.true.split,
+        sliding_unit=str(run.law.sliding_unit),
+        dynamics=Compiled.name,
+        time=scenario.sample_time * np.arange(run.samples),
+        series={
+            **copied,
+            "desired_state": rows[:, : nq + nv].copy(),
+            "desired_acceleration": rows[:, nq + nv : nq + 2 * nv].copy(),
+        },
+        wall_time=wall_time,
+    )
+
+
+def _compiled(run: _Run) -> Kernel:
+    """Trace, compile, and compare with Drake's run. Raises NotCovered."""
+    held_to_drake(run.blocks.tree, plant=run.true.plant)
+    try:
+        period = run.scenario.sample_time
+        kernel = Kernel(run.blocks, steps=run.steps, sample_time=period)
+    except (FfsmError, MemoryError):
+        raise
+    except Exception as error:  # the law may raise anything on symbols
+        raise NotCovered(
+            f"{run.scenario.controller}: {_place_of(error)}{one_line(error)}"
+        ) from error
+    _judge(run, kernel)
+    return kernel
+
+
+def _place_of(error: Exception) -> str:
+    """File and line of the law's code that raised an error on symbols."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if "/numpy/" not in frame.filename and f"{os.sep}tape{os.sep}" not in frame.filename:
+            return f"{Path(frame.filename).name}:{frame.lineno}: "
+    return ""
+
+
+def _judge(run: _Run, kernel: Kernel) -> None:
+    """Compare a run with Drake's. Raises NotCovered: they differ, or Drake's cannot tell."""
+    rollout = Rollout(run.scenario)
+    try:
+        others = set(rollout.loop.blocks) - _BLOCKS
+        if others or rollout.loop.parts:
+            raise NotCovered(", ".join(sorted(others | set(rollout.loop.parts))))
+        expected = rollout.run(run.scenario)
+    finally:
+        rollout.release()
+    (found,) = _logs(kernel, [run])
+    if found is None or expected.outcome.status != COMPLETED:
+        raise Diverges("the run diverges")
+    if set(found.series) != set(expected.series):
+        missing = set(expected.series) ^ set(found.series)
+        raise NotCovered(f"the signals {', '.join(sorted(missing))}")
+    for name, values in expected.series.items():
+        scale = max(float(np.abs(values).max()), 1e-3)
+        difference = float(np.abs(found.series[name] - values).max()) / scale
+        if not difference <= LARGEST_DIFFERENCE:
+            raise NotCovered(
+                f"{run.scenario.controller}: {name} differs from Drake's by {difference:.1e} of it"
+            )

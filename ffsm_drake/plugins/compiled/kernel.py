@@ -1,0 +1,172 @@
+"""One function of machine code that runs simulations, as many at once as a register holds.
+
+All numbers of its runs stand in one array of cells, each a register wide. At every control sample
+it reads a row (reference, noise) and writes a row of the log.
+"""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, Function
+from ffsm_drake.plugins.generated.code import declarations
+from ffsm_drake.plugins.generated.compiling import Code, registers
+from ffsm_drake.plugins.generated.registers import Registers
+
+_BYTES = 8  # of a number
+
+
+class Kernel:
+    """The compiled simulations of a loop."""
+
+    def __init__(self, blocks: Blocks, *, steps: int, sample_time: float) -> None:
+        """Args:
+          blocks: the loop.
+          steps: of the integrator in a control sample.
+          sample_time: s.
+
+        Raises what tracing raises.
+        """
+        self.blocks, self.width = blocks, registers().width
+        self._text = _Text(blocks, registers(), steps=steps, sample_time=sample_time)
+        text = self._text.module()
+        self._code = Code(text, lambda: text)
+        self._run = self._code.function("run", 3)
+
+    def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Run a lane for each simulation.
+
+        Args:
+          runs: what each begins with, by the names of ``Blocks.parameters`` and ``states``:
+            (width, n).
+          rows: of each sample (samples, n, width): reference, noise.
+
+        Returns: the signals of ``Blocks.log``: (width, samples, n) each.
+        """
+        cells = np.zeros((self._text.size, self.width))
+        for name, values in runs.items():
+            first = self._text.places[name]
+            cells[first : first + values.shape[1]] = values.T
+        samples = len(rows)
+        log = np.empty((samples, sum(n for *_, n in self.blocks.log.values()), self.width))
+        self._run(cells.ctypes.data, rows.ctypes.data, log.ctypes.data, samples - 1)
+        made, first = {}, 0
+        for name, (*_, size) in self.blocks.log.items():
+            made[name] = log[:, first : first + size].transpose(2, 0, 1)
+            first += size
+        return made
+
+
+class _Text:
+    """The LLVM text of a module."""
+
+    def __init__(
+        self, blocks: Blocks, registers: Registers, *, steps: int, sample_time: float
+    ) -> None:
+        self._blocks, self._registers = blocks, registers
+        self._steps, self._sample_time = steps, sample_time
+        self.places, self.size = dict[str, int](), 0
+        for name, size in (blocks.parameters | blocks.states | blocks.results).items():
+            self.places[name] = self.size
+            self.size += size
+        self._count = 0
+
+    def module(self) -> str:
+        """Return all of it."""
+        functions = self._blocks.functions(self._registers)
+        lines = "\n".join(self._lines(functions))
+        return "\n".join((
+            *declarations(self._registers),
+            "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
+            *(each.text for each in functions.values()),
+            f"define void @run(ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last) "
+            f"{{\n{lines}\n}}\n",
+        ))  # fmt: skip
+
+    def _new(self) -> str:
+        self._count += 1
+        return f"%n{self._count}"
+
+    def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        reals, blocks, scheme = self._registers.reals, self._blocks, SCHEMES[self._blocks.scheme]
+        row = sum(blocks.row.values())
+        logged = sum(size for *_, size in blocks.log.values())
+        yield "entry:"
+        for name, place in self.places.items():
+            yield f"  %{name} = getelementptr {reals}, ptr %cells, i64 {place}"
+        yield "  br label %begin"
+        yield "begin:"
+        yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
+        yield f"  %row = mul i64 %k, {row}"
+        yield f"  %reference = getelementptr {reals}, ptr %rows, i64 %row"
+        yield (f"  %noise = getelementptr {reals}, ptr %reference, i64 {blocks.row['reference']}")
+        yield "  %sample = uitofp i64 %k to double"
+        yield f"  %time = fmul double %sample, {_number(self._sample_time)}"
+        yield from self._spread("%time", "%t0")
+        yield "  %is_first = icmp eq i64 %k, 0"
+        yield "  br i1 %is_first, label %first, label %later"
+        yield "first:"
+        yield self._call(functions, "first")
+        yield "  br label %sampled"
+        yield "later:"
+        yield self._call(functions, "sample")
+        yield "  br label %sampled"
+        yield "sampled:"
+        yield f"  %entry_of_log = mul i64 %k, {logged}"
+        yield f"  %logged = getelementptr {reals}, ptr %log, i64 %entry_of_log"
+        first = 0
+        for cell, start, size in blocks.log.values():
+            source, target = self._new(), self._new()
+            yield f"  {source} = getelementptr {reals}, ptr %{cell}, i64 {start}"
+            yield f"  {target} = getelementptr {reals}, ptr %logged, i64 {first}"
+            yield self._copy(source, target, size)
+            first += size
+        yield self._copy("%memory_after", "%memory", blocks.states["memory"])
+        yield self._copy("%applied_force", "%applied", blocks.nv)
+        yield "  %ends = icmp eq i64 %k, %last"
+        yield "  br i1 %ends, label %end, label %step"
+        yield "step:"
+        yield "  %j = phi i64 [0, %sampled], [%following, %step]"
+        yield "  %within = uitofp i64 %j to double"
+        yield f"  %shift = fmul double %within, {_number(blocks.step)}"
+        yield "  %start = fadd double %time, %shift"
+        for i, time in enumerate(scheme.times):
+            at = self._new()
+            yield f"  {at} = fadd double %start, {_number(time * blocks.step)}"
+            yield from self._spread(at, f"%t{i}")
+        for i, _ in enumerate(scheme.times):
+            state = "x" if i == 0 else "y"
+            yield self._call(functions, "derivative", state=state, t=f"t{i}", rates=f"k{i}")
+            yield self._call(functions, f"point{i}")
+        yield self._copy("%y", "%x", blocks.states["x"])
+        yield "  %following = add i64 %j, 1"
+        yield f"  %more = icmp ult i64 %following, {self._steps}"
+        yield "  br i1 %more, label %step, label %stepped"
+        yield "stepped:"
+        yield "  %next = add i64 %k, 1"
+        yield "  br label %begin"
+        yield "end:"
+        yield "  ret void"
+
+    def _call(self, functions: Mapping[str, Function], name: str, **others: str) -> str:
+        given = ", ".join(f"ptr %{others.get(each, each)}" for each in functions[name].arrays)
+        return f"  call void @{name}({given})"
+
+    def _copy(self, source: str, target: str, size: int) -> str:
+        count = size * self._registers.width * _BYTES
+        return (
+            f"  call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {count}, i1 false)"
+        )
+
+    def _spread(self, value: str, target: str) -> Iterator[str]:
+        """A number in every lane."""
+        reals, one, all_lanes = self._registers.reals, self._new(), self._new()
+        mask = f"<{self._registers.width} x i32> zeroinitializer"
+        yield f"  {one} = insertelement {reals} poison, double {value}, i64 0"
+        yield f"  {all_lanes} = shufflevector {reals} {one}, {reals} poison, {mask}"
+        yield f"  store {reals} {all_lanes}, ptr {target}, align 8"
+
+
+def _number(value: float) -> str:
+    """A number in LLVM's text."""
+    return Registers(1).real(value)[1:-1].removeprefix("double ")

@@ -1,0 +1,283 @@
+"""A sampled closed loop, traced: its blocks run once on symbols.
+
+The law is the very object of the scenario, with symbols in place of its numbers (``parameters``).
+Everything that the code depends on stands in ``Blocks``; all else is an input.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ffsm_drake.plugins.compiled.parameters import with_symbols
+from ffsm_drake.plugins.generated import equations
+from ffsm_drake.plugins.generated.code import of_lanes
+from ffsm_drake.plugins.generated.errors import tracking_errors
+from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.generated.tree import Reader, Tree
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.law import Sample
+from ffsm_drake.systems.controllers.sampled import SIGNALS
+from ffsm_drake.systems.sensing import quantize
+from ffsm_drake.tape.arrays import inputs, traced
+from ffsm_drake.tape.numbers import NotTraceable, Tape, number
+
+
+class Scheme(NamedTuple):
+    """A Runge-Kutta scheme with the derivatives k0 (at the step's begin), k1, ..."""
+
+    times: tuple[float, ...]  # of the derivatives, in steps
+    # weights of the derivatives: for the point of each further derivative, and for the step's end
+    points: tuple[tuple[float, ...], ...]
+
+
+SCHEMES = {
+    "explicit_euler": Scheme((0.0,), ((1.0,),)),
+    "runge_kutta2": Scheme((0.0, 1.0), ((1.0,), (0.5, 0.5))),
+    "runge_kutta3": Scheme(
+        (0.0, 0.5, 1.0), ((0.5,), (-1.0, 2.0), (1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0))
+    ),
+}
+# Signals of a record that a sample makes, and the cells that have them.
+_SAMPLED = {
+    "state": "known",
+    "measurement": "measurement",
+    "generalized_force": "generalized_force",
+    "applied_force": "applied_force",
+    "disturbance_force": "disturbance_force",
+}
+
+
+class Function(NamedTuple):
+    """A traced function."""
+
+    text: str  # in LLVM's language
+    arrays: tuple[str, ...]  # what it reads, and then what it writes
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """The blocks of a loop, as far as the code depends on them."""
+
+    law: Any
+    num_parameters: int  # of the law
+    nq: int
+    nv: int
+    tree: Tree  # of the spacecraft
+    undriven: tuple[int, ...]
+    biased: bool  # the measurement has a constant error, or a turned attitude
+    noisy: bool
+    rounded: bool  # the measurement is quantised
+    limited: bool
+    quantized: bool  # the force
+    scheme: str
+    step: float  # of the integrator, s
+
+    @functools.cached_property
+    def memory(self) -> dict[str, np.ndarray]:
+        """The law's memory at its start."""
+        return {name: np.asarray(v, float) for name, v in self.law.initial_state().items()}
+
+    @property
+    def parameters(self) -> dict[str, int]:
+        """Numbers that a run begins with and keeps."""
+        nx, nv = self.nq + self.nv, self.nv
+        return {
+            "own": self.tree.num_parameters, "law": self.num_parameters, "turn": 16, "bias": nx,
+            "deviation": nx, "resolution": nx, "limit": nv, "force_resolution": nv, "sines": 4 * nv,
+        }  # fmt: skip
+
+    @property
+    def states(self) -> dict[str, int]:
+        """Numbers that a run begins with and changes."""
+        memory = sum(each.size for each in self.memory.values())
+        return {"x": self.nq + self.nv, "memory": memory, "applied": self.nv}
+
+    @property
+    def results(self) -> dict[str, int]:
+        """What a sample makes, and room for a step of the integrator."""
+        nx, nv = self.nq + self.nv, self.nv
+        stages = range(len(SCHEMES[self.scheme].times))
+        return {
+            "known": nx, "measurement": nx, "generalized_force": nv, "applied_force": nv,
+            "disturbance_force": nv, "memory_after": self.states["memory"], "y": nx,
+            **{f"k{i}": nx for i in stages}, **{f"t{i}": 1 for i in stages},
+        }  # fmt: skip
+
+    @property
+    def row(self) -> dict[str, int]:
+        """What a run reads at each sample."""
+        noise = self.nq + self.nv if self.noisy else 0
+        return {"reference": self.nq + 2 * self.nv, "noise": noise}
+
+    @property
+    def log(self) -> dict[str, tuple[str, int, int]]:
+        """Signal of a record -> its cell at a sample, first entry there, and size."""
+        sizes = self.results | self.states
+        made = {name: (cell, 0, sizes[cell]) for name, cell in _SAMPLED.items()}
+        held = {signal.name: signal.held for signal in SIGNALS if signal.dimension}
+        first = 0
+        for name, value in self.memory.items():
+            if name in held:
+                made[name] = ("memory_after" if held[name] else "memory", first, value.size)
+            first += value.size
+        return made
+
+    def functions(self, registers: Registers) -> dict[str, Function]:
+        """The functions of a sample and of the integrator. Raises NotTraceable, or what the law
+        raises on symbols.
+        """
+        traced_ones = {
+            "first": self._function(registers, "first", self._first),
+            "sample": self._function(registers, "sample", self._sample),
+            "derivative": self._function(registers, "derivative", self._rates),
+        }
+        for i, weights in enumerate(SCHEMES[self.scheme].points):
+            name, reads = f"point{i}", ("x", *(f"k{j}" for j in range(len(weights))))
+            point = functools.partial(self._point, weights)
+            traced_ones[name] = self._function(registers, name, point, reads)
+        return traced_ones
+
+    def _function(
+        self,
+        registers: Registers,
+        name: str,
+        made: Callable[..., Mapping[str, Any]],
+        reads: Sequence[str] = (),
+    ) -> Function:
+        """Trace a function from arrays of symbols to results, which reads what it names."""
+        sizes = self.parameters | self.states | self.results | self.row
+        sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
+        code = made.__code__ if hasattr(made, "__code__") else None
+        names = reads or code.co_varnames[1 : code.co_argcount]  # type: ignore[union-attr]
+        tape, given = Tape(), {each: sizes[each] for each in names}
+        symbols = {each: inputs(tape, each, (size,)) for each, size in given.items()}
+        for each in symbols.values():
+            each.setflags(write=False)
+        results = {
+            each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
+            for each, values in made(**symbols).items()
+        }
+        for each, values in results.items():
+            if len(values) != sizes[each]:
+                raise NotTraceable(f"{each} of {len(values)} numbers instead of {sizes[each]}")
+        return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
+
+    def _first(
+        self, x: Any, t0: Any, law: Any, turn: Any, bias: Any, deviation: Any, resolution: Any,
+        reference: Any, noise: Any, memory: Any, applied: Any, limit: Any, force_resolution: Any,
+        sines: Any,
+    ) -> dict[str, Any]:  # fmt: skip
+        return self._sample(
+            x, t0, law, turn, bias, deviation, resolution, reference, noise, memory, applied,
+            limit, force_resolution, sines, is_first=True,
+        )  # fmt: skip
+
+    def _sample(
+        self, x: Any, t0: Any, law: Any, turn: Any, bias: Any, deviation: Any, resolution: Any,
+        reference: Any, noise: Any, memory: Any, applied: Any, limit: Any, force_resolution: Any,
+        sines: Any, *, is_first: bool = False,
+    ) -> dict[str, Any]:  # fmt: skip
+        measured = x
+        if self.biased:
+            turned = turn.reshape(4, 4) @ measured[:4]
+            measured = np.concatenate([turned, measured[4:]]) + bias
+        if self.noisy:
+            measured = measured + deviation * noise
+        if self.rounded:
+            measured = quantize(measured, resolution)
+        force, after = self._law(law, measured, reference, memory, applied, is_first=is_first)
+        given = force
+        if self.limited:
+            given = np.minimum(np.maximum(given, -limit), limit)
+        if self.quantized:
+            given = quantize(given, force_resolution)
+        return {
+            "known": x,
+            "measurement": measured,
+            "generalized_force": force,
+            "applied_force": given,
+            "disturbance_force": self._disturbance(t0[0], sines),
+            "memory_after": after,
+        }
+
+    def _law(
+        self, symbols: Any, measured: Any, reference: Any, memory: Any, applied: Any,
+        *, is_first: bool,
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """The force and the law's memory after a sample, see ``SampledController.step``."""
+        law, nq, nx = with_symbols(self.law, symbols, TracedModel), self.nq, self.nq + self.nv
+        pieces, taken = dict[str, Any](), 0
+        for name, value in self.memory.items():
+            pieces[name] = memory[taken : taken + value.size].reshape(value.shape)
+            taken += value.size
+        desired = reference[:nx]
+        e, e_dot = map(traced, tracking_errors(list(desired), list(measured), nq))
+        e[list(self.undriven)] = e_dot[list(self.undriven)] = 0.0
+        sample = Sample(
+            measured[:nq], measured[nq:], desired[:nq], desired[nq:], reference[nx:],
+            e, e_dot, applied, is_first,
+        )  # fmt: skip
+        for each in (sample.q, sample.v, e, e_dot):
+            each.setflags(write=False)
+        force, after = law.step(sample, pieces)
+        shapes = {name: value.shape for name, value in self.memory.items()}
+        if np.shape(force) != (self.nv,) or {n: np.shape(v) for n, v in after.items()} != shapes:
+            raise NotTraceable("the law returns other names or shapes than it should")
+        force = traced(force).copy()
+        force[list(self.undriven)] = 0.0
+        return force, np.concatenate(
+            [traced([]), *(traced(after[name]).ravel() for name in shapes)]
+        )
+
+    def _disturbance(self, t: Any, sines: Any) -> Any:
+        amplitude, frequency, phase, bias = sines.reshape(4, self.nv)
+        return amplitude * np.sin(frequency * t + phase) + bias
+
+    def _rates(
+        self, state: Any, applied_force: Any, t: Any, sines: Any, own: Any
+    ) -> dict[str, Any]:
+        force = applied_force + self._disturbance(t[0], sines)
+        rates = equations.derivative(
+            self.tree, list(state[: self.nq]), list(state[self.nq :]), list(force), list(own)
+        )
+        return {"rates": rates}
+
+    def _point(self, weights: Sequence[float], x: Any, **derivatives: Any) -> dict[str, Any]:
+        parts = zip(weights, derivatives.values(), strict=True)
+        return {"y": x + functools.reduce(np.add, [self.step * w * k for w, k in parts])}
+
+
+class TracedModel(PlantModel):
+    """A nominal model on symbols: its mass matrix, bias and tracking errors."""
+
+    def __init__(self, model: PlantModel, own: Any) -> None:
+        """Args: the model, and its parameters as symbols."""
+        for field in dataclasses.fields(model):
+            object.__setattr__(self, field.name, getattr(model, field.name))
+        object.__setattr__(self, "_own", list(own))
+        object.__setattr__(self, "_tree", Reader(model.plant).tree)
+
+    def calc_mass_matrix(self, q: Any) -> Any:
+        """See PlantModel."""
+        return traced(equations.mass_matrix(self._tree, list(q), self._own))
+
+    def calc_bias(self, q: Any, v: Any) -> Any:
+        """See PlantModel."""
+        return traced(equations.bias(self._tree, list(q), list(v), self._own))
+
+    def calc_tracking_errors(self, desired: Any, actual: Any, num_positions: int) -> Any:
+        """See PlantModel."""
+        return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
+
+    def _set_state(self, q: Any, v: Any = None) -> None:
+        raise NotTraceable("the law asks its model for more than mass matrix and bias")
+
+
+def steps_of(sample_time: float, longest: float) -> int:
+    """Steps of the integrator in a control sample; 0: they do not divide it."""
+    steps = max(1, math.ceil(sample_time / longest - 1e-9))
+    return steps if steps == 1 or abs(steps * longest / sample_time - 1.0) < 1e-9 else 0

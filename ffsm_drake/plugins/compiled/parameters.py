@@ -1,0 +1,100 @@
+"""The parameters of a law: the numbers in its fields, in the order of the fields.
+
+Arrays of floats, declared gains and the masses of models are parameters, which may differ between
+runs. All other fields are constants of the traced code.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.plugins.generated.tree import Reader
+from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.law import gains_of
+
+_CONSTANTS = (bool, int, float, str, type(None), np.generic)
+
+
+def parameters_of(law: Any) -> tuple[np.ndarray, tuple[Any, ...]]:
+    """Return the parameters of a law (n), and its constants, which are equal for equal code.
+
+    Raises NotCovered: a field is of an unknown kind.
+    """
+    rows, constants = [np.zeros(0)], list[Any]()
+
+    def note(values: np.ndarray) -> np.ndarray:
+        rows.append(values.ravel())
+        constants.append(values.shape)
+        return values
+
+    _replaced(law, "the law", note, constants.append, lambda model, own: model)
+    return np.concatenate(rows), tuple(constants)
+
+
+def with_symbols(law: Any, symbols: Any, model: Callable[[PlantModel, Any], Any]) -> Any:
+    """Return the law with symbols (n) in place of its parameters; ``model`` replaces a model, given
+    the symbols of its masses.
+    """
+    taken = 0
+
+    def take(values: np.ndarray) -> Any:
+        nonlocal taken
+        part = symbols[taken : taken + values.size].reshape(values.shape)
+        taken += values.size
+        return part if values.ndim else part.item()
+
+    return _replaced(law, "the law", take, lambda constant: None, model)
+
+
+@functools.lru_cache(maxsize=64)
+def reader_of(plant: MultibodyPlant) -> Reader:
+    """Return the reader of a plant's joint tree. Raises NotCovered."""
+    return Reader(plant)
+
+
+def _replaced(
+    value: Any,
+    place: str,
+    number: Callable[[np.ndarray], Any],
+    constant: Callable[[Any], None],
+    model: Callable[[PlantModel, Any], Any],
+) -> Any:
+    """An object with other numbers and models; ``constant`` is told everything else."""
+    if type(value) is PlantModel:
+        reader = reader_of(value.plant)
+        constant(reader.tree)
+        return model(value, number(reader.parameters(value.context)))
+    if isinstance(value, np.ndarray) and value.dtype == float:
+        return number(value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iub":
+        constant((value.shape, value.dtype.str, value.tobytes()))
+        return value
+    if isinstance(value, _CONSTANTS):
+        constant((type(value).__name__, repr(value)))
+        return value
+    if isinstance(value, tuple):
+        constant(len(value))
+        return tuple(_replaced(each, place, number, constant, model) for each in value)
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        raise NotCovered(f"{place}: {type(value).__name__}")
+    kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()
+    constant(f"{kind.__module__}.{kind.__qualname__}")
+    for field in dataclasses.fields(value):
+        own = getattr(value, field.name)
+        if not field.init:
+            raise NotCovered(f"{place}: its field {field.name} is computed")
+        if field.name in gains and isinstance(own, float):
+            made[field.name] = number(np.array(own))
+        else:
+            inner = f"{place}, field {field.name}"
+            made[field.name] = _replaced(own, inner, number, constant, model)
+    # not by the class, whose checks of values were made with the numbers
+    other = object.__new__(kind)
+    for name, each in made.items():
+        object.__setattr__(other, name, each)
+    return other

@@ -1,0 +1,324 @@
+"""Arrays of symbols: unchanged NumPy code runs on them.
+
+``Traced`` is an array of objects. NumPy hands its functions over (``__array_ufunc__`` and
+``__array_function__``), and the rules below apply them to the symbols, one by one. What has no rule
+raises NotTraceable.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.tape import numbers
+from ffsm_drake.tape.numbers import NotTraceable, Tape, Traceable, one, select, two
+
+
+def _ceil(x: Any) -> Any:
+    return -numbers.floor(-x)
+
+
+def _logical(name: str) -> Callable[[Any, Any], Any]:
+    def of(x: Any, y: Any) -> Any:
+        x, y = numbers.truth_of(x), numbers.truth_of(y)
+        return x & y if name == "and" else x | y
+
+    return of
+
+
+def _hypot(x: Any, y: Any) -> Any:
+    return numbers.square_root(x * x + y * y)
+
+
+# Functions of NumPy by name, for numbers or symbols. Arithmetic and comparisons need no rule.
+_BY_NAME: Mapping[str, Callable[..., Any]] = {
+    "absolute": abs, "fabs": abs, "negative": lambda x: -x, "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x, "sqrt": numbers.square_root, "hypot": _hypot,
+    "sin": numbers.sine, "cos": numbers.cosine, "sign": numbers.sign,
+    "maximum": numbers.larger, "fmax": numbers.larger,
+    "minimum": numbers.smaller, "fmin": numbers.smaller,
+    "clip": lambda x, low, high: numbers.smaller(numbers.larger(x, low), high),
+    "copysign": numbers.signed, "arctan2": two("atan2", math.atan2),
+    "floor": numbers.floor, "ceil": _ceil, "rint": numbers.rounded,
+    "trunc": lambda x: select(x < 0.0, _ceil(x), numbers.floor(x)),
+    "remainder": lambda x, y: x - numbers.floor(x / y) * y,
+    "floor_divide": lambda x, y: numbers.floor(x / y),
+    "float_power": lambda x, y: x**y,
+    "logical_and": _logical("and"), "logical_or": _logical("or"),
+    "logical_not": lambda x: numbers.invert(numbers.truth_of(x)),
+    "bitwise_and": _logical("and"), "bitwise_or": _logical("or"),
+    "bitwise_xor": lambda x, y: numbers.truth_of(x) ^ numbers.truth_of(y),
+    "invert": numbers.invert,
+    "isnan": lambda x: x != x, "isfinite": lambda x: abs(x) < math.inf,
+    "isinf": lambda x: abs(x) == math.inf,
+    "deg2rad": lambda x: x * (math.pi / 180.0), "radians": lambda x: x * (math.pi / 180.0),
+    "rad2deg": lambda x: x * (180.0 / math.pi), "degrees": lambda x: x * (180.0 / math.pi),
+    **{name: one(name, getattr(math, name))
+       for name in ("tan", "exp", "log", "tanh", "sinh", "cosh", "expm1", "log1p")},
+    **{f"arc{name}": one(f"a{name}", getattr(math, f"a{name}")) for name in ("sin", "cos", "tan")},
+}  # fmt: skip
+_OPERATORS = {
+    "add", "subtract", "multiply", "divide", "true_divide", "power", "positive", "conjugate",
+    "less", "less_equal", "greater", "greater_equal", "equal", "not_equal",
+    "matmul", "vecdot", "matvec", "vecmat",
+}  # fmt: skip
+_REDUCED = {
+    "add": (lambda x, y: x + y, 0.0), "multiply": (lambda x, y: x * y, 1.0),
+    "maximum": (numbers.larger, None), "minimum": (numbers.smaller, None),
+    "logical_and": (_logical("and"), True), "logical_or": (_logical("or"), False),
+}  # fmt: skip
+
+
+class Traced(np.ndarray):
+    """An array of numbers and symbols."""
+
+    __array_priority__ = 1000.0  # its type is that of results with other arrays
+
+    def __array_ufunc__(
+        self, ufunc: Any, method: str, *given: Any, out: Any = None, where: Any = True, **more: Any
+    ) -> Any:
+        values, name = [_plain(each) for each in given], ufunc.__name__
+        for unused in ("dtype", "casting", "order", "subok"):
+            more.pop(unused, None)
+        if method == "reduce":
+            if where is not True:
+                raise NotTraceable(f"np.{name}.reduce with where=")
+            made = _reduced(name, values[0], **more)
+        elif method != "__call__" or more:
+            raise NotTraceable(f"np.{name}.{method}" + "".join(f" with {each}=" for each in more))
+        elif name in _BY_NAME:
+            made = _each(_BY_NAME[name], *values)
+        elif name in _OPERATORS:
+            made = ufunc(*map(_objects, values), dtype=object)
+        else:
+            raise NotTraceable(f"np.{name}")
+        target = None if out is None else out[0]
+        if where is not True:
+            made = _each(select, where, made, 0.0 if target is None else target)
+        if target is None:
+            return wrapped(made)
+        if target.dtype != object:
+            raise NotTraceable("out= an array of numbers")
+        target.view(np.ndarray)[...] = made
+        return target
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function in _RULES:
+            return wrapped(_RULES[function](*args, **kwargs))
+        if function.__module__ == "numpy.linalg":
+            raise NotTraceable(f"np.linalg.{function.__name__}")
+        return wrapped(super().__array_function__(function, types, args, kwargs))
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, (Traced, Traceable)):
+            key = _known(key, "an index that is known only when it runs")
+        return super().__getitem__(key)
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if isinstance(key, Traced) and _has_symbols(key):
+            if np.ndim(value) and np.shape(value) != self.shape:
+                raise NotTraceable("an assignment of fewer values under a mask")
+            now = self.view(np.ndarray)
+            now[...] = _each(select, key, value, now)
+            return
+        super().__setitem__(_known(key, "an index") if isinstance(key, Traced) else key, value)
+
+    def __pow__(self, power: Any, _modulo: Any = None) -> Any:
+        return np.power(self, power)  # an array's own method compares the power
+
+    def __bool__(self) -> bool:
+        if self.size == 1:
+            return bool(self.item())
+        raise ValueError("the truth of an array is ambiguous")
+
+    def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
+        """Floats are what it holds; nothing else is known."""
+        if np.dtype(dtype) in (float, object):
+            return wrapped(_each(numbers.number, self))
+        return _known(self, f"astype({np.dtype(dtype).name})").astype(dtype)
+
+
+_RULES: dict[Any, Callable[..., Any]] = {}
+
+
+def traced(values: Any) -> Any:
+    """An array of symbols and numbers, from nested lists or an array."""
+    return np.asarray(values, dtype=object).view(Traced)
+
+
+def inputs(tape: Tape, array: str, shape: Sequence[int]) -> Any:
+    """An array of symbols: an input of a traced function."""
+    return traced(tape.inputs(array, math.prod(shape))).reshape(shape)
+
+
+def wrapped(made: Any) -> Any:
+    """A result of NumPy: an array of objects as ``Traced``, one without dimensions as its value."""
+    if isinstance(made, np.ndarray):
+        if made.dtype != object:
+            return made
+        return made.item() if made.ndim == 0 else made.view(Traced)
+    return type(made)(map(wrapped, made)) if type(made) in (tuple, list) else made
+
+
+def _plain(value: Any) -> Any:
+    return value.view(np.ndarray) if isinstance(value, Traced) else value
+
+
+def _objects(value: Any) -> np.ndarray:
+    value = value.item() if isinstance(value, np.generic) else _plain(value)
+    return np.asarray(value, dtype=object)
+
+
+def _each(function: Callable[..., Any], *values: Any) -> Any:
+    """A function of the entries of arrays."""
+    return np.frompyfunc(function, len(values), 1)(*map(_objects, values))
+
+
+def _has_symbols(values: Any) -> bool:
+    return any(isinstance(each, Traceable) for each in _objects(values).ravel())
+
+
+def _known(values: Any, what: str) -> np.ndarray:
+    """The values of an array without symbols."""
+    if _has_symbols(values):
+        raise NotTraceable(what)
+    return np.array(_objects(values).tolist())
+
+
+def _reduced(
+    name: str, values: Any, axis: Any = 0, keepdims: bool = False, initial: Any = None
+) -> Any:
+    if name not in _REDUCED:
+        raise NotTraceable(f"np.{name}.reduce")
+    function, start = _REDUCED[name]
+    start = start if initial is None or type(initial) is not float else initial
+    values = _objects(values)
+    axes = range(values.ndim) if axis is None else axis if isinstance(axis, tuple) else (axis,)
+    for each in sorted((number % values.ndim for number in axes), reverse=True):
+        parts = list(np.moveaxis(values, each, 0))
+        if start is not None and (not parts or initial is not None):
+            parts.insert(0, np.full(np.delete(values.shape, each), start, dtype=object))
+        total = parts[0]
+        for part in parts[1:]:
+            total = _each(function, total, part)
+        values = np.asarray(total, dtype=object)
+        values = np.expand_dims(values, each) if keepdims else values
+    return values
+
+
+def rule(*functions: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Register what NumPy's functions do with symbols."""
+
+    def register(own: Callable[..., Any]) -> Callable[..., Any]:
+        _RULES.update(dict.fromkeys(functions, own))
+        return own
+
+    return register
+
+
+@rule(np.where)
+def _where(condition: Any, *cases: Any) -> Any:
+    if not cases:
+        raise NotTraceable("np.where without values")
+    return _each(select, condition, *cases)
+
+
+@rule(np.clip)
+def _clip(x: Any, a_min: Any = None, a_max: Any = None, **more: Any) -> Any:
+    low, high = more.get("min", a_min), more.get("max", a_max)
+    x = traced(_plain(x)) if low is None else np.maximum(traced(_plain(x)), low)
+    return x if high is None else np.minimum(x, high)
+
+
+@rule(np.zeros_like)
+def _zeros_like(x: Any, **_: Any) -> Any:
+    return traced(np.zeros(np.shape(x)))
+
+
+@rule(np.ones_like)
+def _ones_like(x: Any, **_: Any) -> Any:
+    return traced(np.ones(np.shape(x)))
+
+
+@rule(np.full_like)
+def _full_like(x: Any, fill_value: Any, **_: Any) -> Any:
+    return np.broadcast_to(_objects(fill_value), np.shape(x)).copy()
+
+
+@rule(np.round, np.around)
+def _round(x: Any, decimals: int = 0, **_: Any) -> Any:
+    scale = 10.0**decimals
+    return np.rint(traced(_plain(x)) * scale) * (1.0 / scale)
+
+
+@rule(np.sinc)
+def _sinc(x: Any) -> Any:
+    y = math.pi * traced(_plain(x))
+    near = np.where(y == 0.0, 1.0, y)
+    return np.where(y == 0.0, 1.0, np.sin(near) / near)
+
+
+@rule(np.cross)
+def _cross(a: Any, b: Any, **more: Any) -> Any:
+    if more or np.shape(a)[-1:] != (3,) or np.shape(b)[-1:] != (3,):
+        raise NotTraceable("np.cross of other than rows of three")
+    (ax, ay, az), (bx, by, bz) = (np.moveaxis(traced(_plain(each)), -1, 0) for each in (a, b))
+    parts = [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
+    return np.stack([_objects(each) for each in parts], axis=-1)
+
+
+@rule(np.linalg.norm)
+def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+    if ord not in (None, 2) or (ord == 2 and np.ndim(x) > 1 and axis is None):
+        raise NotTraceable(f"np.linalg.norm of order {ord}")
+    square = traced(_plain(x)) * traced(_plain(x))
+    return np.sqrt(traced(_plain(np.add.reduce(square, axis=axis, keepdims=keepdims))))
+
+
+@rule(np.linalg.solve)
+def _solve(a: Any, b: Any) -> Any:
+    """By elimination without exchange of rows: for matrices that are positive definite."""
+    a, b = _objects(a), _objects(b)
+    if a.ndim > 2:
+        rights = np.broadcast_to(b, (*a.shape[:-2], *b.shape[-2:])) if b.ndim > 1 else b
+        return np.stack([_objects(_solve(*each)) for each in zip(a, rights, strict=True)])
+    a, vector = a.copy(), b.ndim == 1
+    b = (b[:, None] if vector else b).copy()
+    pivots = []
+    for j in range(len(a)):
+        pivots.append(1.0 / a[j, j])
+        for i in range(j + 1, len(a)):
+            factor = a[i, j] * pivots[j]
+            if isinstance(factor, Traceable) or factor != 0.0:
+                a[i, j + 1 :] = a[i, j + 1 :] - factor * a[j, j + 1 :]
+                b[i] = b[i] - factor * b[j]
+    for i in reversed(range(len(a))):
+        for j in range(i + 1, len(a)):
+            b[i] = b[i] - a[i, j] * b[j]
+        b[i] = b[i] * pivots[i]
+    return b[:, 0] if vector else b
+
+
+@rule(np.linalg.inv)
+def _inv(a: Any) -> Any:
+    return _solve(a, np.broadcast_to(np.eye(np.shape(a)[-1]), np.shape(a)))
+
+
+def _ufunc(self: Any, ufunc: Any, method: str, *given: Any, **more: Any) -> Any:
+    own = [traced(each) if isinstance(each, Traceable) else each for each in given]
+    return getattr(ufunc, method)(*own, **more)
+
+
+def _function(self: Any, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+    return function(*map(_deep, args), **kwargs)
+
+
+def _deep(value: Any) -> Any:
+    if isinstance(value, Traceable):
+        return traced(value)
+    return type(value)(map(_deep, value)) if type(value) in (list, tuple) else value
+
+
+Traceable.__array_ufunc__ = _ufunc  # type: ignore[attr-defined]
+Traceable.__array_function__ = _function  # type: ignore[attr-defined]
