@@ -13,6 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
     "common",
+    "tape",
     "scenario",
     "spacecraft",
     "systems",
@@ -28,6 +29,7 @@ PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
 NEEDS = {
     "benchmark": {"actuators", "campaign", "capture", "design"},
     "campaign": {"design"},
+    "compiled": {"generated"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
     "gymnasium": {"policy", "task_space"},

@@ -37,6 +37,7 @@ PAGE_OF = {
     "": "controllers",
     "analysis": "findings",
     "campaign": "campaigns",
+    "compiled": "many_runs",
     "design": "verdict",
     "environment": "orbit",
     "exports": "interfaces",

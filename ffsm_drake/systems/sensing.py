@@ -14,6 +14,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.common import RandomDistribution, RandomGenerator
@@ -328,6 +329,22 @@ class SensorErrors:
             [_of_state(np.zeros_like(walk), walk), _deviations(*self.pair("correlated_noise"))]
         )
 
+    def drift(self) -> "Drift":
+        """Errors that drift."""
+        walk, correlated = self.drift_gains()
+        constant = self.of("correlation_time", 1.0)
+        time_constant = _of_state(constant, constant, quaternion=constant[0])
+        walks, noises = np.flatnonzero(walk), np.flatnonzero(correlated)
+        # share of the deviation left after one sample
+        kept = np.exp(-self.sample_time / time_constant[noises])
+        added = correlated[noises] * np.sqrt(1.0 - kept**2)
+        return Drift(
+            entries=np.concatenate([walks, noises]),
+            kept=np.concatenate([np.ones(walks.size), kept]),
+            added=np.concatenate([math.sqrt(self.sample_time) * walk[walks], added]),
+            start=np.concatenate([np.zeros(walks.size), correlated[noises]]),
+        )
+
     def axes_matter(self) -> np.ndarray:
         """Whether the base's white noise, and its other errors, depend on the axes (2)."""
         base = slice(0, NUM_BASE_VELOCITIES)
@@ -354,6 +371,15 @@ class SensorErrors:
                 "sensing.position_quantization",
                 "base_rotation has no scale to quantise; leave it out",
             )
+
+
+class Drift(NamedTuple):
+    """Random walks and correlated noise: x = kept x + added times a sample of deviation 1 (n)."""
+
+    entries: np.ndarray  # entries of [q; v] that x is added to
+    kept: np.ndarray
+    added: np.ndarray
+    start: np.ndarray  # standard deviation of x at the start
 
 
 def _of_state(position: np.ndarray, velocity: np.ndarray, *, quaternion: float = 0.0) -> np.ndarray:
@@ -573,24 +599,17 @@ def _make_drift(errors: Sequence[SensorErrors]) -> Diagram | None:
 
 def _drift(errors: SensorErrors) -> LinearSystem:
     """First-order Gauss-Markov processes, stationary from the start, from independent samples."""
-    walk, correlated = errors.drift_gains()
-    constant = errors.of("correlation_time", 1.0)
-    time_constant = _of_state(constant, constant, quaternion=constant[0])
-    walks, noises = np.flatnonzero(walk), np.flatnonzero(correlated)
-    period = errors.sample_time
-    kept = np.exp(-period / time_constant[noises])  # share of the deviation left after one sample
-    sigma = np.concatenate([np.zeros(walks.size), correlated[noises]])
-    gain = [math.sqrt(period) * walk[walks], correlated[noises] * np.sqrt(1.0 - kept**2)]
-    shown = np.eye(walk.size)[:, np.concatenate([walks, noises])]
-    drift = LinearSystem(
-        A=np.diag(np.concatenate([np.ones(walks.size), kept])),
-        B=np.diag(np.concatenate(gain)),
+    drift = errors.drift()
+    shown = np.eye(2 * len(errors.coordinates.names) + 1)[:, drift.entries]
+    system = LinearSystem(
+        A=np.diag(drift.kept),
+        B=np.diag(drift.added),
         C=shown,
         D=np.zeros_like(shown),
-        time_period=period,
+        time_period=errors.sample_time,
     )
-    drift.configure_random_state(np.diag(sigma**2))
-    return drift
+    system.configure_random_state(np.diag(drift.start**2))
+    return system
 
 
 def _make_quantizer(errors: Sequence[SensorErrors]) -> Diagram | None:

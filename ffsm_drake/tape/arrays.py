@@ -273,7 +273,7 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
     if ord not in (None, 2) or (ord == 2 and np.ndim(x) > 1 and axis is None):
         raise NotTraceable(f"np.linalg.norm of order {ord}")
     square = traced(_plain(x)) * traced(_plain(x))
-    return np.sqrt(traced(_plain(np.add.reduce(square, axis=axis, keepdims=keepdims))))
+    return np.sqrt(traced(_plain(square.sum(axis=axis, keepdims=keepdims))))
 
 
 @rule(np.linalg.solve)

@@ -41,7 +41,7 @@ class Tape:
         """The rows of an input array."""
         return [self.record("input", array, row) for row in range(rows)]
 
-    def record(self, kind: str, *operands: "Traceable | str") -> Any:
+    def record(self, kind: str, *operands: "Traceable | float | str") -> Any:
         """The result of an operation, which is new or known."""
         plain = tuple(each.index if isinstance(each, Traceable) else each for each in operands)
         key = (kind, plain, *map(type, plain))  # the constant 1.0 is not the operation 1

@@ -42,6 +42,7 @@ NEEDED = {
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
     "faults": [[*SHORT, "--set", "faults={}"]],
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
+    "compiled": [],
     "generated": [],
     "gymnasium": [],
     "impacts": [],

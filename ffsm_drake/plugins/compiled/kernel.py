@@ -39,7 +39,7 @@ class Kernel:
         Args:
           runs: what each begins with, by the names of ``Blocks.parameters`` and ``states``:
             (width, n).
-          rows: of each sample (samples, n, width): reference, noise.
+          rows: of each sample (samples, n, width), see ``Blocks.row``.
 
         Returns: the signals of ``Blocks.log``: (width, samples, n) each.
         """
@@ -98,8 +98,11 @@ class _Text:
         yield "begin:"
         yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
         yield f"  %row = mul i64 %k, {row}"
-        yield f"  %reference = getelementptr {reals}, ptr %rows, i64 %row"
-        yield (f"  %noise = getelementptr {reals}, ptr %reference, i64 {blocks.row['reference']}")
+        yield f"  %first_of_row = getelementptr {reals}, ptr %rows, i64 %row"
+        place = 0
+        for name, size in blocks.row.items():
+            yield f"  %{name} = getelementptr {reals}, ptr %first_of_row, i64 {place}"
+            place += size
         yield "  %sample = uitofp i64 %k to double"
         yield f"  %time = fmul double %sample, {_number(self._sample_time)}"
         yield from self._spread("%time", "%t0")
@@ -122,6 +125,7 @@ class _Text:
             yield self._copy(source, target, size)
             first += size
         yield self._copy("%memory_after", "%memory", blocks.states["memory"])
+        yield self._copy("%drift_after", "%drift", blocks.states["drift"])
         yield self._copy("%applied_force", "%applied", blocks.nv)
         yield "  %ends = icmp eq i64 %k, %last"
         yield "  br i1 %ends, label %end, label %step"

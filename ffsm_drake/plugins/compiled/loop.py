@@ -15,6 +15,7 @@ import numpy as np
 from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.generated import equations
 from ffsm_drake.plugins.generated.code import of_lanes
+from ffsm_drake.plugins.generated.equations import quaternion_matrix
 from ffsm_drake.plugins.generated.errors import tracking_errors
 from ffsm_drake.plugins.generated.registers import Registers
 from ffsm_drake.plugins.generated.tree import Reader, Tree
@@ -68,7 +69,9 @@ class Blocks:
     nv: int
     tree: Tree  # of the spacecraft
     undriven: tuple[int, ...]
+    turned: tuple[bool, bool]  # white noise, and other errors, are along the base's axes
     biased: bool  # the measurement has a constant error, or a turned attitude
+    drifting: tuple[int, ...]  # entries of the measurement with errors that drift
     noisy: bool
     rounded: bool  # the measurement is quantised
     limited: bool
@@ -88,13 +91,15 @@ class Blocks:
         return {
             "own": self.tree.num_parameters, "law": self.num_parameters, "turn": 16, "bias": nx,
             "deviation": nx, "resolution": nx, "limit": nv, "force_resolution": nv, "sines": 4 * nv,
+            "share": len(self.drifting), "added": len(self.drifting),
         }  # fmt: skip
 
     @property
     def states(self) -> dict[str, int]:
         """Numbers that a run begins with and changes."""
         memory = sum(each.size for each in self.memory.values())
-        return {"x": self.nq + self.nv, "memory": memory, "applied": self.nv}
+        drift = len(self.drifting)
+        return {"x": self.nq + self.nv, "memory": memory, "applied": self.nv, "drift": drift}
 
     @property
     def results(self) -> dict[str, int]:
@@ -103,7 +108,8 @@ class Blocks:
         stages = range(len(SCHEMES[self.scheme].times))
         return {
             "known": nx, "measurement": nx, "generalized_force": nv, "applied_force": nv,
-            "disturbance_force": nv, "memory_after": self.states["memory"], "y": nx,
+            "disturbance_force": nv, "memory_after": self.states["memory"],
+            "drift_after": len(self.drifting), "y": nx,
             **{f"k{i}": nx for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
 
@@ -111,7 +117,8 @@ class Blocks:
     def row(self) -> dict[str, int]:
         """What a run reads at each sample."""
         noise = self.nq + self.nv if self.noisy else 0
-        return {"reference": self.nq + 2 * self.nv, "noise": noise}
+        drift = len(self.drifting)
+        return {"reference": self.nq + 2 * self.nv, "noise": noise, "drift_noise": drift}
 
     @property
     def log(self) -> dict[str, tuple[str, int, int]]:
@@ -168,27 +175,22 @@ class Blocks:
 
     def _first(
         self, x: Any, t0: Any, law: Any, turn: Any, bias: Any, deviation: Any, resolution: Any,
-        reference: Any, noise: Any, memory: Any, applied: Any, limit: Any, force_resolution: Any,
-        sines: Any,
+        drift: Any, share: Any, added: Any, reference: Any, noise: Any, drift_noise: Any,
+        memory: Any, applied: Any, limit: Any, force_resolution: Any, sines: Any,
     ) -> dict[str, Any]:  # fmt: skip
         return self._sample(
-            x, t0, law, turn, bias, deviation, resolution, reference, noise, memory, applied,
-            limit, force_resolution, sines, is_first=True,
+            x, t0, law, turn, bias, deviation, resolution, drift, share, added, reference, noise,
+            drift_noise, memory, applied, limit, force_resolution, sines, is_first=True,
         )  # fmt: skip
 
     def _sample(
         self, x: Any, t0: Any, law: Any, turn: Any, bias: Any, deviation: Any, resolution: Any,
-        reference: Any, noise: Any, memory: Any, applied: Any, limit: Any, force_resolution: Any,
-        sines: Any, *, is_first: bool = False,
+        drift: Any, share: Any, added: Any, reference: Any, noise: Any, drift_noise: Any,
+        memory: Any, applied: Any, limit: Any, force_resolution: Any, sines: Any,
+        *, is_first: bool = False,
     ) -> dict[str, Any]:  # fmt: skip
-        measured = x
-        if self.biased:
-            turned = turn.reshape(4, 4) @ measured[:4]
-            measured = np.concatenate([turned, measured[4:]]) + bias
-        if self.noisy:
-            measured = measured + deviation * noise
-        if self.rounded:
-            measured = quantize(measured, resolution)
+        white = deviation * noise if self.noisy else traced(np.zeros(x.size))
+        measured = self._measured(x, white, turn.reshape(4, 4), bias, drift, resolution)
         force, after = self._law(law, measured, reference, memory, applied, is_first=is_first)
         given = force
         if self.limited:
@@ -202,7 +204,28 @@ class Blocks:
             "applied_force": given,
             "disturbance_force": self._disturbance(t0[0], sines),
             "memory_after": after,
+            "drift_after": share * drift + added * drift_noise,
         }
+
+    def _measured(
+        self, x: Any, white: Any, turn: Any, bias: Any, drift: Any, resolution: Any
+    ) -> Any:
+        """The stages of sensing, see ``systems.sensing.make_sensing``."""
+        values, (along_white, along_others) = x, self.turned
+        if along_others and not along_white:  # isotropic noise is added in the world's axes
+            values = values + white
+        if along_white or along_others:
+            values = _turned(values, x, back=False)
+        if self.biased:
+            values = np.concatenate([turn @ values[:4], values[4:]]) + bias
+        if along_white or not along_others:
+            values = values + white
+        if self.drifting:
+            values = values.copy()
+            values[list(self.drifting)] = values[list(self.drifting)] + drift
+        if self.rounded:
+            values = quantize(values, resolution)
+        return _turned(values, x, back=True) if along_white or along_others else values
 
     def _law(
         self, symbols: Any, measured: Any, reference: Any, memory: Any, applied: Any,
@@ -251,8 +274,24 @@ class Blocks:
         return {"y": x + functools.reduce(np.add, [self.step * w * k for w, k in parts])}
 
 
+def _turned(values: Any, true: Any, *, back: bool) -> Any:
+    """A measurement in the axes of the base's sensors, or ``back`` in the world's."""
+    quaternion = true[:4] * (1.0 / np.sqrt(true[:4] @ true[:4]))
+    w, x, y, z = quaternion
+    turn = traced([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    R = traced(quaternion_matrix(list(quaternion)))
+    values, nv = values.copy(), (len(values) - 1) // 2
+    values[:4] = (turn if back else turn.T) @ values[:4]
+    for first in (4, nv + 1, nv + 4):
+        values[first : first + 3] = (R if back else R.T) @ values[first : first + 3]
+    return values
+
+
 class TracedModel(PlantModel):
     """A nominal model on symbols: its mass matrix, bias and tracking errors."""
+
+    _own: list[Any]  # the parameters of the tree
+    _tree: Tree
 
     def __init__(self, model: PlantModel, own: Any) -> None:
         """Args: the model, and its parameters as symbols."""

@@ -8,6 +8,7 @@ that the run's seed gives.
 import functools
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,17 +20,41 @@ from ffsm_drake.tape.numbers import Tape, one, smaller, square_root
 _LARGEST = float(np.nextafter(1.0, 0.0))
 
 
-def samples(seed: int, count: int, size: int) -> np.ndarray:
-    """Return what a source of ``size`` numbers gives at each sample (count, size)."""
-    first = _generator(seed).random_raw()
+class Noise(NamedTuple):
+    """Samples of deviation 1 of a run's sensors."""
+
+    white: np.ndarray  # (samples, size)
+    start: np.ndarray  # (n) of what drifts, at the start
+    drift: np.ndarray  # (samples, n)
+
+
+def noise_of(seed: int, count: int, *, size: int, drifting: int) -> Noise:
+    """Return the samples of a run with ``size`` white numbers and as many that drift."""
+    seeds = _generator(seed)
+    white = _samples(int(seeds.random_raw()), count, size)
+    if not drifting:
+        return Noise(white, np.zeros(0), np.zeros((count, 0)))
+    start = _few(seeds, drifting)
+    return Noise(white, start, _samples(int(seeds.random_raw()), count, drifting))
+
+
+def _samples(seed: int, count: int, size: int) -> np.ndarray:
     # A source draws once before its first update.
-    return _normal(_generator(int(first)), (count + 1) * size).reshape(count + 1, size)[1:]
+    return _normal(_generator(seed), (count + 1) * size).reshape(count + 1, size)[1:]
+
+
+def _few(generator: np.random.MT19937, count: int) -> np.ndarray:
+    """Normal numbers (count), without a draw more than they need."""
+    made = np.empty(0)
+    while made.size < count:
+        made = np.append(made, _accepted(generator.random_raw(4)))
+    return made[:count]
 
 
 def _generator(seed: int) -> np.random.MT19937:
     """A twister that begins as C++'s with a seed."""
     made = np.random.MT19937()
-    made.state = np.random.RandomState(seed).get_state(legacy=False)
+    made.state = np.random.RandomState(seed).get_state(legacy=False)  # type: ignore[assignment]
     return made
 
 
@@ -38,13 +63,18 @@ def _normal(generator: np.random.MT19937, count: int) -> np.ndarray:
     parts, found = list[np.ndarray](), 0
     while found < count:
         pairs = int(0.64 * (count - found)) + 64  # pi / 4 of which are accepted
-        drawn = generator.random_raw(4 * pairs).astype(float)
-        made = np.empty((pairs, 3))
-        _polar()(drawn.ctypes.data, made.ctypes.data, pairs)
-        accepted = (made[:, 2] <= 1.0) & (made[:, 2] != 0.0)
-        parts.append(made[accepted, :2].ravel())
+        parts.append(_accepted(generator.random_raw(4 * pairs)))
         found += parts[-1].size
     return np.concatenate(parts)[:count]
+
+
+def _accepted(raw: np.ndarray) -> np.ndarray:
+    """The normal numbers of 32-bit ones, four for a pair."""
+    drawn = raw.astype(float)
+    made = np.empty((raw.size // 4, 3))
+    _polar()(drawn.ctypes.data, made.ctypes.data, len(made))
+    accepted: np.ndarray = made[(made[:, 2] <= 1.0) & (made[:, 2] != 0.0), :2].ravel()
+    return accepted
 
 
 @functools.cache
