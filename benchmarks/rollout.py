@@ -21,6 +21,7 @@ of a
 (w) our closed loop of as many runs side by side, each with a seed of its own, per run.
 (g) the same with dynamics ``generated``, where llvmlite is installed (pip install
     'ffsm-drake[generated]').
+(k) the same runs compiled, with their preparation, noise and log.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -58,7 +59,7 @@ except ImportError as error:
 
 JOINTS = (5, 7, 14)
 AT_ONCE = (16, 64)  # runs
-GENERATED = "generated"
+GENERATED, COMPILED = "generated", "compiled"
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
     "four wheels": ("actuation.thrusters=null",),
@@ -208,8 +209,10 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
     logs = [rollout.run(seed) for seed in seeds]
     ours = {"w": Rollout(seeds)}
-    if GENERATED in dynamics_names() and find_spec("llvmlite"):
+    compiled = None
+    if {GENERATED, COMPILED} <= set(dynamics_names()) and find_spec("llvmlite"):
         ours["g"] = Rollout(seeds, dynamics=find_dynamics(GENERATED).dynamics)
+        compiled = find_dynamics(COMPILED).dynamics
     noise = np.stack([sensor_noise(log) for log in logs], axis=1)
     errors = np.stack([log.error for log in logs], axis=1)
     batch = MujocoBatch(scenario, logs[0].coordinates, runs)
@@ -222,6 +225,9 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
         for name, own in ours.items()
     }
     contestants["e"] = lambda: timed(lambda: batch.run(noise)) / runs
+    if compiled is not None:
+        found["k"] = np.stack([log.error for log in compiled.run_all(seeds)], axis=1)
+        contestants["k"] = lambda: timed(lambda: compiled.run_all(seeds)) / runs
     return AtOnce(
         contestants={f"{name}{runs}": work for name, work in contestants.items()},
         differences={
@@ -285,7 +291,7 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
 
 
 def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> None:
-    labels = {"e": "MuJoCo", "w": "ours", "g": f"ours, {GENERATED}"}
+    labels = {"e": "MuJoCo", "w": "ours", "g": f"ours, {GENERATED}", "k": f"ours, {COMPILED}"}
     for each in together:
         for name, difference in each.differences.items():
             letter, runs = name[0], name[1:]
@@ -299,7 +305,7 @@ def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> No
             print(f"  {label:38s} {times[name]}   {against}")
             print(f"  error of all runs, largest difference (b) - ({letter}): {difference:.1e}")
     if not any(name.startswith("g") for name in times):
-        print("  (g) skipped, needs 'pip install ffsm-drake[generated]'")
+        print("  (g), (k) skipped, needs 'pip install ffsm-drake[generated]'")
 
 
 def print_variants(times: Mapping[str, Timing], samples: int) -> None:
