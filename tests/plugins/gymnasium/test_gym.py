@@ -151,7 +151,7 @@ def test_an_action_acts_and_may_end_the_episode():
     env = MissionEnv("postcapture", ("duration=20", "divergence_speed=0.5"), samples_per_step=10)
     rewards, info, ended = flown(env, 0, np.ones(env.action_space.shape))
     assert ended
-    assert "diverged" in info["ending"]
+    assert "Diverged" in info["ending"]
     assert info["reward_terms"]["failure"] == -1.0
     assert rewards[-1] < -5.0
 

@@ -75,7 +75,7 @@ def test_a_copy_that_diverges_begins_anew_while_the_others_go_on(action, samples
             ends += 1
             if before == 0:
                 assert info["ending"][1] == own_info["ending"][1]
-            assert "diverged" in info["ending"][1]
+            assert "Diverged" in info["ending"][1]
             assert info["reward_terms"]["failure"].tolist() == [0.0, -1.0, 0.0]
             seen, reward, ended, _, _ = wide.step(actions)
             assert not ended.any()
