@@ -403,7 +403,7 @@ def test_a_loop_that_would_take_minutes_is_refused_by_its_size(key, samples):
     """Counts of states, of the period and of evaluations, at least one of them beyond its bound."""
     with pytest.raises(NotLinear, match="the linear loop is too large") as caught:
         Linearizer(load_scenario("postcapture", [key.format(samples)]))
-    counts = re.findall(r"(\d+) [a-z ]+\(at most (\d+)", str(caught.value))
+    counts = re.findall(r"(\d+) [a-z ]+\(limit (\d+)", str(caught.value))
     assert len(counts) == 3
     assert any(int(count) > int(bound) for count, bound in counts)
 

@@ -199,8 +199,8 @@ class Linearizer:
         work = updates * (states + self._noise.size)
         if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
             raise TooLarge(
-                f"the linear loop is too large: {states} states (of {_MOST_STATES}), {period} "
-                f"samples in its period (of {_MOST_SAMPLES}), {work} evaluations (of "
+                f"the linear loop is too large: {states} states (limit {_MOST_STATES}), {period} "
+                f"samples in its period (limit {_MOST_SAMPLES}), {work} evaluations (of "
                 f"{_MOST_EVALUATIONS}); shorten delays and periods"
             )
 
