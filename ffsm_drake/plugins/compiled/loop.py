@@ -170,7 +170,7 @@ class Blocks:
         }
         for each, values in results.items():
             if len(values) != sizes[each]:
-                raise NotTraceable(f"{each} of {len(values)} numbers instead of {sizes[each]}")
+                raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
         return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
 
     def _first(

@@ -252,7 +252,9 @@ def test_code_that_differs_from_drake_is_refused(monkeypatch):
 
 
 def test_an_unknown_name_lists_the_known():
-    with pytest.raises(FfsmError, match="drake, compiled, compiled_else_drake, generated and 1 more"):
+    with pytest.raises(
+        FfsmError, match="drake, compiled, compiled_else_drake, generated and 1 more"
+    ):
         find_dynamics("generatd")
 
 

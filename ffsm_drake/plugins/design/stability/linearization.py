@@ -200,8 +200,8 @@ class Linearizer:
         if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
             raise TooLarge(
                 f"the linear loop is too large: {states} states (limit {_MOST_STATES}), {period} "
-                f"samples in its period (limit {_MOST_SAMPLES}), {work} evaluations (of "
-                f"{_MOST_EVALUATIONS}); shorten delays and periods"
+                f"samples in its period (limit {_MOST_SAMPLES}), {work} evaluations "
+                f"(limit {_MOST_EVALUATIONS}); shorten delays and periods"
             )
 
     def __enter__(self) -> Self:
