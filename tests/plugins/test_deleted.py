@@ -45,7 +45,6 @@ NEEDED = {
     "compiled": [],
     "generated": [],
     "gymnasium": [],
-    "impacts": [],
     "inputs": [],
     "interactive": [
         [*SHORT, "--meshcat"],

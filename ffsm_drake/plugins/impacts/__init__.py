@@ -1,1 +1,0 @@
-"""A planar example in which two arms slow a spinning target by repeated impacts."""
