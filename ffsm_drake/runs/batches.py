@@ -84,7 +84,7 @@ def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[
     most = usual_batch() if batch is None else batch
     groups: dict[str, list[int]] = {}
     for index, scenario in enumerate(scenarios):
-        key = _group(scenario) if most > 1 else None
+        key = group_of(scenario) if most > 1 else None
         groups.setdefault(key or str(index), []).append(index)
     parts = [np.array_split(group, -(-len(group) // most)) for group in groups.values()]
     return [part.tolist() for each in parts for part in each]
@@ -92,7 +92,7 @@ def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[
 
 def runs_alone(scenario: Scenario) -> bool:
     """Whether a scenario cannot run side by side with others."""
-    return _group(timed(scenario)) is None
+    return group_of(timed(scenario)) is None
 
 
 def run_many(
@@ -186,7 +186,7 @@ class _Runs:
         copies.
         """
         self._dynamics.check(scenario)
-        if _group(scenario) is None:
+        if group_of(scenario) is None:
             raise NotCovered("a run that cannot go side by side with others")
         both = [scenario, scenario]
         try:
@@ -227,7 +227,7 @@ class Kept:
         self._rollout = None
 
 
-def _group(scenario: Scenario) -> str | None:
+def group_of(scenario: Scenario) -> str | None:
     """Return the key that is equal for runs that can run side by side; None: run this one
     separately.
     """

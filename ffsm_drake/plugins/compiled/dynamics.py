@@ -17,6 +17,7 @@ from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
 from ffsm_drake.plugins.generated.compiling import llvm
 from ffsm_drake.plugins.generated.dynamics import held_to_drake
+from ffsm_drake.runs.batches import group_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout
@@ -180,7 +181,11 @@ class _Run:
             "scheme": config.integration_scheme,
             "step": scenario.sample_time / self.steps,
         }
-        self.key = (*fixed.values(), constants, self.steps, scenario.sample_time)
+        # equal for runs with the same diagram on Drake
+        group = group_of(scenario)
+        if group is None:
+            raise NotCovered("a run that cannot go side by side with others")
+        self.key = (group, *fixed.values(), constants, self.steps)
         self.blocks = Blocks(law=self.law, **fixed)
 
     def rows(self) -> np.ndarray:

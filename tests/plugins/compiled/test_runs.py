@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from ffsm_drake import ControlLaw, gain, load_scenario, simulate_many
+from ffsm_drake import ControlLaw, FfsmError, gain, load_scenario, simulate_many
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.spacecraft.dynamics import NotCovered
 
@@ -124,6 +124,24 @@ def test_a_run_that_diverges_is_repeated_with_drake():
     assert fine.dynamics == "compiled"
     assert diverged.outcome.status == "diverged"
     assert diverged.dynamics == "drake (the run fails or diverges)"
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "environment.solar_pressure.area=10",
+        "blocks.forces={drag: {system: 'tests_drag:none'}}",
+        "actuation.delay=1",
+        "sensing.delay=1",
+        "simulator_config.use_error_control=true",
+    ],
+)
+def test_a_run_with_more_does_not_share_the_code_of_one_without(given):
+    plain = load_scenario("postcapture", ["duration=0.1"])
+    more = load_scenario("postcapture", ["duration=0.1", given])
+    one, other = simulate_many([plain, more], dynamics="compiled", keep_errors=True)
+    assert one.dynamics == "compiled"
+    assert isinstance(other, FfsmError)
 
 
 def test_it_says_what_is_not_covered():
