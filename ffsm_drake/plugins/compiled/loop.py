@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,6 +51,12 @@ _SAMPLED = {
     "applied_force": "applied_force",
     "disturbance_force": "disturbance_force",
 }
+# What the functions of a sample and of the derivative read.
+_SAMPLE = (
+    "x", "t0", "law", "turn", "bias", "deviation", "resolution", "drift", "share", "added",
+    "reference", "noise", "drift_noise", "memory", "applied", "limit", "force_resolution", "sines",
+)  # fmt: skip
+_DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
 
 class Function(NamedTuple):
@@ -137,116 +144,100 @@ class Blocks:
         """The functions of a sample and of the integrator. Raises NotTraceable, or what the law
         raises on symbols.
         """
-        traced_ones = {
-            "first": self._function(registers, "first", self._first),
-            "sample": self._function(registers, "sample", self._sample),
-            "derivative": self._function(registers, "derivative", self._rates),
+        first = functools.partial(self._sample, is_first=True)
+        sample = functools.partial(self._sample, is_first=False)
+        made = {
+            "first": self._function(registers, "first", _SAMPLE, first),
+            "sample": self._function(registers, "sample", _SAMPLE, sample),
+            "derivative": self._function(registers, "derivative", _DERIVATIVE, self._derivative),
         }
         for i, weights in enumerate(SCHEMES[self.scheme].points):
             name, reads = f"point{i}", ("x", *(f"k{j}" for j in range(len(weights))))
             point = functools.partial(self._point, weights)
-            traced_ones[name] = self._function(registers, name, point, reads)
-        return traced_ones
+            made[name] = self._function(registers, name, reads, point)
+        return made
 
     def _function(
         self,
         registers: Registers,
         name: str,
-        made: Callable[..., Mapping[str, Any]],
-        reads: Sequence[str] = (),
+        reads: Sequence[str],
+        made: Callable[[Any], Mapping[str, Any]],
     ) -> Function:
-        """Trace a function from arrays of symbols to results, which reads what it names."""
+        """Trace a function of cells: ``made`` takes an object with an array of symbols for each."""
         sizes = self.parameters | self.states | self.results | self.row
         sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
-        code = made.__code__ if hasattr(made, "__code__") else None
-        names = reads or code.co_varnames[1 : code.co_argcount]  # type: ignore[union-attr]
-        tape, given = Tape(), {each: sizes[each] for each in names}
-        symbols = {each: inputs(tape, each, (size,)) for each, size in given.items()}
-        for each in symbols.values():
-            each.setflags(write=False)
+        tape, given = Tape(), {each: sizes[each] for each in reads}
+        cells = SimpleNamespace()
+        for each, size in given.items():
+            array = inputs(tape, each, (size,))
+            array.setflags(write=False)
+            setattr(cells, each, array)
         results = {
             each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
-            for each, values in made(**symbols).items()
+            for each, values in made(cells).items()
         }
         for each, values in results.items():
             if len(values) != sizes[each]:
                 raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
         return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
 
-    def _first(
-        self, x: Any, t0: Any, law: Any, turn: Any, bias: Any, deviation: Any, resolution: Any,
-        drift: Any, share: Any, added: Any, reference: Any, noise: Any, drift_noise: Any,
-        memory: Any, applied: Any, limit: Any, force_resolution: Any, sines: Any,
-    ) -> dict[str, Any]:  # fmt: skip
-        return self._sample(
-            x, t0, law, turn, bias, deviation, resolution, drift, share, added, reference, noise,
-            drift_noise, memory, applied, limit, force_resolution, sines, is_first=True,
-        )  # fmt: skip
-
-    def _sample(
-        self, x: Any, t0: Any, law: Any, turn: Any, bias: Any, deviation: Any, resolution: Any,
-        drift: Any, share: Any, added: Any, reference: Any, noise: Any, drift_noise: Any,
-        memory: Any, applied: Any, limit: Any, force_resolution: Any, sines: Any,
-        *, is_first: bool = False,
-    ) -> dict[str, Any]:  # fmt: skip
-        white = deviation * noise if self.noisy else traced(np.zeros(x.size))
-        measured = self._measured(x, white, turn.reshape(4, 4), bias, drift, resolution)
-        force, after = self._law(law, measured, reference, memory, applied, is_first=is_first)
+    def _sample(self, cells: Any, *, is_first: bool) -> dict[str, Any]:
+        measured = self._measured(cells)
+        force, after = self._law(cells, measured, is_first=is_first)
         given = force
         if self.limited:
-            given = np.minimum(np.maximum(given, -limit), limit)
+            given = np.minimum(np.maximum(given, -cells.limit), cells.limit)
         if self.quantized:
-            given = quantize(given, force_resolution)
+            given = quantize(given, cells.force_resolution)
         return {
-            "known": x,
+            "known": cells.x,
             "measurement": measured,
             "generalized_force": force,
             "applied_force": given,
-            "disturbance_force": self._disturbance(t0[0], sines),
+            "disturbance_force": self._disturbance(cells.t0[0], cells.sines),
             "memory_after": after,
-            "drift_after": share * drift + added * drift_noise,
+            "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
         }
 
-    def _measured(
-        self, x: Any, white: Any, turn: Any, bias: Any, drift: Any, resolution: Any
-    ) -> Any:
+    def _measured(self, cells: Any) -> Any:
         """The stages of sensing, see ``systems.sensing.make_sensing``."""
-        values, (along_white, along_others) = x, self.turned
+        values, (along_white, along_others) = cells.x, self.turned
+        white = cells.deviation * cells.noise if self.noisy else 0.0
         if along_others and not along_white:  # isotropic noise is added in the world's axes
             values = values + white
         if along_white or along_others:
-            values = _turned(values, x, back=False)
+            values = _turned(values, cells.x, back=False)
         if self.biased:
-            values = np.concatenate([turn @ values[:4], values[4:]]) + bias
+            attitude = cells.turn.reshape(4, 4) @ values[:4]
+            values = np.concatenate([attitude, values[4:]]) + cells.bias
         if along_white or not along_others:
             values = values + white
         if self.drifting:
-            values = values.copy()
-            values[list(self.drifting)] = values[list(self.drifting)] + drift
+            values, entries = values.copy(), list(self.drifting)
+            values[entries] = values[entries] + cells.drift
         if self.rounded:
-            values = quantize(values, resolution)
-        return _turned(values, x, back=True) if along_white or along_others else values
+            values = quantize(values, cells.resolution)
+        return _turned(values, cells.x, back=True) if along_white or along_others else values
 
-    def _law(
-        self, symbols: Any, measured: Any, reference: Any, memory: Any, applied: Any,
-        *, is_first: bool,
-    ) -> tuple[Any, Any]:  # fmt: skip
+    def _law(self, cells: Any, measured: Any, *, is_first: bool) -> tuple[Any, Any]:
         """The force and the law's memory after a sample, see ``SampledController.step``."""
-        law, nq, nx = with_symbols(self.law, symbols, TracedModel), self.nq, self.nq + self.nv
-        pieces, taken = dict[str, Any](), 0
+        law, nq, nx = with_symbols(self.law, cells.law, TracedModel), self.nq, self.nq + self.nv
+        memory, taken = dict[str, Any](), 0
         for name, value in self.memory.items():
-            pieces[name] = memory[taken : taken + value.size].reshape(value.shape)
+            memory[name] = cells.memory[taken : taken + value.size].reshape(value.shape)
             taken += value.size
+        reference = cells.reference
         desired = reference[:nx]
         e, e_dot = map(traced, tracking_errors(list(desired), list(measured), nq))
         e[list(self.undriven)] = e_dot[list(self.undriven)] = 0.0
         sample = Sample(
             measured[:nq], measured[nq:], desired[:nq], desired[nq:], reference[nx:],
-            e, e_dot, applied, is_first,
+            e, e_dot, cells.applied, is_first,
         )  # fmt: skip
         for each in (sample.q, sample.v, e, e_dot):
             each.setflags(write=False)
-        force, after = law.step(sample, pieces)
+        force, after = law.step(sample, memory)
         shapes = {name: value.shape for name, value in self.memory.items()}
         if np.shape(force) != (self.nv,) or {n: np.shape(v) for n, v in after.items()} != shapes:
             raise NotTraceable("the law returns other names or shapes than it should")
@@ -260,18 +251,14 @@ class Blocks:
         amplitude, frequency, phase, bias = sines.reshape(4, self.nv)
         return amplitude * np.sin(frequency * t + phase) + bias
 
-    def _rates(
-        self, state: Any, applied_force: Any, t: Any, sines: Any, own: Any
-    ) -> dict[str, Any]:
-        force = applied_force + self._disturbance(t[0], sines)
-        rates = equations.derivative(
-            self.tree, list(state[: self.nq]), list(state[self.nq :]), list(force), list(own)
-        )
-        return {"rates": rates}
+    def _derivative(self, cells: Any) -> dict[str, Any]:
+        q, v = list(cells.state[: self.nq]), list(cells.state[self.nq :])
+        force = cells.applied_force + self._disturbance(cells.t[0], cells.sines)
+        return {"rates": equations.derivative(self.tree, q, v, list(force), list(cells.own))}
 
-    def _point(self, weights: Sequence[float], x: Any, **derivatives: Any) -> dict[str, Any]:
-        parts = zip(weights, derivatives.values(), strict=True)
-        return {"y": x + functools.reduce(np.add, [self.step * w * k for w, k in parts])}
+    def _point(self, weights: Sequence[float], cells: Any) -> dict[str, Any]:
+        parts = [self.step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
+        return {"y": cells.x + functools.reduce(np.add, parts)}
 
 
 def _turned(values: Any, true: Any, *, back: bool) -> Any:
