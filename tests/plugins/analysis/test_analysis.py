@@ -626,7 +626,9 @@ def test_of_a_law_that_is_not_the_papers_the_record_decides(run, analysis):
         assert result.finding(key).verdict == "not applicable"
         assert "the paper's laws, and gone:Law is not one" in result.finding(key).statement
     assert len(plot_analysis(result).subfigs) == 6
-    assert "(9) and (10); the gains of gone:Law do not" in result.finding("ultimate_bound").statement
+    assert (
+        "(9) and (10); the gains of gone:Law do not" in result.finding("ultimate_bound").statement
+    )
 
 
 def test_statements_carry_the_numbers(analysis):

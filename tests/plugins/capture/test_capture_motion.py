@@ -166,7 +166,7 @@ def test_the_shortest_duration_keeps_the_positions(tmp_path):
         else:
             with pytest.raises(
                 ScenarioError,
-                match=r"nearest is [\d.]+ s, in which the position "
+                match=r"nearest is [\d.]+ s, where the position "
                 r"of joint_4 takes",
             ):
                 motion_of(*model)
@@ -185,7 +185,7 @@ def test_where_no_duration_will_do_the_limit_is_named():
     feeble = "actuation.limit={base_position: 22, base_rotation: 10, joints: 50, joint_4: 1.0e-6}"
     with pytest.raises(
         ScenarioError,
-        match=r"nearest is [\d.e+]+ s, in which the force on "
+        match=r"nearest is [\d.e+]+ s, where the force on "
         r"joint_4 takes",
     ) as refusal:
         motion_of("reference.duration=auto", feeble)

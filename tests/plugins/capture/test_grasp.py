@@ -232,7 +232,7 @@ def test_a_target_of_several_bodies_is_refused() -> None:
     with pytest.raises(
         ModelError,
         match=r"payload\.body: 'servicer::base' is a body of the "
-        r"servicer; capture takes",
+        r"servicer; a capture needs",
     ):
         planned_contact(scenario, make_true_plant(tumbling(1.0)))
     unknown = tumbling(1.0, "capture.tracking_cost.joint_9=2")

@@ -54,7 +54,7 @@ def test_a_period_of_one_step_is_a_constant_force():
     frequency = 2.0 * np.pi / STEP
     assert abs(integrated(frequency)) > 0.05
     (remark,) = remarks_on_harmonic(frequency)
-    assert "set simulator_config.max_step_size <= 0.0008" in remark
+    assert "set simulator_config.max_step_size to 0.0008 or less" in remark
     assert not remarks_on_harmonic(2.0)
 
 
