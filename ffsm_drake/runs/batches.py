@@ -141,12 +141,34 @@ class _Runs:
     def results(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
         """The log of each scenario of a batch, or the exception of a separate run."""
         if self._dynamics.runs_whole:
-            for scenario, log in zip(scenarios, self._dynamics.run_all(scenarios), strict=True):
-                yield log if isinstance(log, RunLog) else self._otherwise(scenario, log)
+            yield from self._whole(scenarios)
             return
         logs = self._side_by_side(scenarios) if len(scenarios) > 1 else [None]
         for scenario, log in zip(scenarios, logs, strict=True):
             yield self._by_itself(scenario) if log is None else log
+
+    def _whole(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
+        """``results`` with dynamics that compute whole runs. What they do not cover goes side by
+        side on Drake.
+        """
+        found = self._dynamics.run_all(scenarios)
+        refused = [i for i, each in enumerate(found) if isinstance(each, NotCovered)]
+        most, with_drake = usual_batch(), _Runs(Chosen(Dynamics(), False))
+        others = dict[int, RunLog | Exception]()
+        try:
+            for at in range(0, len(refused) if self._else_drake else 0, most):
+                part = refused[at : at + most]
+                results = with_drake.results([scenarios[i] for i in part])
+                others |= dict(zip(part, results, strict=True))
+        finally:
+            with_drake.release()
+        for i, scenario in enumerate(scenarios):
+            if i in others:
+                yield _named(others[i], one_line(found[i]))
+            elif isinstance(found[i], RunLog):
+                yield found[i]
+            else:
+                yield self._otherwise(scenario, found[i])
 
     def _side_by_side(self, scenarios: Sequence[Scenario]) -> Sequence[RunLog | None]:
         """Return the log of each run; None: repeat the run separately."""
@@ -176,10 +198,7 @@ class _Runs:
         if error is not None and not self._else_drake:
             return error
         reason = "the run fails or diverges" if error is None else one_line(error)
-        result = self._with_drake(scenario)
-        if isinstance(result, RunLog):
-            result = dataclasses.replace(result, dynamics=f"{DRAKE} ({reason})")
-        return result
+        return _named(self._with_drake(scenario), reason)
 
     def _doubled(self, scenario: Scenario) -> RunLog | None:
         """Return the log of a run next to a copy of itself, for dynamics that compute several
@@ -202,6 +221,13 @@ class _Runs:
             self._alone.drop()
             return error if isinstance(error, Exception) else FfsmError(one_line(error))
         return log
+
+
+def _named(result: RunLog | Exception, reason: str) -> RunLog | Exception:
+    """A result of Drake's, with the reason why other dynamics did not compute the run."""
+    if isinstance(result, RunLog):
+        return dataclasses.replace(result, dynamics=f"{DRAKE} ({reason})")
+    return result
 
 
 class Kept:

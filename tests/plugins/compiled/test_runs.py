@@ -148,8 +148,13 @@ def test_it_says_what_is_not_covered():
     scenario = load_scenario("thrusters_and_wheels", ["duration=0.1"])
     with pytest.raises(NotCovered, match=r"actuation\.thrusters, actuation.wheels"):
         simulate_many([scenario], dynamics="compiled")
-    (record,) = simulate_many([scenario], dynamics="compiled_else_drake")
-    assert record.dynamics.startswith("drake (dynamics: not covered: actuation.thrusters")
+    others = [dataclasses.replace(scenario, random_seed=seed) for seed in range(2)]
+    given = [*others, load_scenario("postcapture", ["duration=0.1"])]
+    *left, compiled = simulate_many(given, dynamics="compiled_else_drake")
+    assert compiled.dynamics == "compiled"
+    for record, other in zip(left, simulate_many(others), strict=True):
+        assert record.dynamics.startswith("drake (dynamics: not covered: actuation.thrusters")
+        assert record.dataset.identical(other.dataset)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
