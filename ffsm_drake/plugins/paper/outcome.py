@@ -113,7 +113,9 @@ def _differences(rows: list[Row]) -> tuple[bool, str]:
         for name, values in ours.items()
         for value, wanted in zip(values, printed[name], strict=True)
     )
-    texts = (
-        named(each, lambda values: between(values, "{:+.1f}".format)) for each in (ours, printed)
-    )
-    return holds, "ISV minus that of TDC: {}; in the paper: {}.".format(*texts)
+
+    def both(name: str) -> str:
+        own, wanted = (between(each[name], "{:+.1f}".format) for each in (ours, printed))
+        return f"{own} (paper: {wanted})"
+
+    return holds, f"ISV minus the ISV of TDC: {named({name: name for name in ours}, both)}."

@@ -148,8 +148,8 @@ def test_the_outcome_follows_the_table(results):
         "ITAE: the ranking of the 4 controllers, under all 3 disturbances.",
         "ISV: all 12 values within 0 %.",
         "ISV: the ranking of the 4 controllers, under all 3 disturbances.",
-        "ISV minus that of TDC: proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4; "
-        "in the paper: proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4.",
+        "ISV minus the ISV of TDC: proposed +16.7 to +16.9 (paper: +16.7 to +16.9), "
+        "AISMC +10.0 (paper: +10.0), ASMC +0.4 (paper: +0.4).",
     ]
     assert found["not reproduced"] == []
     swapped = {2: 3, 3: 2}
