@@ -187,7 +187,8 @@ def _faulty(fault, name, method):
 
 LAW_METHODS = (
     "step", "initial_state", "held", "resume", "switching_gain_after", "from_setup", "__init__",
-    "by_axis", "reaching_gain", "tracks_frame", "random_walks", "starting_gains", "import",
+    "by_axis", "reaching_gain", "tracks_frame", "random_walks", "contacts_read", "starting_gains",
+    "import",
 )  # fmt: skip
 BLOCK_METHODS = ("__init__", "factory", "calc", "set_initial_state", "set_payload", "import")
 PART_METHODS = (
@@ -217,7 +218,7 @@ def _make_law(fault, base):
         if isinstance(vars_of(base).get(name), property):
             own = vars_of(base)[name].fget
             methods[name] = property(_faulty(fault, name, lambda self, own=own: own(self)))
-        elif name in ("by_axis", "tracks_frame", "random_walks"):
+        elif name in ("by_axis", "tracks_frame", "random_walks", "contacts_read"):
             methods[name] = property(_faulty(fault, name, lambda self, own=own: own))
         elif name in ("from_setup", "starting_gains"):
             function = own.__func__

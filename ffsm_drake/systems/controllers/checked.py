@@ -113,6 +113,10 @@ def _is_flag(value: Any, size: int) -> bool:
     return isinstance(value, bool)
 
 
+def _is_count(value: Any, size: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
 def _is_names(value: Any, size: int) -> bool:
     return isinstance(value, tuple) and all(isinstance(each, str) for each in value)
 
@@ -136,6 +140,7 @@ def _is_reaching(value: Any, size: int) -> bool:
 # Attribute -> default, check of a value, and description of a valid one.
 _ATTRIBUTES: dict[str, tuple[Any, Callable[[Any, int], bool], str]] = {
     "tracks_frame": (False, _is_flag, "True or False"),
+    "contacts_read": (0, _is_count, "a number of contacts"),
     "random_walks": ((), _is_names, "a tuple of names"),
     "by_axis": (None, _is_law, "a time-delay law or None"),
     "reaching_gain": (None, _is_reaching, "a ReachingGain of vectors (nv), or None"),

@@ -115,8 +115,9 @@ class SampledController(LeafSystem):
         )
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
         self._restart = self.DeclareVectorInputPort("restart", self._copies) if restarts else None
+        memory = self._first_memory(len(coordinates.names))  # checks the law
         self._declare_inputs(len(coordinates.names))
-        self._declare_state(len(coordinates.names), self._first_memory(len(coordinates.names)))
+        self._declare_state(len(coordinates.names), memory)
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (each.name for each in SIGNALS):
             if key in self._memory:
