@@ -124,5 +124,5 @@ def test_what_a_frame_in_motion_adds_up_to():
     assert margins.growth == pytest.approx(fine.growth, rel=0.1)
     assert fine.growth < margins.motion.growth_bound < 2.0 * margins.growth
     assert margins.is_stable
-    assert f"grow {margins.growth:.2g} times (at most " in margins.verdict
+    assert f"grow {margins.growth:.2g} times (cautious estimate " in margins.verdict
     assert stability(free("tdc"), postures=3).growth == 1.0

@@ -66,7 +66,7 @@ class MotionStability:
     def growing(self) -> str:
         """The growth in words, with its bound if that is informative."""
         most = (
-            f" (at most {rounded_up(self.growth_bound, 2):.2g})"
+            f" (cautious estimate {rounded_up(self.growth_bound, 2):.2g})"
             if self.growth_bound < LARGE_GROWTH
             else ""
         )
