@@ -115,8 +115,12 @@ def read_together(paths: Sequence[Path], read: Callable[[], Result]) -> Result:
             found = read()
         except FfsmError:
             until = time.monotonic() + _PATIENCE
-            while before == [stamp(path) for path in paths]:
-                if time.monotonic() > until or not any(paths[0].parent.glob(".*.partial")):
+            while True:
+                # asked before the stamps: an exchange may end in between
+                final = time.monotonic() > until or not any(paths[0].parent.glob(".*.partial"))
+                if before != [stamp(path) for path in paths]:
+                    break
+                if final:
                     raise
                 time.sleep(0.01)
         else:

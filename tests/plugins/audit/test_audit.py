@@ -278,7 +278,7 @@ def test_another_point_of_the_spacecraft_is_named(point, basilisk_log, tmp_path)
     log = with_triple(log, "r_BN_N", triple(log, "r_BN_N") + arm.T)
     found = audit(write(tmp_path / "log.csv", log), ARM)
     assert found.causes == ("point",), str(found)
-    assert f"those of the {point} centre of mass" in statement(found, "momentum")
+    assert f"belong to the {point} centre of mass" in statement(found, "momentum")
 
 
 @pytest.mark.slow
