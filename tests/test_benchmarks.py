@@ -112,7 +112,7 @@ def test_startup(monkeypatch, capsys):
     assert printed[1].endswith("of what it takes with --against")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_campaign_cases(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     cases = importlib.import_module("campaign_cases")

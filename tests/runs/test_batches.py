@@ -525,7 +525,7 @@ captures = given(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=3, deadline=None)
 @captures
 def test_captures_go_side_by_side(shared, runs):

@@ -107,7 +107,7 @@ def test_a_point_is_what_simulate_gives(database, points):
     assert (means["itae"], means["isv"]) == (metrics["itae"], metrics["isv"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(points, controller):
     overrides = [f"duration={DURATION}", f"controller={controller}", "sensing.velocity_noise=1e-4"]

@@ -46,7 +46,7 @@ def rows_of(database):
         ).fetchall()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_layouts_and_failures(tmp_path):
     spec = write_spec(tmp_path / "spec.yaml", **CHANGES)
     one, two = (

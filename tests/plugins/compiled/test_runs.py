@@ -83,8 +83,10 @@ PARTS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=pytest.mark.slow if k < 2 else pytest.mark.long) for k in range(6)],
+)
 def test_drawn_scenarios_have_the_runs_of_drake(seed):
     """Of each part of the loop one variant, or none."""
     random = np.random.default_rng(seed)

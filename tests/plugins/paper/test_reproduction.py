@@ -311,6 +311,7 @@ def test_the_same_seeds_give_the_same_table(written, tmp_path):
     assert {total for _, total, _ in told} == {27}
 
 
+@pytest.mark.long
 def test_workers_give_the_same_results():
     cases = [
         case for case in runs.table_cases(2) if (case.setting, case.controller) == ("euler", "tdc")
