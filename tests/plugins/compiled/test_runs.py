@@ -128,6 +128,17 @@ def test_a_run_that_diverges_is_repeated_with_drake():
     assert diverged.dynamics == "drake (the run fails or diverges)"
 
 
+@pytest.mark.slow
+def test_code_is_compared_with_the_first_run_that_completes():
+    scenarios = [
+        load_scenario("postcapture", ["duration=0.2", f"divergence_speed={bound}"])
+        for bound in (1e-4, 2e-4, 10, 11)
+    ]
+    found = simulate_many(scenarios, dynamics="compiled")
+    names = ["drake (the run fails or diverges)"] * 2 + ["compiled"] * 2
+    assert [record.dynamics for record in found] == names
+
+
 @pytest.mark.parametrize(
     "given",
     [
