@@ -117,8 +117,8 @@ def _further_margins(
 @click.option(
     "--budget",
     type=FiniteFloat(),
-    help="Largest ISV (default: that of the current gains; with unstable gains or --trade effort, "
-    "at least 1.1 times that of perfect tracking).",
+    help="Largest ISV (default: 1.02 times that of the current gains; with unstable gains or "
+    "--trade effort, at least 1.1 times that of perfect tracking).",
 )
 @click.option(
     "--payload-range",
@@ -155,10 +155,10 @@ def design(
 ) -> None:
     """Choose gains and estimator for a scenario's sensors, delays, limits and payload range.
 
-    The result is at most 2 % worse than the current gains in each rms error, the effort and each
-    margin, except those named by --trade. Writes design.yaml, a scenario to run, and
-    design.png, accuracy against effort. Exits with 3 when the chosen gains are unstable for some
-    payload in the range.
+    The result is at most 2 % worse than the current gains in each rms error and each margin, except
+    those named by --trade, and its effort is within --budget. Writes design.yaml, a scenario to
+    run, and design.png, accuracy against effort. Exits with 3 when the chosen gains are unstable
+    for some payload in the range.
 
     \b
     Examples:
