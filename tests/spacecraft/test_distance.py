@@ -89,14 +89,14 @@ def test_no_direction_separates_better(tmp_path: Path) -> None:
 
 
 def test_depths_of_round_solids_about_one_centre(tmp_path: Path) -> None:
-    """Any direction is nearly the best: a depth is at most 1 % too small, and never too large."""
+    """Any direction is nearly the best: a depth is at most 2 % too small, and never too large."""
     rng = np.random.default_rng(int(os.environ.get("FFSM_SEED", "3")))
     for k in range(DRAWS):
         shapes = [draw(rng, tmp_path / f"{k}_{i}.obj", nearly_round=True) for i in range(2)]
         poses = [RigidTransform(rotation(rng), 0.002 * rng.normal(size=3)) for _ in shapes]
         distance, points = measured(*((s, X) for (s, _), X in zip(shapes, poses, strict=True)))
         least = gap((points[1:] - points[:1]) / distance, shapes, poses)[0]
-        assert -SINGLE <= distance - least <= 0.01 * abs(distance) + SINGLE
+        assert -SINGLE <= distance - least <= 0.02 * abs(distance) + SINGLE
 
 
 def test_capsules_whose_axes_meet(tmp_path: Path) -> None:
