@@ -66,10 +66,19 @@ def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) 
 
 
 def _vectors(settings: Disturbance, coordinates: Coordinates) -> list[np.ndarray]:
-    """Amplitude, frequency and phase of the sines (an even number of them), and bias (nv).
+    """``sines_of`` with an even number of sines.
 
     The vectorised sine of an entry depends, in the last bit, on whether it has a neighbour: with an
     even number the entries of one spacecraft have the same bits among those of several.
+    """
+    *sines, bias = sines_of(settings, coordinates)
+    return [*(np.append(each, np.zeros(bias.size % 2)) for each in sines), bias]
+
+
+def sines_of(settings: Disturbance, coordinates: Coordinates) -> np.ndarray:
+    """Amplitude, frequency, phase and constant part of each coordinate's force (4, nv).
+
+    Raises ScenarioError: a harmonic is given for an unknown coordinate.
     """
     amplitude, frequency, phase, bias = (
         coordinates.vector(
@@ -79,6 +88,5 @@ def _vectors(settings: Disturbance, coordinates: Coordinates) -> list[np.ndarray
         )
         for field in ("amplitude", "frequency", "phase", "bias")
     )
-    scaled = (settings.amplitude_scale * amplitude, settings.frequency_scale * frequency, phase)
-    sines = [np.append(each, np.zeros(bias.size % 2)) for each in scaled]
-    return [*sines, settings.amplitude_scale * bias]
+    scale = settings.amplitude_scale
+    return np.array([scale * amplitude, settings.frequency_scale * frequency, phase, scale * bias])

@@ -27,6 +27,7 @@ from ffsm_drake.spacecraft.dynamics import Dynamics, NotCovered
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import SampledController, make_controller
+from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sensing import SensorErrors, measurement_times
 
@@ -143,7 +144,7 @@ class _Run:
         period, delay = measurement_times(scenario.sensing, self.coordinates)
         if (period > 1).any() or delay.any():
             raise NotCovered("sensing: periods or delays")
-        disturbance, force = _sines(scenario, self.coordinates), scenario.actuation
+        disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
             force.quantization, key="actuation.quantization", default=0.0
@@ -203,23 +204,6 @@ class _Run:
         )
         white = self.noise.white if self.blocks.noisy else np.zeros((self.samples, 0))
         return np.hstack([reference, white, self.noise.drift])
-
-
-def _sines(scenario: Scenario, coordinates: Coordinates) -> np.ndarray:
-    """Amplitude, frequency, phase and constant part of the disturbance (4, nv)."""
-    settings = scenario.disturbance
-    amplitude, frequency, phase, bias = (
-        coordinates.vector(
-            {name: getattr(harmonic, field) for name, harmonic in settings.harmonics.items()},
-            key="disturbance.harmonics",
-            default=0.0,
-        )
-        for field in ("amplitude", "frequency", "phase", "bias")
-    )
-    return np.array([
-        settings.amplitude_scale * amplitude, settings.frequency_scale * frequency, phase,
-        settings.amplitude_scale * bias,
-    ])  # fmt: skip
 
 
 def _results(runs: Sequence[_Run]) -> list[RunLog | NotCovered | None]:

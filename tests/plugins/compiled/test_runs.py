@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import ControlLaw, FfsmError, gain, load_scenario, simulate_many
-from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.spacecraft.dynamics import NotCovered
-
-pytest.importorskip("llvmlite")
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.spacecraft.dynamics import NotCovered
 from ffsm_drake.systems.sensing import SensorErrors
 
 SAME = {"position": 1e-10, "velocity": 1e-10, "error": 1e-10}  # m, rad, and per second
