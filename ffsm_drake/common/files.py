@@ -11,7 +11,7 @@ import shutil
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -109,23 +109,58 @@ def read_together(paths: Sequence[Path], read: Callable[[], Result]) -> Result:
     """Read files of one folder, all old or all new while others are ``published`` there. Raises the
     errors of the function for existing files.
     """
+    before = _states(paths)
+    try:
+        found = read()
+        if before == _states(paths):
+            return found
+    except FfsmError:
+        pass
+    with ExitStack() as stack:
+        is_locked = False
+        with suppress(OSError):  # no such folder, or no permission to list it
+            is_locked = stack.enter_context(_alone(paths[0].parent, fcntl.LOCK_SH))
+        return _read_unchanged(paths, read, is_locked=is_locked)
+
+
+def _read_unchanged(
+    paths: Sequence[Path], read: Callable[[], Result], *, is_locked: bool
+) -> Result:
+    """Read files until they stay the same meanwhile. Without a lock, an error counts once no other
+    program exchanges files.
+    """
     while True:
-        before = [stamp(path) for path in paths]
+        before = _states(paths)
         try:
             found = read()
         except FfsmError:
             until = time.monotonic() + _PATIENCE
-            while True:
-                # asked before the stamps: an exchange may end in between
+            while not is_locked:
+                # asked before the states: an exchange may end in between
                 final = time.monotonic() > until or not any(paths[0].parent.glob(".*.partial"))
-                if before != [stamp(path) for path in paths]:
+                if before != _states(paths) or final:
                     break
-                if final:
-                    raise
                 time.sleep(0.01)
+            if before == _states(paths):
+                raise
         else:
-            if before == [stamp(path) for path in paths]:
+            if before == _states(paths):
                 return found
+
+
+def _states(paths: Sequence[Path]) -> list[tuple[int, ...] | None]:
+    """Return what changes when files are exchanged, even if copies with the times of the old ones
+    get their numbers.
+    """
+    found: list[tuple[int, ...] | None] = []
+    for path in paths:
+        try:
+            info = path.stat()
+        except (OSError, ValueError):
+            found.append(None)
+        else:
+            found.append((info.st_ino, info.st_mtime_ns, info.st_ctime_ns, info.st_size))
+    return found
 
 
 def _partial() -> str:
@@ -162,22 +197,23 @@ def _next_free(new: Path, place: Path) -> Path:
 
 
 @contextmanager
-def _alone(directory: Path) -> Iterator[None]:
+def _alone(directory: Path, kind: int = fcntl.LOCK_EX) -> Iterator[bool]:
     """Lock a folder against exchanges of its files by other programs, if possible in time: some
-    file systems have no locks, and the holder of a lock may be stopped.
+    file systems have no locks, and the holder of a lock may be stopped. Yields whether it is.
     """
     folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         until = time.monotonic() + _PATIENCE
-        while True:
+        is_locked = False
+        while not is_locked:
             try:
-                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
+                fcntl.flock(folder, kind | fcntl.LOCK_NB)
+                is_locked = True
             except OSError as error:
                 if error.errno != errno.EWOULDBLOCK or time.monotonic() > until:
                     break
                 time.sleep(0.01)
-        yield
+        yield is_locked
     finally:
         os.close(folder)
 

@@ -13,7 +13,9 @@ from click.testing import CliRunner
 
 from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.common.files import published
+from ffsm_drake.common import files
+from ffsm_drake.common.errors import RecordError
+from ffsm_drake.common.files import published, read_together
 from ffsm_drake.runs import record as records
 from ffsm_drake.runs.record import record_stamp
 
@@ -126,6 +128,37 @@ def test_a_reader_beside_a_writer_sees_one_record(runs, tmp_path):
     assert seen == {1, 2}
 
 
+def test_a_reader_notices_an_exchange_and_its_return(tmp_path, monkeypatch):
+    """Copies keep times and sizes, and a file system may give their numbers again."""
+    monkeypatch.setattr(files, "_PATIENCE", 0.01)
+    place, good = tmp_path / "out", [tmp_path / "1", tmp_path / "2"]
+    for folder in good:
+        folder.mkdir()
+        for name in "ab":
+            (folder / name).write_text(folder.name)
+    shutil.copytree(good[0], place)
+    calls = []
+
+    def exchange(k):
+        with published(place) as folder:
+            shutil.copytree(good[k], folder, dirs_exist_ok=True)
+
+    def read():
+        calls.append(None)
+        first = (place / "a").read_text()
+        if len(calls) <= 20:
+            exchange(1)
+        second = (place / "b").read_text()
+        if len(calls) <= 20:
+            exchange(0)
+        if first != second:
+            raise RecordError("a mixture")
+        return first
+
+    assert read_together([place / "a", place / "b"], read) == "1"
+    assert len(calls) == 21
+
+
 def test_a_failed_exchange_restores_every_file(runs, tmp_path, monkeypatch):
     place = runs[0].save(tmp_path / "out")
     (place / "report.html").write_text("old")
@@ -147,8 +180,6 @@ def test_a_failed_exchange_restores_every_file(runs, tmp_path, monkeypatch):
 
 def test_a_stopped_writer_does_not_stop_another(runs, tmp_path, monkeypatch):
     import fcntl
-
-    from ffsm_drake.common import files
 
     monkeypatch.setattr(files, "_PATIENCE", 0.05)
     place = runs[0].save(tmp_path / "out")
