@@ -29,9 +29,10 @@ PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
 NEEDS = {
     "benchmark": {"actuators", "campaign", "capture", "design"},
     "campaign": {"design"},
-    "compiled": {"generated"},
+    "compiled": {"equations"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
+    "generated": {"compiled", "equations"},
     "gymnasium": {"policy", "task_space"},
     "new": {"actuators", "design"},
     "paper": {"analysis", "design"},

@@ -25,7 +25,7 @@ ALWAYS_MANY = {
     "plugins/capture/before.py": {"times.size"},
     "plugins/design/stability/linearization.py": {"states"},
     "plugins/design/stability/mission.py": {"len(found.loops)"},
-    "plugins/generated/tree.py": {"len(links)"},
+    "plugins/equations/tree.py": {"len(links)"},
     "plugins/new/hands.py": {"len(self._rows)"},
     "plugins/new/urdf/servicer.py": {"count"},
     "plugins/planning/planner.py": {"evaluations"},

@@ -38,6 +38,7 @@ PAGE_OF = {
     "analysis": "findings",
     "campaign": "campaigns",
     "compiled": "many_runs",
+    "equations": "many_runs",
     "design": "verdict",
     "environment": "orbit",
     "exports": "interfaces",

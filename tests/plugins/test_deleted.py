@@ -43,6 +43,7 @@ NEEDED = {
     "faults": [[*SHORT, "--set", "faults={}"]],
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
     "compiled": [],
+    "equations": [],
     "generated": [],
     "gymnasium": [],
     "inputs": [],

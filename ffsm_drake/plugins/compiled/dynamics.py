@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
-from ffsm_drake.plugins.generated.compiling import llvm
-from ffsm_drake.plugins.generated.dynamics import held_to_drake
+from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import group_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.log import RunLog

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from ffsm_drake.plugins.compiled.code import declarations
+from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, Function
-from ffsm_drake.plugins.generated.code import declarations
-from ffsm_drake.plugins.generated.compiling import Code, registers
-from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.compiled.registers import Registers
 
 _BYTES = 8  # of a number
 

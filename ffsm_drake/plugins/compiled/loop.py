@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.parameters import with_symbols
-from ffsm_drake.plugins.generated import equations
-from ffsm_drake.plugins.generated.code import of_lanes
-from ffsm_drake.plugins.generated.equations import quaternion_matrix
-from ffsm_drake.plugins.generated.errors import tracking_errors
-from ffsm_drake.plugins.generated.registers import Registers
-from ffsm_drake.plugins.generated.tree import Reader, Tree
+from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.plugins.equations import equations
+from ffsm_drake.plugins.equations.equations import quaternion_matrix
+from ffsm_drake.plugins.equations.errors import tracking_errors
+from ffsm_drake.plugins.equations.tree import Reader, Tree
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.sampled import SIGNALS

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffsm_drake.plugins.generated.code import declarations, function
-from ffsm_drake.plugins.generated.compiling import Code, registers
+from ffsm_drake.plugins.compiled.code import declarations, function
+from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.tape.arrays import inputs
 from ffsm_drake.tape.numbers import Tape, one, smaller, square_root
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.plugins.generated.tree import Reader
+from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.spacecraft.dynamics import NotCovered
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import gains_of

@@ -5,8 +5,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ForceElementIndex, RevoluteSpring, SpatialInertia
 from pydrake.systems.framework import Context
 
+from ffsm_drake.plugins.equations.tree import Reader, Tree
 from ffsm_drake.plugins.generated.kernels import Kernels
-from ffsm_drake.plugins.generated.tree import Reader, Tree
 from ffsm_drake.spacecraft.coordinates import joints_of, tracking_errors
 
 STATES = 8

@@ -8,8 +8,8 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
+from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.plugins.generated.kernels import Kernels
-from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.spacecraft.coordinates import tracking_errors
 from ffsm_drake.spacecraft.copies import Copies, CopiesModel
 from ffsm_drake.spacecraft.free_floating import ReducedModel

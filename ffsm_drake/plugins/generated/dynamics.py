@@ -6,12 +6,12 @@ from typing import Any
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.plugins.compiled.compiling import llvm
+from ffsm_drake.plugins.equations.tree import Reader, Tree
 from ffsm_drake.plugins.generated.comparison import Differences
-from ffsm_drake.plugins.generated.compiling import llvm
 from ffsm_drake.plugins.generated.copies import GeneratedCopies, GeneratedModel, model_of
 from ffsm_drake.plugins.generated.kernels import Kernels
 from ffsm_drake.plugins.generated.plant import GeneratedPlant
-from ffsm_drake.plugins.generated.tree import Reader, Tree
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.dynamics import Dynamics, NotCovered

@@ -5,12 +5,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ffsm_drake.plugins.generated.code import declarations, function
-from ffsm_drake.plugins.generated.compiling import Code, registers
-from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
-from ffsm_drake.plugins.generated.errors import tracking_errors
-from ffsm_drake.plugins.generated.registers import Registers
-from ffsm_drake.plugins.generated.tree import Tree
+from ffsm_drake.plugins.compiled.code import declarations, function
+from ffsm_drake.plugins.compiled.compiling import Code, registers
+from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.plugins.equations.equations import bias, derivative, mass_matrix
+from ffsm_drake.plugins.equations.errors import tracking_errors
+from ffsm_drake.plugins.equations.tree import Tree
 from ffsm_drake.tape.numbers import Tape
 
 # The arrays of each function: its inputs, and then its results.

@@ -3,10 +3,10 @@
 import pytest
 from drawn_trees import drawn_tree
 
-from ffsm_drake.plugins.generated import compiling
+from ffsm_drake.plugins.compiled import compiling
+from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.plugins.generated.comparison import Differences
 from ffsm_drake.plugins.generated.kernels import Kernels
-from ffsm_drake.plugins.generated.tree import Reader
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def kept(tmp_path, monkeypatch, plant):
     """The file with the plant's code."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     Kernels(Reader(plant).tree)
-    (file,) = (tmp_path / "ffsm_drake" / "generated").iterdir()
+    (file,) = (tmp_path / "ffsm_drake" / "compiled").iterdir()
     return file
 
 

@@ -23,14 +23,14 @@ from pydrake.multibody.tree import (
 
 from ffsm_drake import load_scenario
 from ffsm_drake.common.so3 import composed
-from ffsm_drake.plugins.generated.code import function
+from ffsm_drake.plugins.compiled.code import function
+from ffsm_drake.plugins.compiled.compiling import Code, registers
+from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.plugins.equations.equations import bias, derivative, mass_matrix
+from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.plugins.generated.comparison import Differences
-from ffsm_drake.plugins.generated.compiling import Code, registers
 from ffsm_drake.plugins.generated.copies import model_of
-from ffsm_drake.plugins.generated.equations import bias, derivative, mass_matrix
 from ffsm_drake.plugins.generated.kernels import Kernels, module_text
-from ffsm_drake.plugins.generated.registers import Registers
-from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.scenario import MassProperties, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import tracking_errors
 from ffsm_drake.spacecraft.dynamics import NotCovered

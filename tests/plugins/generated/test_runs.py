@@ -22,8 +22,8 @@ from ffsm_drake import (
     simulate,
     simulate_many,
 )
+from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.plugins.generated import dynamics
-from ffsm_drake.plugins.generated.tree import Reader
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.scenario.schema import FIXED_STEP_SCHEMES
 from ffsm_drake.spacecraft.dynamics import NotCovered, find_dynamics

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ffsm_drake.common.so3 import times_conjugate
-from ffsm_drake.plugins.generated.vectors import cross, dot, minus, plus, scaled
+from ffsm_drake.plugins.equations.vectors import cross, dot, minus, plus, scaled
 from ffsm_drake.tape.numbers import signed, square_root
 
 _TINY = 1e-300  # keeps divisors from zero, and changes no number of any size

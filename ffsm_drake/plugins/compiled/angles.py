@@ -7,7 +7,7 @@ radians the results are not numbers.
 
 from collections.abc import Iterator
 
-from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.compiled.registers import Registers
 
 _LARGEST = 1e6  # rad
 _ROUNDING = 1.5 * 2.0**52  # a number plus this holds its nearest integer in its last bits

@@ -10,8 +10,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from ffsm_drake.plugins.generated.tree import Link, Tree
-from ffsm_drake.plugins.generated.vectors import (
+from ffsm_drake.plugins.equations.tree import Link, Tree
+from ffsm_drake.plugins.equations.vectors import (
     ZERO,
     Matrix,
     Vector,

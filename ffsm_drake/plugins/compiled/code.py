@@ -10,8 +10,8 @@ functions call the C library; without them the bits are those of every processor
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ffsm_drake.plugins.generated.angles import sine_and_cosine
-from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.compiled.angles import sine_and_cosine
+from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.tape.numbers import TRUTHS, Operation, Symbol, Tape, needed
 
 _PART = 400  # operations

@@ -2,7 +2,7 @@
 
 A kept file has the code's checksum before it. It is compiled anew if that does not agree, or if
 another user owns it or may write to it. Its name is a hash of what the text is made from, of this
-plug-in's files, of llvmlite and of the processor. The folder is ``ffsm_drake/generated`` in
+plug-in's files, of llvmlite and of the processor. The folder is ``ffsm_drake/compiled`` in
 ``XDG_CACHE_HOME`` (default: ``~/.cache``); where it cannot be written, nothing is kept.
 """
 
@@ -18,9 +18,9 @@ from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import written_whole
-from ffsm_drake.plugins.generated.registers import Registers
+from ffsm_drake.plugins.compiled.registers import Registers
 
-_MAGIC = b"ffsm_drake generated code\n"
+_MAGIC = b"ffsm_drake compiled code\n"
 _DIGEST = hashlib.sha256().digest_size
 _LARGEST = 2**26  # bytes of a kept file
 
@@ -110,7 +110,7 @@ def _generator() -> bytes:
 def _folder() -> Path:
     given = os.environ.get("XDG_CACHE_HOME", "")
     home = Path(given) if Path(given).is_absolute() else Path("~/.cache").expanduser()
-    return home / "ffsm_drake" / "generated"
+    return home / "ffsm_drake" / "compiled"
 
 
 def _read(path: Path) -> bytes | None:
