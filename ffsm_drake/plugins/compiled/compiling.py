@@ -61,9 +61,9 @@ class Code:
         self._engine.add_object_file(llvm().ObjectFileRef.from_data(code))
         self._engine.finalize_object()
 
-    def function(self, name: str, pointers: int) -> Callable[..., None]:
-        """A function of so many pointers and a number of blocks; it lives as long as this."""
-        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * pointers, ctypes.c_int64)
+    def function(self, name: str, pointers: int, last: Any = ctypes.c_int64) -> Callable[..., None]:
+        """A function of so many pointers and a number of a kind; it lives as long as this."""
+        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * pointers, last)
         made: Any = kind(self._engine.get_function_address(name))
         return made
 

@@ -4,6 +4,7 @@ All numbers of its runs stand in one array of cells, each a register wide. At ev
 it reads a row (reference, noise) and writes a row of the log.
 """
 
+import ctypes
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -28,7 +29,7 @@ class Kernel:
         Raises what tracing raises.
         """
         self.blocks, self.width = blocks, registers().width
-        self._text = _Text(blocks, registers(), steps=steps, sample_time=sample_time)
+        self._text = _Runs(blocks, registers(), steps=steps, sample_time=sample_time)
         text = self._text.module()
         self._code = Code(text, lambda: text)
         self._run = self._code.function("run", 3)
@@ -57,52 +58,157 @@ class Kernel:
         return made
 
 
+class Slopes:
+    """One control sample, the first excepted, with its derivatives along a direction in each
+    lane.
+    """
+
+    def __init__(self, blocks: Blocks, *, steps: int) -> None:
+        """Arguments and errors as of ``Kernel``."""
+        self.width = registers().width
+        self._text = _Sample(blocks, registers(), steps=steps, slopes=True)
+        self.places, text = self._text.places, self._text.module()
+        self._code = Code(text, lambda: text)
+        self._run = self._code.function("run", 2, ctypes.c_double)
+
+    def cells(self) -> np.ndarray:
+        """Room for all numbers of a sample (n, width): of a parameter, state, result or entry of
+        the row at ``places``, and their derivatives at ``d_NAME``.
+        """
+        return np.zeros((self._text.size, self.width))
+
+    def run(self, cells: np.ndarray, row: np.ndarray, time: float) -> None:
+        """Change the states in the cells to those just before the next sample.
+
+        Args:
+          cells: see ``cells``.
+          row: of the sample (n, width), see ``Blocks.row``.
+          time: s.
+        """
+        self._run(cells.ctypes.data, row.ctypes.data, time)
+
+
 class _Text:
     """The LLVM text of a module."""
 
+    _arguments: str  # of its function ``run``
+
     def __init__(
-        self, blocks: Blocks, registers: Registers, *, steps: int, sample_time: float
+        self, blocks: Blocks, registers: Registers, *, steps: int, slopes: bool = False
     ) -> None:
-        self._blocks, self._registers = blocks, registers
-        self._steps, self._sample_time = steps, sample_time
+        self._blocks, self._registers, self._steps = blocks, registers, steps
+        self._slopes = slopes
         self.places, self.size = dict[str, int](), 0
-        for name, size in (blocks.parameters | blocks.states | blocks.results).items():
+        changing = blocks.states | blocks.results
+        if slopes:
+            changing |= {f"d_{name}": size for name, size in (changing | blocks.row).items()}
+        for name, size in (blocks.parameters | changing).items():
             self.places[name] = self.size
             self.size += size
         self._count = 0
 
     def module(self) -> str:
         """Return all of it."""
-        functions = self._blocks.functions(self._registers)
-        lines = "\n".join(self._lines(functions))
+        functions = self._blocks.functions(self._registers, slopes=self._slopes)
+        lines = "\n".join((*self._entry(), *self._lines(functions)))
         return "\n".join((
             *declarations(self._registers),
             "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
             *(each.text for each in functions.values()),
-            f"define void @run(ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last) "
-            f"{{\n{lines}\n}}\n",
+            f"define void @run({self._arguments}) {{\n{lines}\n}}\n",
         ))  # fmt: skip
+
+    def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        """The lines of ``run``, after the places of the cells."""
+        raise NotImplementedError
 
     def _new(self) -> str:
         self._count += 1
         return f"%n{self._count}"
 
-    def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
-        reals, blocks, scheme = self._registers.reals, self._blocks, SCHEMES[self._blocks.scheme]
-        row = sum(blocks.row.values())
-        logged = sum(size for *_, size in blocks.log.values())
+    def _entry(self) -> Iterator[str]:
         yield "entry:"
         for name, place in self.places.items():
-            yield f"  %{name} = getelementptr {reals}, ptr %cells, i64 {place}"
+            yield f"  %{name} = getelementptr {self._registers.reals}, ptr %cells, i64 {place}"
+
+    def _row(self, first: str) -> Iterator[str]:
+        """The places of a row's entries."""
+        place = 0
+        for name, size in self._blocks.row.items():
+            yield f"  %{name} = getelementptr {self._registers.reals}, ptr {first}, i64 {place}"
+            place += size
+
+    def _kept(self) -> Iterator[str]:
+        """Copies of what a sample makes to the states."""
+        states = self._blocks.states
+        for prefix in ("", "d_") if self._slopes else ("",):
+            yield self._copy(f"%{prefix}memory_after", f"%{prefix}memory", states["memory"])
+            yield self._copy(f"%{prefix}drift_after", f"%{prefix}drift", states["drift"])
+            yield self._copy(f"%{prefix}applied_force", f"%{prefix}applied", states["applied"])
+
+    def _moved(self, functions: Mapping[str, Function], before: str, after: str) -> Iterator[str]:
+        """The integrator's steps up to the next sample, as a block ``step`` between two others."""
+        blocks, scheme = self._blocks, SCHEMES[self._blocks.scheme]
+        yield "step:"
+        yield f"  %j = phi i64 [0, %{before}], [%following, %step]"
+        yield "  %within = uitofp i64 %j to double"
+        yield f"  %shift = fmul double %within, {_number(blocks.step)}"
+        yield "  %start = fadd double %time, %shift"
+        for i, time in enumerate(scheme.times):
+            at = self._new()
+            yield f"  {at} = fadd double %start, {_number(time * blocks.step)}"
+            yield from self._spread(at, f"%t{i}")
+        for i, _ in enumerate(scheme.times):
+            names = {"state": "x" if i == 0 else "y", "t": f"t{i}", "rates": f"k{i}"}
+            names |= {f"d_{name}": f"d_{cell}" for name, cell in names.items()}
+            yield self._call(functions, "derivative", **names)
+            yield self._call(functions, f"point{i}")
+        for prefix in ("", "d_") if self._slopes else ("",):
+            yield self._copy(f"%{prefix}y", f"%{prefix}x", blocks.states["x"])
+        yield "  %following = add i64 %j, 1"
+        yield f"  %more = icmp ult i64 %following, {self._steps}"
+        yield f"  br i1 %more, label %step, label %{after}"
+
+    def _call(self, functions: Mapping[str, Function], name: str, **others: str) -> str:
+        given = ", ".join(f"ptr %{others.get(each, each)}" for each in functions[name].arrays)
+        return f"  call void @{name}({given})"
+
+    def _copy(self, source: str, target: str, size: int) -> str:
+        count = size * self._registers.width * _BYTES
+        return (
+            f"  call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {count}, i1 false)"
+        )
+
+    def _spread(self, value: str, target: str) -> Iterator[str]:
+        """A number in every lane."""
+        reals, one, all_lanes = self._registers.reals, self._new(), self._new()
+        mask = f"<{self._registers.width} x i32> zeroinitializer"
+        yield f"  {one} = insertelement {reals} poison, double {value}, i64 0"
+        yield f"  {all_lanes} = shufflevector {reals} {one}, {reals} poison, {mask}"
+        yield f"  store {reals} {all_lanes}, ptr {target}, align 8"
+
+
+class _Runs(_Text):
+    """Whole runs with their logs."""
+
+    _arguments = "ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last"
+
+    def __init__(
+        self, blocks: Blocks, registers: Registers, *, steps: int, sample_time: float
+    ) -> None:
+        super().__init__(blocks, registers, steps=steps)
+        self._sample_time = sample_time
+
+    def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        reals, blocks = self._registers.reals, self._blocks
+        row = sum(blocks.row.values())
+        logged = sum(size for *_, size in blocks.log.values())
         yield "  br label %begin"
         yield "begin:"
         yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
         yield f"  %row = mul i64 %k, {row}"
         yield f"  %first_of_row = getelementptr {reals}, ptr %rows, i64 %row"
-        place = 0
-        for name, size in blocks.row.items():
-            yield f"  %{name} = getelementptr {reals}, ptr %first_of_row, i64 {place}"
-            place += size
+        yield from self._row("%first_of_row")
         yield "  %sample = uitofp i64 %k to double"
         yield f"  %time = fmul double %sample, {_number(self._sample_time)}"
         yield from self._spread("%time", "%t0")
@@ -124,51 +230,31 @@ class _Text:
             yield f"  {target} = getelementptr {reals}, ptr %logged, i64 {first}"
             yield self._copy(source, target, size)
             first += size
-        yield self._copy("%memory_after", "%memory", blocks.states["memory"])
-        yield self._copy("%drift_after", "%drift", blocks.states["drift"])
-        yield self._copy("%applied_force", "%applied", blocks.nv)
+        yield from self._kept()
         yield "  %ends = icmp eq i64 %k, %last"
         yield "  br i1 %ends, label %end, label %step"
-        yield "step:"
-        yield "  %j = phi i64 [0, %sampled], [%following, %step]"
-        yield "  %within = uitofp i64 %j to double"
-        yield f"  %shift = fmul double %within, {_number(blocks.step)}"
-        yield "  %start = fadd double %time, %shift"
-        for i, time in enumerate(scheme.times):
-            at = self._new()
-            yield f"  {at} = fadd double %start, {_number(time * blocks.step)}"
-            yield from self._spread(at, f"%t{i}")
-        for i, _ in enumerate(scheme.times):
-            state = "x" if i == 0 else "y"
-            yield self._call(functions, "derivative", state=state, t=f"t{i}", rates=f"k{i}")
-            yield self._call(functions, f"point{i}")
-        yield self._copy("%y", "%x", blocks.states["x"])
-        yield "  %following = add i64 %j, 1"
-        yield f"  %more = icmp ult i64 %following, {self._steps}"
-        yield "  br i1 %more, label %step, label %stepped"
+        yield from self._moved(functions, "sampled", "stepped")
         yield "stepped:"
         yield "  %next = add i64 %k, 1"
         yield "  br label %begin"
         yield "end:"
         yield "  ret void"
 
-    def _call(self, functions: Mapping[str, Function], name: str, **others: str) -> str:
-        given = ", ".join(f"ptr %{others.get(each, each)}" for each in functions[name].arrays)
-        return f"  call void @{name}({given})"
 
-    def _copy(self, source: str, target: str, size: int) -> str:
-        count = size * self._registers.width * _BYTES
-        return (
-            f"  call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {count}, i1 false)"
-        )
+class _Sample(_Text):
+    """One sample and the motion up to the next."""
 
-    def _spread(self, value: str, target: str) -> Iterator[str]:
-        """A number in every lane."""
-        reals, one, all_lanes = self._registers.reals, self._new(), self._new()
-        mask = f"<{self._registers.width} x i32> zeroinitializer"
-        yield f"  {one} = insertelement {reals} poison, double {value}, i64 0"
-        yield f"  {all_lanes} = shufflevector {reals} {one}, {reals} poison, {mask}"
-        yield f"  store {reals} {all_lanes}, ptr {target}, align 8"
+    _arguments = "ptr noalias %cells, ptr noalias %row, double %time"
+
+    def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        yield from self._row("%row")
+        yield from self._spread("%time", "%t0")
+        yield self._call(functions, "sample")
+        yield from self._kept()
+        yield "  br label %step"
+        yield from self._moved(functions, "entry", "end")
+        yield "end:"
+        yield "  ret void"
 
 
 def _number(value: float) -> str:

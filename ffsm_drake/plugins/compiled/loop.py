@@ -26,6 +26,7 @@ from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.tape.tangents import tangents
 
 
 class Scheme(NamedTuple):
@@ -56,6 +57,11 @@ _SAMPLE = (
     "x", "t0", "law", "turn", "bias", "deviation", "resolution", "drift", "share", "added",
     "reference", "noise", "drift_noise", "memory", "applied", "limit", "force_resolution", "sines",
 )  # fmt: skip
+# What has no derivative: a run's parameters and what follows from time.
+_FIXED = {
+    "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "limit",
+    "force_resolution", "sines", "t", "own",
+}  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
 
@@ -140,22 +146,26 @@ class Blocks:
             first += value.size
         return made
 
-    def functions(self, registers: Registers) -> dict[str, Function]:
-        """The functions of a sample and of the integrator. Raises NotTraceable, or what the law
-        raises on symbols.
+    def functions(self, registers: Registers, *, slopes: bool = False) -> dict[str, Function]:
+        """The functions of a sample and of the integrator, with ``slopes`` also their derivatives
+        along a direction (cells ``d_...``). Raises NotTraceable, or what the law raises on symbols.
         """
         first = functools.partial(self._sample, is_first=True)
         sample = functools.partial(self._sample, is_first=False)
-        made = {
-            "first": self._function(registers, "first", _SAMPLE, first),
-            "sample": self._function(registers, "sample", _SAMPLE, sample),
-            "derivative": self._function(registers, "derivative", _DERIVATIVE, self._derivative),
+        given = {
+            "first": (_SAMPLE, first),
+            "sample": (_SAMPLE, sample),
+            "derivative": (_DERIVATIVE, self._derivative),
         }
         for i, weights in enumerate(SCHEMES[self.scheme].points):
             name, reads = f"point{i}", ("x", *(f"k{j}" for j in range(len(weights))))
-            point = functools.partial(self._point, weights)
-            made[name] = self._function(registers, name, reads, point)
-        return made
+            given[name] = (reads, functools.partial(self._point, weights))
+        if slopes:  # every sample has one before it
+            del given["first"]
+        return {
+            name: self._function(registers, name, *reads_and_made, slopes=slopes)
+            for name, reads_and_made in given.items()
+        }
 
     def _function(
         self,
@@ -163,6 +173,8 @@ class Blocks:
         name: str,
         reads: Sequence[str],
         made: Callable[[Any], Mapping[str, Any]],
+        *,
+        slopes: bool,
     ) -> Function:
         """Trace a function of cells: ``made`` takes an object with an array of symbols for each."""
         sizes = self.parameters | self.states | self.results | self.row
@@ -180,6 +192,19 @@ class Blocks:
         for each, values in results.items():
             if len(values) != sizes[each]:
                 raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
+        if slopes:
+            seeds = dict[int, Any]()
+            for each in [each for each in reads if each not in _FIXED]:
+                given[f"d_{each}"] = sizes[each]
+                direction = tape.inputs(f"d_{each}", sizes[each])
+                symbols = [symbol.index for symbol in getattr(cells, each).ravel()]
+                seeds |= dict(zip(symbols, direction, strict=True))
+            flat = [value for values in results.values() for value in values]
+            slope = iter(tangents(tape, flat, seeds))
+            results |= {
+                f"d_{each}": [next(slope) for _ in range(len(values))]
+                for each, values in results.items()
+            }
         return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
 
     def _sample(self, cells: Any, *, is_first: bool) -> dict[str, Any]:

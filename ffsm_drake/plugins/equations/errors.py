@@ -11,7 +11,7 @@ from typing import Any
 
 from ffsm_drake.common.so3 import times_conjugate
 from ffsm_drake.plugins.equations.vectors import cross, dot, minus, plus, scaled
-from ffsm_drake.tape.numbers import signed, square_root
+from ffsm_drake.tape.numbers import select, signed, square_root
 
 _TINY = 1e-300  # keeps divisors from zero, and changes no number of any size
 _SERIES = (  # of 1 - atan(x) / x in x^2
@@ -20,6 +20,10 @@ _SERIES = (  # of 1 - atan(x) / x in x^2
     6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
     -3.65315727442169155270e-02, 1.62858201153657823623e-02,
 )  # fmt: skip
+
+
+_NEAR = 0.01  # h^2 up to which the weight is a series, whose derivative has no zero divisor
+_WEIGHT = (1.0 / 12.0, 1.0 / 180.0, 1.0 / 1890.0, 1.0 / 18900.0, 1.0 / 187110.0)  # in h^2
 
 
 def tracking_errors(
@@ -39,10 +43,18 @@ def tracking_errors(
     e = scaled(2.0 * half * (1.0 / s) * signed(1.0, c), axis)
     w_d, w = desired[split : split + 3], actual[split : split + 3]
     difference, half_sum = minus(w_d, w), scaled(0.5, plus(w_d, w))
-    weight = (1.0 - half * near * (1.0 / s)) * (1.0 / (4.0 * half * half))
+    weight = _weight(half * half, half * near * (1.0 / s))
     turned = minus(scaled(weight, cross(e, difference)), half_sum)
     rate = plus(difference, cross(e, turned))
     return (
         [*e, *minus(desired[4:split], actual[4:split])],
         [*rate, *minus(desired[split + 3 :], actual[split + 3 :])],
     )
+
+
+def _weight(square: Any, h_cot_h: Any) -> Any:
+    """(1 - h cot(h)) / (4 h^2)."""
+    series = _WEIGHT[-1]
+    for each in reversed(_WEIGHT[:-1]):
+        series = each + square * series
+    return select(square < _NEAR, series, (1.0 - h_cot_h) * (1.0 / (4.0 * square)))
