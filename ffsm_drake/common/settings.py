@@ -24,6 +24,7 @@ from ffsm_drake.common.errors import ScenarioError, choices
 
 Problems = Iterator[tuple[str, str]]  # key and problem
 _HUGE = 1e300
+_PLAIN = (str, float, int, bool, type(None))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -120,10 +121,10 @@ def fresh(value: Any) -> Any:
     change.
     """
     kind: Any = type(value)
-    if kind in (str, float, int, bool, type(None)):
+    if kind in _PLAIN:
         return value
     if kind is dict:
-        return {key: fresh(item) for key, item in value.items()}
+        return {key: item if type(item) in _PLAIN else fresh(item) for key, item in value.items()}
     if kind is list:
         return [fresh(item) for item in value]
     if not dataclasses.is_dataclass(kind):
@@ -179,6 +180,8 @@ def join(path: str, key: Any) -> str:
 
 def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     """Key and object of everything with settings in a value, outermost first."""
+    if value.__class__ in _PLAIN:
+        return
     names = settings_of(value.__class__)
     if names or hasattr(value, "check"):
         yield key, value

@@ -13,8 +13,8 @@ from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario.fields import POLICY, policy_parts
 from ffsm_drake.scenario.resolving import (
     apply_override,
-    as_dict,
     build,
+    defaults_of,
     merged,
     resolve,
     shown,
@@ -57,7 +57,7 @@ class Layer:
                 apply_override(schema, below.whole, self.given)
                 return Stack(below.whole, below.whole)
             given = merged(schema, below.given, self.given)
-            found = Stack(given, resolve(schema, as_dict(schema()), given, ""))
+            found = Stack(given, resolve(schema, defaults_of(schema), given, ""))
         except ScenarioError as error:
             raise error.located(self.source) from None
         model = self.given.get("model") or {}

@@ -9,15 +9,16 @@ import re
 import types
 import typing
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, choices, one_line, some
-from ffsm_drake.common.settings import join, require_valid, settings_of
+from ffsm_drake.common.settings import fresh, join, require_valid, settings_of
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
 _LEAVES = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+_PLAIN = {*_LEAVES, type(None)}
 MAX_NUMBER = 1e20  # keeps products of a few values finite
 
 
@@ -26,6 +27,8 @@ def as_dict(value: Any) -> Any:
     container of them.
     """
     kind: Any = type(value)
+    if kind in _PLAIN:
+        return value
     fields = schema_fields(kind)
     if fields is not None:
         return {key: as_dict(getattr(value, key)) for key in fields}
@@ -51,6 +54,31 @@ def schema_fields(schema: Any) -> dict[str, Any] | None:
     return {name: kinds[name] for name in names}
 
 
+class _Shape(NamedTuple):
+    """A type of the schema, taken apart."""
+
+    fields: dict[str, Any] | None  # see ``schema_fields``
+    inner: Any  # see ``without_null``
+    origin: Any
+    args: tuple[Any, ...]
+
+
+@functools.cache
+def _shape_of(schema: Any) -> _Shape:
+    inner, origin = without_null(schema), typing.get_origin(schema)
+    return _Shape(schema_fields(schema), inner, origin, typing.get_args(schema))
+
+
+@functools.cache
+def _defaults_of(schema: Any) -> Any:
+    return as_dict(schema())
+
+
+def defaults_of(schema: Any) -> Any:
+    """Return the default values of a schema as plain data, which the caller may change."""
+    return fresh(_defaults_of(schema))
+
+
 def without_null(schema: Any) -> Any:
     """Return the type of an optional value; any other type unchanged. A schema has no further
     unions.
@@ -64,11 +92,10 @@ def build(schema: Any, data: Any) -> Any:
     """Build the typed object from plain data, complete and checked."""
     if data is None:
         return None
-    schema = without_null(schema)
-    fields = schema_fields(schema)
+    schema = _shape_of(schema).inner
+    fields, _, origin, args = _shape_of(schema)
     if fields is not None:
         return schema(**{key: build(kind, data[key]) for key, kind in fields.items()})
-    origin, args = typing.get_origin(schema), typing.get_args(schema)
     if origin is dict:
         return {key: build(args[1], item) for key, item in data.items()}
     return list(data) if origin is list else data
@@ -92,7 +119,7 @@ def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
             raise _unknown_key(key, name, ())
         built = cls()
     else:
-        built = build(cls, resolve(cls, as_dict(cls()), data, key))
+        built = build(cls, resolve(cls, defaults_of(cls), data, key))
     require_valid(built, key, scenario)
     return built
 
@@ -101,9 +128,11 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
     """Plain data for ``schema``: ``default`` (plain data, complete) overlaid with ``data``, each
     leaf checked.
     """
+    if schema in _LEAVES:
+        return _convert_leaf(schema, data, path)
     if schema is Any:
         return _plain(data, path)
-    fields = schema_fields(schema)
+    fields, inner, origin, args = _shape_of(schema)
     if fields is not None:
         if isinstance(data, str) and hasattr(schema, "SHORTHAND"):
             data = {schema.SHORTHAND: data}
@@ -120,13 +149,11 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
             else default[key]
             for key, kind in fields.items()
         }
-    inner = without_null(schema)
     if inner is not schema:
         if default is None and schema_fields(inner) is not None:
-            default = as_dict(inner())
+            default = defaults_of(inner)
         absent = data is None or (data == "auto" and inner is float)
         return None if absent else resolve(inner, default, data, path)
-    origin, args = typing.get_origin(schema), typing.get_args(schema)
     if origin is dict:
         if args[1] in (float, int) and not isinstance(data, Mapping):
             if isinstance(data, (list, tuple)):
@@ -140,7 +167,7 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
             data = {"own": data}
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
-        blank = None if schema_fields(args[1]) is None else as_dict(args[1]())
+        blank = None if schema_fields(args[1]) is None else defaults_of(args[1])
         for key in data:
             if not isinstance(key, str):
                 raise ScenarioError(join(path, shown(key)), "a name must be text; put it in quotes")
@@ -178,6 +205,8 @@ def _plain(data: Any, path: str) -> Any:
 
 
 def _convert_leaf(schema: Any, data: Any, path: str) -> Any:
+    if schema is float is type(data) and -MAX_NUMBER <= data <= MAX_NUMBER:
+        return data
     wanted = _LEAVES.get(schema)
     if wanted is None:
         kinds = "float, int, bool, str, list, dict or a dataclass of settings"
@@ -217,9 +246,9 @@ def merged(schema: Any, below: Any, above: Any) -> Any:
     """
     if not below:
         return dict(above) if isinstance(above, Mapping) else above
-    schema = without_null(schema)
-    fields, args = schema_fields(schema), typing.get_args(schema)
-    is_named = typing.get_origin(schema) is dict
+    schema = _shape_of(schema).inner
+    fields, _, origin, args = _shape_of(schema)
+    is_named = origin is dict
     if fields is not None and hasattr(schema, "SHORTHAND"):
         below, above = (
             {schema.SHORTHAND: data} if isinstance(data, str) else data for data in (below, above)
@@ -262,14 +291,14 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
         schema = _child_schema(schema, part, ".".join(parents[:depth]))
         schema = without_null(schema)
         if target.get(part) is None:
-            target[part] = {} if schema_fields(schema) is None else as_dict(schema())
+            target[part] = {} if schema_fields(schema) is None else defaults_of(schema)
         target = target[part]
     schema = _child_schema(schema, last, ".".join(parents))
     fields = schema_fields(schema)
     if fields is not None and not isinstance(value, Mapping) and not hasattr(schema, "SHORTHAND"):
         keys = ", ".join(f"{key}.{name}" for name in fields)
         raise ScenarioError(key, f"is a section, not a value; set one of its keys: {keys}")
-    default = target.get(last) or as_dict(schema()) if fields is not None else None
+    default = target.get(last) or defaults_of(schema) if fields is not None else None
     target[last] = resolve(schema, default, value, key)
     if key in ("model.directives", "model.servicer") and value is not None:
         target["servicer" if last == "directives" else "directives"] = None
