@@ -17,7 +17,7 @@ def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def product(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Products (..., m, k) of matrices (..., m, n) and (..., n, k), however they lie in memory."""
-    return np.matmul(np.ascontiguousarray(matrix), np.ascontiguousarray(other))
+    return np.matmul(np.asanyarray(matrix, order="C"), np.asanyarray(other, order="C"))
 
 
 def applied(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:

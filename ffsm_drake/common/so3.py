@@ -47,7 +47,7 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any norm; of one with plain floats,
     because control updates need it, with the bits that it has among others.
     """
-    if quaternion.ndim == 1 and quaternion.any():
+    if quaternion.ndim == 1 and quaternion.dtype != object and quaternion.any():
         return np.array(_rotation_matrix(*quaternion.tolist()))
     rows = _rotation_matrix(*np.moveaxis(quaternion, -1, 0))
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

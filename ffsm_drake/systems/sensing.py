@@ -14,7 +14,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common import RandomDistribution, RandomGenerator
@@ -87,6 +87,34 @@ class Quantizer(LeafSystem):
         output.SetFromVector(quantize(self._input.Eval(context), self._resolution))
 
 
+class Sensor(NamedTuple):
+    """Entries of [q; v] that are measured with one period and delay, in whole control samples."""
+
+    period: int
+    delay: int
+    entries: np.ndarray
+
+    @property
+    def kept(self) -> int:
+        """Number of measurements between the one that is shown and the present."""
+        return -((1 - self.delay) // self.period) + 1 if self.delay else 1
+
+    def phase(self, sample: Any) -> tuple[Any, Any, Any]:
+        """Of a control sample, or of many: whether it measures, whether it shows a new
+        measurement, and the age of that in measurements; -1: it is being made.
+        """
+        p, d = self.period, self.delay
+        return sample % p == 0, (sample - d) % p == 0, (sample - 1) // p - (sample - d) // p
+
+
+def late_sensors(period: np.ndarray, delay: np.ndarray) -> list[Sensor]:
+    """Return the sensors with a period longer than a control sample, or with a delay, from those of
+    each entry.
+    """
+    pairs = sorted(set(zip(period.tolist(), delay.tolist(), strict=True)) - {(1, 0)})
+    return [Sensor(p, d, np.flatnonzero((period == p) & (delay == d))) for p, d in pairs]
+
+
 class Sampling(LeafSystem):
     """Measurements with a period longer than a control sample, or with a delay.
 
@@ -98,8 +126,8 @@ class Sampling(LeafSystem):
     Outputs: ``estimated_state`` (size), and, with a period longer than a control sample,
     ``measurement_is_new`` (size), 1 for entries with a measurement shown for the first time, else
     0.
-    Discrete state, updated every control sample: for each pair (p, d) but (1, 0), the
-    measurements made last, newest first. Read the outputs at control samples, before the update.
+    Discrete state, updated every control sample: for each sensor, the measurements made last,
+    newest first. Read the outputs at control samples, before the update.
     """
 
     def __init__(self, period: np.ndarray, delay: np.ndarray, *, sample_time: float) -> None:
@@ -107,15 +135,10 @@ class Sampling(LeafSystem):
         super().__init__()
         self._sample_time = sample_time
         self._input = self.DeclareVectorInputPort("state", period.size)
-        # p, d, their entries, the state's index
-        self._sensors: list[tuple[int, int, np.ndarray, int]] = []
-        for p, d in sorted(set(zip(period.tolist(), delay.tolist(), strict=True)) - {(1, 0)}):
-            entries = np.flatnonzero((period == p) & (delay == d))
-            # measurements between the one that is shown and the present
-            kept = -((1 - d) // p) + 1 if d else 1
-            self._sensors.append(
-                (p, d, entries, int(self.DeclareDiscreteState(entries.size * kept)))
-            )
+        self._sensors = [
+            (each, int(self.DeclareDiscreteState(each.entries.size * each.kept)))
+            for each in late_sensors(period, delay)
+        ]
         self.DeclareVectorOutputPort("estimated_state", period.size, weak_callback(self._calc))
         if (period > 1).any():
             new = weak_callback(self._calc_is_new)
@@ -128,47 +151,41 @@ class Sampling(LeafSystem):
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """Before the start, ``state`` (size, or rows of that size) was measured."""
         state = state.ravel()
-        for _, _, entries, index in self._sensors:
-            kept = context.get_discrete_state(index).size() // entries.size
-            context.SetDiscreteState(index, np.tile(state[entries], kept))
+        for sensor, index in self._sensors:
+            context.SetDiscreteState(index, np.tile(state[sensor.entries], sensor.kept))
 
     @property
     def phase_period(self) -> int:
         """Control samples after which ``phase`` repeats."""
-        return math.lcm(*(p for p, *_ in self._sensors))
+        return math.lcm(*(sensor.period for sensor, _ in self._sensors))
 
     def phase(self, sample: int) -> tuple[tuple[bool, bool, int], ...]:
-        """Phase of a control sample: for each sensor whether it measures, whether it provides a new
-        measurement, and its age.
-        """
-        return tuple(
-            (sample % p == 0, (sample - d) % p == 0, (sample - 1) // p - (sample - d) // p)
-            for p, d, *_ in self._sensors
-        )
+        """Phase of each sensor at a control sample."""
+        return tuple(sensor.phase(sample) for sensor, _ in self._sensors)
 
     def _sample(self, context: Context) -> int:
         return round(context.get_time() / self._sample_time)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         sample, values = self._sample(context), self._input.Eval(context).copy()
-        for p, d, entries, index in self._sensors:
-            age = (sample - 1) // p - (sample - d) // p  # in measurements; -1: it is being made
+        for sensor, index in self._sensors:
+            *_, age = sensor.phase(sample)
             if age >= 0:
-                kept = context.get_discrete_state(index).value()
-                values[entries] = kept[age * entries.size : (age + 1) * entries.size]
+                kept, size = context.get_discrete_state(index).value(), sensor.entries.size
+                values[sensor.entries] = kept[age * size : (age + 1) * size]
         output.SetFromVector(values)
 
     def _calc_is_new(self, context: Context, output: BasicVector) -> None:
         sample, values = self._sample(context), np.ones(output.size())
-        for p, d, entries, _ in self._sensors:
-            values[entries] = (sample - d) % p == 0
+        for sensor, _ in self._sensors:
+            values[sensor.entries] = sensor.phase(sample)[1]
         output.SetFromVector(values)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         sample, measured = self._sample(context), self._input.Eval(context)
-        for p, _, entries, index in self._sensors:
-            if sample % p == 0:
-                kept = context.get_discrete_state(index).value()
+        for sensor, index in self._sensors:
+            if sensor.phase(sample)[0]:
+                kept, entries = context.get_discrete_state(index).value(), sensor.entries
                 values.set_value(index, np.concatenate([measured[entries], kept[: -entries.size]]))
 
 
@@ -344,6 +361,11 @@ class SensorErrors:
             added=np.concatenate([math.sqrt(self.sample_time) * walk[walks], added]),
             start=np.concatenate([np.zeros(walks.size), correlated[noises]]),
         )
+
+    def times(self) -> np.ndarray:
+        """Period and delay along [q; v] (2, nq + nv), in whole control samples."""
+        each = np.array(measurement_times(self.settings, self.coordinates))
+        return np.hstack([each[:, :1], each])  # the quaternion has four
 
     def axes_matter(self) -> np.ndarray:
         """Whether the base's white noise, and its other errors, depend on the axes (2)."""
@@ -620,12 +642,7 @@ def _make_quantizer(errors: Sequence[SensorErrors]) -> Diagram | None:
 
 def _make_sampling(errors: Sequence[SensorErrors]) -> Sampling | None:
     """Longer periods and delays."""
-    times = [measurement_times(each.settings, each.coordinates) for each in errors]
-    # the quaternion has four
-    period, delay = (
-        np.concatenate([np.append(each[:1], each) for each in of])
-        for of in zip(*times, strict=True)
-    )
+    period, delay = np.concatenate([each.times() for each in errors], axis=1)
     if not ((period > 1).any() or delay.any()):
         return None
     sampling = Sampling(period, delay, sample_time=errors[0].sample_time)

@@ -14,6 +14,7 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
+from ffsm_drake.plugins.compiled.measuring import phases
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
@@ -28,12 +29,14 @@ from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plan
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.disturbance import sines_of
+from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.sensing import SensorErrors, measurement_times
+from ffsm_drake.systems.sensing import SensorErrors, late_sensors
 
 # From Drake's run, as a share of a signal's largest value. Rounding is amplified by high gains.
 LARGEST_DIFFERENCE = 1e-7
 _BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
+_PARTS = {"flexible"}  # with signals
 _KEPT = 16  # kernels
 _TRIED = 3  # runs for a comparison with Drake; if all of them diverge, Drake runs all
 
@@ -62,11 +65,9 @@ class Compiled(Dynamics):
             ("contacts", scenario.contacts),
             ("supervisor", scenario.supervisor is not None),
             ("faults", scenario.faults),
-            ("model.flexible", scenario.model.flexible),
             ("actuation.thrusters", scenario.actuation.thrusters is not None),
             ("actuation.wheels", scenario.actuation.wheels is not None),
             ("actuation.drives", scenario.actuation.drives is not None),
-            ("actuation.delay", scenario.actuation.delay),
             ("reference.frame", scenario.reference.frame is not None),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
@@ -141,9 +142,10 @@ class _Run:
         own, law, constants = reader_of(self.true.plant), *parameters_of(self.law)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
-        period, delay = measurement_times(scenario.sensing, self.coordinates)
-        if (period > 1).any() or delay.any():
-            raise NotCovered("sensing: periods or delays")
+        late = tuple(
+            each._replace(entries=tuple(each.entries.tolist()))
+            for each in late_sensors(*errors.times())
+        )
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
@@ -166,10 +168,14 @@ class _Run:
         self.noise = noise_of(
             scenario.random_seed, self.samples, size=errors.bias.size, drifting=drift.kept.size
         )
+        start = state_at_start(scenario, self.true)
+        known = self.true.split.known_part(np.arange(start.size))
+        before = [np.tile(start[known][list(each.entries)], each.kept) for each in late]
         self.states = {
-            "x": state_at_start(scenario, self.true),
+            "x": start,
             "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
             "drift": drift.start * self.noise.start,
+            "past": np.concatenate([np.zeros(0), *before]),
         }
         config = scenario.simulator_config
         self.steps = steps_of(scenario.sample_time, config.max_step_size)
@@ -178,14 +184,21 @@ class _Run:
             "nq": len(self.coordinates.position_names),
             "nv": len(self.coordinates.names),
             "tree": own.tree,
+            "known": tuple(known.tolist()),
+            "hidden": tuple(self.true.split.hidden_state.tolist()),
+            "forced": tuple(
+                self.true.split.known_velocities(np.arange(own.tree.num_velocities)).tolist()
+            ),
             "undriven": tuple(np.flatnonzero(~self.coordinates.is_driven).tolist()),
             "turned": tuple(errors.axes_matter().tolist()),
             "drifting": tuple(drift.entries.tolist()),
             "biased": bool(errors.bias.any() or (errors.turn != np.eye(4)).any()),
             "noisy": bool(errors.deviation.any()),
             "rounded": bool(errors.resolution.any()),
+            "late": late,
             "limited": bool(np.isfinite(limit).any()),
             "quantized": bool(resolution.any()),
+            "waits": force.delay,
             "scheme": config.integration_scheme,
             "step": scenario.sample_time / self.steps,
         }
@@ -203,7 +216,8 @@ class _Run:
             period * np.arange(self.samples)
         )
         white = self.noise.white if self.blocks.noisy else np.zeros((self.samples, 0))
-        return np.hstack([reference, white, self.noise.drift])
+        late = phases(self.blocks.late, self.samples)
+        return np.hstack([reference, white, self.noise.drift, late])
 
 
 def _results(runs: Sequence[_Run]) -> list[RunLog | NotCovered | None]:
@@ -239,14 +253,23 @@ def _logs(kernel: Kernel, runs: Sequence[_Run]) -> list[RunLog | None]:
     wall_time = {"build": began - start, "advance_to": ended - began, "total": ended - start}
     return [
         _log(
-            run, {name: values[lane] for name, values in series.items()}, rows[..., lane], wall_time
+            run,
+            {name: values[lane] for name, values in series.items()},
+            rows[..., lane],
+            parts=kernel.parts,
+            wall_time=wall_time,
         )
         for lane, run in enumerate(runs)
     ]
 
 
 def _log(
-    run: _Run, series: dict[str, np.ndarray], rows: np.ndarray, wall_time: dict[str, float]
+    run: _Run,
+    series: dict[str, np.ndarray],
+    rows: np.ndarray,
+    *,
+    parts: Parts,
+    wall_time: dict[str, float],
 ) -> RunLog | None:
     nq, nv = run.blocks.nq, run.blocks.nv
     with np.errstate(invalid="ignore"):
@@ -262,6 +285,7 @@ def _log(
         split=run.true.split,
         sliding_unit=str(run.law.sliding_unit),
         dynamics=Compiled.name,
+        parts=parts,
         time=scenario.sample_time * np.arange(run.samples),
         series={
             **copied,
@@ -299,9 +323,10 @@ def _judge(run: _Run, kernel: Kernel) -> None:
     """Compare a run with Drake's. Raises NotCovered: they differ, or Drake's cannot tell."""
     rollout = Rollout(run.scenario)
     try:
-        others = set(rollout.loop.blocks) - _BLOCKS
-        if others or rollout.loop.parts:
-            raise NotCovered(", ".join(sorted(others | set(rollout.loop.parts))))
+        others = (set(rollout.loop.blocks) - _BLOCKS) | (set(rollout.loop.parts) - _PARTS)
+        if others:
+            raise NotCovered(", ".join(sorted(others)))
+        kernel.parts = rollout.loop.parts
         expected = rollout.run(run.scenario)
     finally:
         rollout.release()

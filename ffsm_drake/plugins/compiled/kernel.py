@@ -11,8 +11,9 @@ import numpy as np
 
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
-from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, Function
+from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, Blocks, Function
 from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.systems.part import Parts
 
 _BYTES = 8  # of a number
 
@@ -29,6 +30,7 @@ class Kernel:
         Raises what tracing raises.
         """
         self.blocks, self.width = blocks, registers().width
+        self.parts: Parts = {}  # whose signals follow from the log
         self._text = _Runs(blocks, registers(), steps=steps, sample_time=sample_time)
         text = self._text.module()
         self._code = Code(text, lambda: text)
@@ -142,9 +144,8 @@ class _Text:
         """Copies of what a sample makes to the states."""
         states = self._blocks.states
         for prefix in ("", "d_") if self._slopes else ("",):
-            yield self._copy(f"%{prefix}memory_after", f"%{prefix}memory", states["memory"])
-            yield self._copy(f"%{prefix}drift_after", f"%{prefix}drift", states["drift"])
-            yield self._copy(f"%{prefix}applied_force", f"%{prefix}applied", states["applied"])
+            for name, after in CARRIED.items():
+                yield self._copy(f"%{prefix}{after}", f"%{prefix}{name}", states[name])
 
     def _moved(self, functions: Mapping[str, Function], before: str, after: str) -> Iterator[str]:
         """The integrator's steps up to the next sample, as a block ``step`` between two others."""

@@ -14,16 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ffsm_drake.plugins.compiled.code import of_lanes
+from ffsm_drake.plugins.compiled.measuring import measured
 from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
-from ffsm_drake.plugins.equations.equations import quaternion_matrix
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Reader, Tree
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.sampled import SIGNALS
-from ffsm_drake.systems.sensing import quantize
+from ffsm_drake.systems.sensing import Sensor, quantize
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, number
 from ffsm_drake.tape.tangents import tangents
@@ -47,20 +47,30 @@ SCHEMES = {
 # Signals of a record that a sample makes, and the cells that have them.
 _SAMPLED = {
     "state": "known",
+    "hidden_state": "hidden",
     "measurement": "measurement",
     "generalized_force": "generalized_force",
     "applied_force": "applied_force",
     "disturbance_force": "disturbance_force",
 }
+# States that a sample changes, and the cells that have them then.
+CARRIED = {
+    "memory": "memory_after",
+    "drift": "drift_after",
+    "past": "past_after",
+    "waiting": "waiting_after",
+    "applied": "applied_force",
+}
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
     "x", "t0", "law", "turn", "bias", "deviation", "resolution", "drift", "share", "added",
-    "reference", "noise", "drift_noise", "memory", "applied", "limit", "force_resolution", "sines",
+    "reference", "noise", "drift_noise", "phases", "past", "memory", "applied", "waiting", "limit",
+    "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
-    "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "limit",
-    "force_resolution", "sines", "t", "own",
+    "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "phases",
+    "limit", "force_resolution", "sines", "t", "own",
 }  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
@@ -78,17 +88,23 @@ class Blocks:
 
     law: Any
     num_parameters: int  # of the law
-    nq: int
+    nq: int  # of the known coordinates
     nv: int
     tree: Tree  # of the spacecraft
+    # entries of the plant's [q; v] that are known, and of hidden coordinates; of its v, known ones
+    known: tuple[int, ...]
+    hidden: tuple[int, ...]
+    forced: tuple[int, ...]
     undriven: tuple[int, ...]
     turned: tuple[bool, bool]  # white noise, and other errors, are along the base's axes
     biased: bool  # the measurement has a constant error, or a turned attitude
     drifting: tuple[int, ...]  # entries of the measurement with errors that drift
     noisy: bool
     rounded: bool  # the measurement is quantised
+    late: tuple[Sensor, ...]  # with a period or delay; entries are tuples
     limited: bool
     quantized: bool  # the force
+    waits: int  # samples from a force to its effect
     scheme: str
     step: float  # of the integrator, s
 
@@ -111,33 +127,38 @@ class Blocks:
     def states(self) -> dict[str, int]:
         """Numbers that a run begins with and changes."""
         memory = sum(each.size for each in self.memory.values())
-        drift = len(self.drifting)
-        return {"x": self.nq + self.nv, "memory": memory, "applied": self.nv, "drift": drift}
+        return {
+            "x": len(self.known) + len(self.hidden), "memory": memory, "applied": self.nv,
+            "drift": len(self.drifting), "waiting": self.waits * self.nv,
+            "past": sum(each.kept * len(each.entries) for each in self.late),
+        }  # fmt: skip
 
     @property
     def results(self) -> dict[str, int]:
         """What a sample makes, and room for a step of the integrator."""
-        nx, nv = self.nq + self.nv, self.nv
+        nx, nv, states = self.nq + self.nv, self.nv, self.states
         stages = range(len(SCHEMES[self.scheme].times))
         return {
-            "known": nx, "measurement": nx, "generalized_force": nv, "applied_force": nv,
-            "disturbance_force": nv, "memory_after": self.states["memory"],
-            "drift_after": len(self.drifting), "y": nx,
-            **{f"k{i}": nx for i in stages}, **{f"t{i}": 1 for i in stages},
+            "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
+            "disturbance_force": nv, **{cell: states[name] for name, cell in CARRIED.items()},
+            "y": states["x"], **{f"k{i}": states["x"] for i in stages},
+            **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
 
     @property
     def row(self) -> dict[str, int]:
         """What a run reads at each sample."""
         noise = self.nq + self.nv if self.noisy else 0
-        drift = len(self.drifting)
-        return {"reference": self.nq + 2 * self.nv, "noise": noise, "drift_noise": drift}
+        return {
+            "reference": self.nq + 2 * self.nv, "noise": noise,
+            "drift_noise": len(self.drifting), "phases": 3 * len(self.late),
+        }  # fmt: skip
 
     @property
     def log(self) -> dict[str, tuple[str, int, int]]:
         """Signal of a record -> its cell at a sample, first entry there, and size."""
         sizes = self.results | self.states
-        made = {name: (cell, 0, sizes[cell]) for name, cell in _SAMPLED.items()}
+        made = {name: (cell, 0, sizes[cell]) for name, cell in _SAMPLED.items() if sizes[cell]}
         held = {signal.name: signal.held for signal in SIGNALS if signal.dimension}
         first = 0
         for name, value in self.memory.items():
@@ -208,44 +229,31 @@ class Blocks:
         return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
 
     def _sample(self, cells: Any, *, is_first: bool) -> dict[str, Any]:
-        measured = self._measured(cells)
-        force, after = self._law(cells, measured, is_first=is_first)
+        known = cells.x[list(self.known)]
+        measurement, is_new, past = measured(self, cells, known)
+        force, after = self._law(cells, measurement, is_new, is_first=is_first)
         given = force
         if self.limited:
             given = np.minimum(np.maximum(given, -cells.limit), cells.limit)
         if self.quantized:
             given = quantize(given, cells.force_resolution)
+        waiting = np.concatenate([given, cells.waiting])  # newest first
         return {
-            "known": cells.x,
-            "measurement": measured,
+            "known": known,
+            "hidden": cells.x[list(self.hidden)],
+            "measurement": measurement,
             "generalized_force": force,
-            "applied_force": given,
+            "applied_force": waiting[-self.nv :],
             "disturbance_force": self._disturbance(cells.t0[0], cells.sines),
             "memory_after": after,
             "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
+            "past_after": past,
+            "waiting_after": waiting[: -self.nv],
         }
 
-    def _measured(self, cells: Any) -> Any:
-        """The stages of sensing, see ``systems.sensing.make_sensing``."""
-        values, (along_white, along_others) = cells.x, self.turned
-        white = cells.deviation * cells.noise if self.noisy else 0.0
-        if along_others and not along_white:  # isotropic noise is added in the world's axes
-            values = values + white
-        if along_white or along_others:
-            values = _turned(values, cells.x, back=False)
-        if self.biased:
-            attitude = cells.turn.reshape(4, 4) @ values[:4]
-            values = np.concatenate([attitude, values[4:]]) + cells.bias
-        if along_white or not along_others:
-            values = values + white
-        if self.drifting:
-            values, entries = values.copy(), list(self.drifting)
-            values[entries] = values[entries] + cells.drift
-        if self.rounded:
-            values = quantize(values, cells.resolution)
-        return _turned(values, cells.x, back=True) if along_white or along_others else values
-
-    def _law(self, cells: Any, measured: Any, *, is_first: bool) -> tuple[Any, Any]:
+    def _law(
+        self, cells: Any, measured: Any, is_new: Any, *, is_first: bool
+    ) -> tuple[Any, Any]:
         """The force and the law's memory after a sample, see ``SampledController.step``."""
         law, nq, nx = with_symbols(self.law, cells.law, TracedModel), self.nq, self.nq + self.nv
         memory, taken = dict[str, Any](), 0
@@ -258,7 +266,7 @@ class Blocks:
         e[list(self.undriven)] = e_dot[list(self.undriven)] = 0.0
         sample = Sample(
             measured[:nq], measured[nq:], desired[:nq], desired[nq:], reference[nx:],
-            e, e_dot, cells.applied, is_first,
+            e, e_dot, cells.applied, is_first, is_new,
         )  # fmt: skip
         for each in (sample.q, sample.v, e, e_dot):
             each.setflags(write=False)
@@ -277,26 +285,15 @@ class Blocks:
         return amplitude * np.sin(frequency * t + phase) + bias
 
     def _derivative(self, cells: Any) -> dict[str, Any]:
-        q, v = list(cells.state[: self.nq]), list(cells.state[self.nq :])
-        force = cells.applied_force + self._disturbance(cells.t[0], cells.sines)
-        return {"rates": equations.derivative(self.tree, q, v, list(force), list(cells.own))}
+        q, v = np.split(cells.state, [self.tree.num_positions])
+        force = traced(np.zeros(v.size))
+        force[list(self.forced)] = cells.applied_force + self._disturbance(cells.t[0], cells.sines)
+        given = list(q), list(v), list(force), list(cells.own)
+        return {"rates": equations.derivative(self.tree, *given)}
 
     def _point(self, weights: Sequence[float], cells: Any) -> dict[str, Any]:
         parts = [self.step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
         return {"y": cells.x + functools.reduce(np.add, parts)}
-
-
-def _turned(values: Any, true: Any, *, back: bool) -> Any:
-    """A measurement in the axes of the base's sensors, or ``back`` in the world's."""
-    quaternion = true[:4] * (1.0 / np.sqrt(true[:4] @ true[:4]))
-    w, x, y, z = quaternion
-    turn = traced([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    R = traced(quaternion_matrix(list(quaternion)))
-    values, nv = values.copy(), (len(values) - 1) // 2
-    values[:4] = (turn if back else turn.T) @ values[:4]
-    for first in (4, nv + 1, nv + 4):
-        values[first : first + 3] = (R if back else R.T) @ values[first : first + 3]
-    return values
 
 
 class TracedModel(PlantModel):

@@ -239,12 +239,13 @@ class LateKalmanEstimator(Estimator):
             rate = _turned(back, sample.e_dot - expected[..., nv:]) + bias
         else:
             rate = sample.e_dot - (expected[..., nv:] - bias)
-        axis, gain = self._axis, self._gain[..., 3, :, :]
+        axis = self._axis
+        none, of_rate, of_position, gain = np.moveaxis(self._gain, -3, 0)
         if sample.is_new is not None:
-            new = 2 * sample.is_new[..., :nv] + sample.is_new[..., nv:]
-            chosen = new[..., axis], np.arange(axis.size)
-            run = (np.arange(len(new))[:, None],) if isinstance(self.gain, tuple) else ()
-            gain = self._gain[(*run, *chosen)]
+            new_position, new_rate = np.split(sample.is_new[..., None], 2, axis=-2)
+            without = np.where(new_rate[..., axis, :], of_rate, none)
+            gain = np.where(new_rate[..., axis, :], gain, of_position)
+            gain = np.where(new_position[..., axis, :], gain, without)
         correction = gain[..., 0] * position[..., axis] + gain[..., 1] * rate[..., axis]
         if self.in_base:
             vectors = product(correction[..., self._of_base], back)  # rows: R v is v R'
