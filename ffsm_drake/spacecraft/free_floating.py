@@ -259,7 +259,7 @@ class ReducedModel(PlantModel):
         driven, undriven = self._parts
         rows = H[..., undriven, :]
         following = np.linalg.solve(rows[..., undriven], whole[..., undriven, None])[..., 0]
-        result = np.zeros(whole.shape)
+        result = np.zeros_like(whole)
         result[..., driven] = whole[..., driven] - applied(rows[..., driven].mT, following)
         return result
 
@@ -273,7 +273,7 @@ class ReducedModel(PlantModel):
         rows, block = whole[..., undriven, :], (..., driven[:, None], driven)
         across = rows[..., driven]
         following = np.linalg.solve(rows[..., undriven], across)
-        result = np.zeros(whole.shape)
+        result = np.zeros_like(whole)
         result[..., undriven, undriven] = 1.0
         result[block] = whole[block] - product(across.mT, following)
         return result

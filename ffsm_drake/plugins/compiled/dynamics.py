@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
@@ -21,7 +22,7 @@ from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import group_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.dynamics import Dynamics, NotCovered
@@ -61,7 +62,7 @@ class Compiled(Dynamics):
         config = scenario.simulator_config
         steps = steps_of(scenario.sample_time, config.max_step_size)
         own = set(scenario.blocks.choices()) | {name for name, is_there in (
-            ("capture", scenario.capture is not None),
+            ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
             ("supervisor", scenario.supervisor is not None),
             ("faults", scenario.faults),
@@ -278,7 +279,7 @@ def _log(
         return None
     scenario, duration = run.scenario, (run.samples - 1) * run.scenario.sample_time
     copied = {name: np.ascontiguousarray(values) for name, values in series.items()}
-    return RunLog(
+    log = RunLog(
         scenario=scenario,
         outcome=Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s"),
         coordinates=run.coordinates,
@@ -294,6 +295,10 @@ def _log(
         },
         wall_time=wall_time,
     )
+    if not scenario.grasps:
+        return log
+    grasped: RunLog = service("grasped_at_start", "capture")(log)
+    return grasped
 
 
 def _compiled(run: _Run) -> Kernel:
@@ -321,7 +326,7 @@ def _place_of(error: Exception) -> str:
 
 def _judge(run: _Run, kernel: Kernel) -> None:
     """Compare a run with Drake's. Raises NotCovered: they differ, or Drake's cannot tell."""
-    rollout = Rollout(run.scenario)
+    rollout = make_rollout(run.scenario)
     try:
         others = (set(rollout.loop.blocks) - _BLOCKS) | (set(rollout.loop.parts) - _PARTS)
         if others:

@@ -15,11 +15,12 @@ import numpy as np
 
 from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.measuring import measured
-from ffsm_drake.plugins.compiled.parameters import with_symbols
+from ffsm_drake.plugins.compiled.parameters import reader_of, with_symbols
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
-from ffsm_drake.plugins.equations.tree import Reader, Tree
+from ffsm_drake.plugins.equations.tree import Tree
+from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.sampled import SIGNALS
@@ -255,7 +256,7 @@ class Blocks:
         self, cells: Any, measured: Any, is_new: Any, *, is_first: bool
     ) -> tuple[Any, Any]:
         """The force and the law's memory after a sample, see ``SampledController.step``."""
-        law, nq, nx = with_symbols(self.law, cells.law, TracedModel), self.nq, self.nq + self.nv
+        law, nq, nx = with_symbols(self.law, cells.law, _traced_model), self.nq, self.nq + self.nv
         memory, taken = dict[str, Any](), 0
         for name, value in self.memory.items():
             memory[name] = cells.memory[taken : taken + value.size].reshape(value.shape)
@@ -296,26 +297,20 @@ class Blocks:
         return {"y": cells.x + functools.reduce(np.add, parts)}
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class TracedModel(PlantModel):
     """A nominal model on symbols: its mass matrix, bias and tracking errors."""
 
-    _own: list[Any]  # the parameters of the tree
-    _tree: Tree
-
-    def __init__(self, model: PlantModel, own: Any) -> None:
-        """Args: the model, and its parameters as symbols."""
-        for field in dataclasses.fields(model):
-            object.__setattr__(self, field.name, getattr(model, field.name))
-        object.__setattr__(self, "_own", list(own))
-        object.__setattr__(self, "_tree", Reader(model.plant).tree)
+    own: list[Any]  # the parameters of the tree
+    tree: Tree
 
     def calc_mass_matrix(self, q: Any) -> Any:
         """See PlantModel."""
-        return traced(equations.mass_matrix(self._tree, list(q), self._own))
+        return traced(equations.mass_matrix(self.tree, list(q), self.own))
 
     def calc_bias(self, q: Any, v: Any) -> Any:
         """See PlantModel."""
-        return traced(equations.bias(self._tree, list(q), list(v), self._own))
+        return traced(equations.bias(self.tree, list(q), list(v), self.own))
 
     def calc_tracking_errors(self, desired: Any, actual: Any, num_positions: int) -> Any:
         """See PlantModel."""
@@ -323,6 +318,17 @@ class TracedModel(PlantModel):
 
     def _set_state(self, q: Any, v: Any = None) -> None:
         raise NotTraceable("the law asks its model for more than mass matrix and bias")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _TracedReduced(ReducedModel, TracedModel):
+    """As TracedModel, of an underactuated plant."""
+
+
+def _traced_model(model: PlantModel, own: Any) -> TracedModel:
+    kind = _TracedReduced if isinstance(model, ReducedModel) else TracedModel
+    fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
+    return kind(**fields, own=list(own), tree=reader_of(model.plant).tree)
 
 
 def steps_of(sample_time: float, longest: float) -> int:

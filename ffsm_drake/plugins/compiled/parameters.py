@@ -14,6 +14,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import gains_of
 
@@ -65,9 +66,9 @@ def _replaced(
     model: Callable[[PlantModel, Any], Any],
 ) -> Any:
     """An object with other numbers and models; ``constant`` is told everything else."""
-    if type(value) is PlantModel:
+    if type(value) in (PlantModel, ReducedModel):
         reader = reader_of(value.plant)
-        constant(reader.tree)
+        constant((type(value).__name__, value.coordinates.undriven, reader.tree))
         return model(value, number(reader.parameters(value.context)))
     if isinstance(value, np.ndarray) and value.dtype == float:
         return number(value)
