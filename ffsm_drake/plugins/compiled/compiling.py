@@ -1,8 +1,8 @@
 """Machine code of LLVM text by llvmlite, kept on disk for the next process.
 
 A kept file has the code's checksum before it. It is compiled anew if that does not agree, or if
-another user owns it or may write to it. Its name is a hash of what the text is made from, of this
-plug-in's files, of llvmlite and of the processor. The folder is ``ffsm_drake/compiled`` in
+another user owns it or may write to it. Its name is a hash of the text, or of what the text is made
+from by this package, of llvmlite and of the processor. The folder is ``ffsm_drake/compiled`` in
 ``XDG_CACHE_HOME`` (default: ``~/.cache``); where it cannot be written, nothing is kept.
 """
 
@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import ffsm_drake
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import written_whole
 from ffsm_drake.plugins.compiled.registers import Registers
@@ -47,15 +48,16 @@ def registers() -> Registers:
 class Code:
     """The compiled functions of a module."""
 
-    def __init__(self, key: str, text: Callable[[], str]) -> None:
+    def __init__(self, text: Callable[[], str], key: str | None = None) -> None:
         """Args:
-        key: what the text is made from.
-        text: makes the module's LLVM text; called unless its code is on disk.
+        text: makes the module's LLVM text; called unless there is a key whose code is on disk.
+        key: what this package makes the text from.
         """
-        path = _folder() / f"{_hash(key)}.o"
+        made = text() if key is None else None
+        path = _folder() / f"{_hash(made or f'{_package()} {key}')}.o"
         code = _read(path)
         if code is None:
-            code = _compile(text())
+            code = _compile(made or text())
             _keep(path, code)
         self._engine = llvm().create_mcjit_compiler(llvm().parse_assembly(""), _machine())
         self._engine.add_object_file(llvm().ObjectFileRef.from_data(code))
@@ -92,19 +94,19 @@ def _machine() -> Any:
 
 
 def _hash(key: str) -> str:
-    made = hashlib.sha256(_generator())
+    made = hashlib.sha256(f"{version('llvmlite')} {llvm().llvm_version_info}".encode())
     made.update(f"\n{llvm().get_host_cpu_name()}\n".encode())
     made.update(f"{llvm().get_host_cpu_features().flatten()}\n{key}".encode())
     return made.hexdigest()
 
 
 @functools.cache
-def _generator() -> bytes:
-    """This plug-in's files, and llvmlite."""
-    made = hashlib.sha256(f"{version('llvmlite')} {llvm().llvm_version_info}".encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        made.update(hashlib.sha256(path.read_bytes()).digest())
-    return made.digest()
+def _package() -> str:
+    """The version of this package, and sizes and times of its files."""
+    folder = Path(ffsm_drake.__file__).parent
+    states = ((path, path.stat()) for path in sorted(folder.rglob("*.py")))
+    files = [(str(path), state.st_size, state.st_mtime_ns) for path, state in states]
+    return hashlib.sha256(f"{version('ffsm_drake')} {files}".encode()).hexdigest()
 
 
 def _folder() -> Path:

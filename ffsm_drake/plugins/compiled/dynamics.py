@@ -1,6 +1,7 @@
 """Dynamics ``compiled``: whole runs in machine code, compared with Drake before the first use."""
 
 import collections
+import functools
 import os
 import time
 import traceback
@@ -16,7 +17,7 @@ from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
 from ffsm_drake.plugins.compiled.measuring import phases
-from ffsm_drake.plugins.compiled.noise import noise_of
+from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import group_of
@@ -29,6 +30,7 @@ from ffsm_drake.spacecraft.dynamics import Dynamics, NotCovered
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import SampledController, make_controller
+from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.reference import make_motion
@@ -152,6 +154,8 @@ class _Run:
         resolution = self.coordinates.vector(
             force.quantization, key="actuation.quantization", default=0.0
         )
+        config = scenario.simulator_config
+        self.steps = steps_of(scenario.sample_time, config.max_step_size)
         self.parameters = {
             "own": own.parameters(self.true.context),
             "law": law,
@@ -164,22 +168,20 @@ class _Run:
             "sines": disturbance.ravel(),
             "share": drift.kept,
             "added": drift.added,
+            "sample_time": np.array([scenario.sample_time]),
+            "step": np.array([scenario.sample_time / self.steps]),
         }
         memory = self.law.initial_state()
-        self.noise = noise_of(
-            scenario.random_seed, self.samples, size=errors.bias.size, drifting=drift.kept.size
-        )
+        self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
         start = state_at_start(scenario, self.true)
         known = self.true.split.known_part(np.arange(start.size))
         before = [np.tile(start[known][list(each.entries)], each.kept) for each in late]
         self.states = {
             "x": start,
             "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
-            "drift": drift.start * self.noise.start,
+            "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
             "past": np.concatenate([np.zeros(0), *before]),
         }
-        config = scenario.simulator_config
-        self.steps = steps_of(scenario.sample_time, config.max_step_size)
         fixed = {
             "num_parameters": law.size,
             "nq": len(self.coordinates.position_names),
@@ -201,14 +203,24 @@ class _Run:
             "quantized": bool(resolution.any()),
             "waits": force.delay,
             "scheme": config.integration_scheme,
-            "step": scenario.sample_time / self.steps,
         }
-        # equal for runs with the same diagram on Drake
+        # of equal code; and, with the same diagram on Drake
         group = group_of(scenario)
         if group is None:
             raise NotCovered("a run that cannot go side by side with others")
-        self.key = (group, *fixed.values(), constants, self.steps)
+        self.code = (*fixed.values(), constants, self.steps)
+        self.key = (group, *self.code)
         self.blocks = Blocks(law=self.law, **fixed)
+
+    @property
+    def key_on_disk(self) -> str | None:
+        """What the code is made from, besides this package; None for a user's law."""
+        return repr(self.code) if is_shipped(self.law) else None
+
+    @functools.cached_property
+    def noise(self) -> Noise:
+        """The samples of its sensors' noise."""
+        return noise_of(self.scenario.random_seed, self.samples, **self._sizes_of_noise)
 
     def rows(self) -> np.ndarray:
         """What the run reads at each sample (samples, n)."""
@@ -305,8 +317,7 @@ def _compiled(run: _Run) -> Kernel:
     """Trace and compile. Raises NotCovered."""
     held_to_drake(run.blocks.tree, plant=run.true.plant)
     try:
-        period = run.scenario.sample_time
-        kernel = Kernel(run.blocks, steps=run.steps, sample_time=period)
+        kernel = Kernel(run.blocks, steps=run.steps, key=run.key_on_disk)
     except (FfsmError, MemoryError):
         raise
     except Exception as error:  # the law may raise anything on symbols

@@ -21,19 +21,18 @@ _BYTES = 8  # of a number
 class Kernel:
     """The compiled simulations of a loop."""
 
-    def __init__(self, blocks: Blocks, *, steps: int, sample_time: float) -> None:
+    def __init__(self, blocks: Blocks, *, steps: int, key: str | None) -> None:
         """Args:
           blocks: the loop.
           steps: of the integrator in a control sample.
-          sample_time: s.
+          key: of the code on disk; None: it may depend on a user's files.
 
         Raises what tracing raises.
         """
         self.blocks, self.width = blocks, registers().width
         self.parts: Parts = {}  # whose signals follow from the log
-        self._text = _Runs(blocks, registers(), steps=steps, sample_time=sample_time)
-        text = self._text.module()
-        self._code = Code(text, lambda: text)
+        self._text = _Runs(blocks, registers(), steps=steps)
+        self._code = Code(self._text.module, key and f"runs {key}")
         self._run = self._code.function("run", 3)
 
     def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -65,12 +64,12 @@ class Slopes:
     lane.
     """
 
-    def __init__(self, blocks: Blocks, *, steps: int) -> None:
+    def __init__(self, blocks: Blocks, *, steps: int, key: str | None) -> None:
         """Arguments and errors as of ``Kernel``."""
         self.width = registers().width
         self._text = _Sample(blocks, registers(), steps=steps, slopes=True)
-        self.places, text = self._text.places, self._text.module()
-        self._code = Code(text, lambda: text)
+        self.places = self._text.places
+        self._code = Code(self._text.module, key and f"slopes {key}")
         self._run = self._code.function("run", 2, ctypes.c_double)
 
     def cells(self) -> np.ndarray:
@@ -132,6 +131,8 @@ class _Text:
         yield "entry:"
         for name, place in self.places.items():
             yield f"  %{name} = getelementptr {self._registers.reals}, ptr %cells, i64 {place}"
+        for name in ("sample_time", "step"):
+            yield f"  %the_{name} = load double, ptr %{name}, align 8"
 
     def _row(self, first: str) -> Iterator[str]:
         """The places of a row's entries."""
@@ -148,16 +149,17 @@ class _Text:
                 yield self._copy(f"%{prefix}{after}", f"%{prefix}{name}", states[name])
 
     def _moved(self, functions: Mapping[str, Function], before: str, after: str) -> Iterator[str]:
-        """The integrator's steps up to the next sample, as a block ``step`` between two others."""
+        """The integrator's steps up to the next sample, as a block ``move`` between two others."""
         blocks, scheme = self._blocks, SCHEMES[self._blocks.scheme]
-        yield "step:"
-        yield f"  %j = phi i64 [0, %{before}], [%following, %step]"
+        yield "move:"
+        yield f"  %j = phi i64 [0, %{before}], [%following, %move]"
         yield "  %within = uitofp i64 %j to double"
-        yield f"  %shift = fmul double %within, {_number(blocks.step)}"
+        yield "  %shift = fmul double %within, %the_step"
         yield "  %start = fadd double %time, %shift"
         for i, time in enumerate(scheme.times):
-            at = self._new()
-            yield f"  {at} = fadd double %start, {_number(time * blocks.step)}"
+            later, at = self._new(), self._new()
+            yield f"  {later} = fmul double %the_step, {_number(time)}"
+            yield f"  {at} = fadd double %start, {later}"
             yield from self._spread(at, f"%t{i}")
         for i, _ in enumerate(scheme.times):
             names = {"state": "x" if i == 0 else "y", "t": f"t{i}", "rates": f"k{i}"}
@@ -168,7 +170,7 @@ class _Text:
             yield self._copy(f"%{prefix}y", f"%{prefix}x", blocks.states["x"])
         yield "  %following = add i64 %j, 1"
         yield f"  %more = icmp ult i64 %following, {self._steps}"
-        yield f"  br i1 %more, label %step, label %{after}"
+        yield f"  br i1 %more, label %move, label %{after}"
 
     def _call(self, functions: Mapping[str, Function], name: str, **others: str) -> str:
         given = ", ".join(f"ptr %{others.get(each, each)}" for each in functions[name].arrays)
@@ -194,12 +196,6 @@ class _Runs(_Text):
 
     _arguments = "ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last"
 
-    def __init__(
-        self, blocks: Blocks, registers: Registers, *, steps: int, sample_time: float
-    ) -> None:
-        super().__init__(blocks, registers, steps=steps)
-        self._sample_time = sample_time
-
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
         reals, blocks = self._registers.reals, self._blocks
         row = sum(blocks.row.values())
@@ -211,7 +207,7 @@ class _Runs(_Text):
         yield f"  %first_of_row = getelementptr {reals}, ptr %rows, i64 %row"
         yield from self._row("%first_of_row")
         yield "  %sample = uitofp i64 %k to double"
-        yield f"  %time = fmul double %sample, {_number(self._sample_time)}"
+        yield "  %time = fmul double %sample, %the_sample_time"
         yield from self._spread("%time", "%t0")
         yield "  %is_first = icmp eq i64 %k, 0"
         yield "  br i1 %is_first, label %first, label %later"
@@ -233,7 +229,7 @@ class _Runs(_Text):
             first += size
         yield from self._kept()
         yield "  %ends = icmp eq i64 %k, %last"
-        yield "  br i1 %ends, label %end, label %step"
+        yield "  br i1 %ends, label %end, label %move"
         yield from self._moved(functions, "sampled", "stepped")
         yield "stepped:"
         yield "  %next = add i64 %k, 1"
@@ -252,7 +248,7 @@ class _Sample(_Text):
         yield from self._spread("%time", "%t0")
         yield self._call(functions, "sample")
         yield from self._kept()
-        yield "  br label %step"
+        yield "  br label %move"
         yield from self._moved(functions, "entry", "end")
         yield "end:"
         yield "  ret void"

@@ -71,7 +71,7 @@ _SAMPLE = (
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
     "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "phases",
-    "limit", "force_resolution", "sines", "t", "own",
+    "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
@@ -107,7 +107,6 @@ class Blocks:
     quantized: bool  # the force
     waits: int  # samples from a force to its effect
     scheme: str
-    step: float  # of the integrator, s
 
     @functools.cached_property
     def memory(self) -> dict[str, np.ndarray]:
@@ -121,7 +120,7 @@ class Blocks:
         return {
             "own": self.tree.num_parameters, "law": self.num_parameters, "turn": 16, "bias": nx,
             "deviation": nx, "resolution": nx, "limit": nv, "force_resolution": nv, "sines": 4 * nv,
-            "share": len(self.drifting), "added": len(self.drifting),
+            "share": len(self.drifting), "added": len(self.drifting), "sample_time": 1, "step": 1,
         }  # fmt: skip
 
     @property
@@ -174,19 +173,19 @@ class Blocks:
         """
         first = functools.partial(self._sample, is_first=True)
         sample = functools.partial(self._sample, is_first=False)
-        given = {
+        given: dict[str, tuple[Sequence[str], Callable[[Any], Mapping[str, Any]]]] = {
             "first": (_SAMPLE, first),
             "sample": (_SAMPLE, sample),
             "derivative": (_DERIVATIVE, self._derivative),
         }
         for i, weights in enumerate(SCHEMES[self.scheme].points):
-            name, reads = f"point{i}", ("x", *(f"k{j}" for j in range(len(weights))))
+            name, reads = f"point{i}", ("x", "step", *(f"k{j}" for j in range(len(weights))))
             given[name] = (reads, functools.partial(self._point, weights))
         if slopes:  # every sample has one before it
             del given["first"]
         return {
-            name: self._function(registers, name, *reads_and_made, slopes=slopes)
-            for name, reads_and_made in given.items()
+            name: self._function(registers, name, reads, made, slopes=slopes)
+            for name, (reads, made) in given.items()
         }
 
     def _function(
@@ -293,7 +292,8 @@ class Blocks:
         return {"rates": equations.derivative(self.tree, *given)}
 
     def _point(self, weights: Sequence[float], cells: Any) -> dict[str, Any]:
-        parts = [self.step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
+        step = cells.step[0]
+        parts = [step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
         return {"y": cells.x + functools.reduce(np.add, parts)}
 
 

@@ -94,7 +94,7 @@ def _polar() -> Callable[[int, int, int], None]:
     text = "\n".join((
         *declarations(registers()), function(registers(), "polar", tape, {"raw": 4}, results),
     ))  # fmt: skip
-    code = Code(text, lambda: text)
+    code = Code(lambda: text)
     polar = code.function("polar", 2)
 
     def call(raw: int, made: int, pairs: int, _held: Code = code) -> None:

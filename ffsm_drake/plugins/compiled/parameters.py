@@ -89,7 +89,7 @@ def _replaced(
         own = getattr(value, field.name)
         if not field.init:
             raise NotCovered(f"{place}: its field {field.name} is computed")
-        if field.name in gains and isinstance(own, float):
+        if (field.name in gains or field.name == "sample_time") and isinstance(own, float):
             made[field.name] = number(np.array(own))
         else:
             inner = f"{place}, field {field.name}"

@@ -89,7 +89,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     mass, _ = planned.mass_matrices(time, locked=True)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
-        if linearizer.loop.tracks_frame:
+        if linearizer.tracks_frame:
             raise BlockError(
                 f"{scenario.controller} tracks a frame, and the limit is defined for coordinates"
             )

@@ -26,7 +26,8 @@ from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.remedy_file import run_advice
 from ffsm_drake.plugins.design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.load import advice, predicted_load, saturated_shares
 from ffsm_drake.plugins.design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.rehearsal import (

@@ -34,7 +34,7 @@ class Kernels:
     def __init__(self, tree: Tree, width: int = 0) -> None:
         """Args: the tree, and the numbers that a register holds; 0: those of this processor's."""
         self.tree, of = tree, Registers(width) if width else registers()
-        self._code = Code(repr((of, tree)), functools.partial(module_text, of, tree))
+        self._code = Code(functools.partial(module_text, of, tree), repr((of, tree)))
 
     def on(self, name: str, *arrays: np.ndarray) -> Callable[[], None]:
         """A function on arrays with a row for each copy, in memory row after row.

@@ -432,3 +432,13 @@ def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None
 
 def _by_name(value: float | Mapping[str, float]) -> PerCoordinate:
     return dict(value) if isinstance(value, Mapping) else {"all": float(value)}
+
+
+def is_shipped(system: object) -> bool:
+    """Whether the class of a system or a law, and of the steps that a law consists of, is Drake's
+    or this package's.
+    """
+    parts = vars(system).values() if dataclasses.is_dataclass(system) else ()
+    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake") and all(
+        is_shipped(part) for part in parts if hasattr(part, "step")
+    )

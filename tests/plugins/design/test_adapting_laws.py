@@ -10,7 +10,8 @@ from ffsm_drake import load_scenario
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.plugins.design.gains import design
 from ffsm_drake.plugins.design.stability.boundaries import probed_radius, with_gains
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.systems.controllers import complete_gains
 

@@ -85,7 +85,7 @@ def settled(scenario):
         for held, _ in reached_gains(linearizer):  # the first that is stable, or the last
             if linearizer.at(0.0, held=held).spectral_radius < 1.0:
                 break
-        names = linearizer.loop.coordinates.names
+        names = linearizer.coordinates.names
     if not held:
         return scenario
     k_s, key = dict(zip(names, held["reaching_gain"].tolist(), strict=True)), scenario.controller

@@ -29,8 +29,9 @@ from ffsm_drake.plugins.design.stability.boundaries import (
     with_nominal_payload,
     with_sample_time,
 )
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
 from ffsm_drake.plugins.design.stability.linear_settings import NOT_LINEAR
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
@@ -221,13 +222,13 @@ def test_a_force_of_the_wheels_momentum_stands_in_the_loop(monkeypatch):
     for each in (scenario, coils):
         with Linearizer(each) as linearizer:
             radii.append(linearizer.at(0.0).spectral_radius)
-    assert "forces.coils" in linearizer.loop.blocks
+    assert "forces.coils" in linearizer._loop.loop.blocks
     assert radii[1] == pytest.approx(radii[0], rel=1e-7)
 
 
 def test_it_is_freed():
     with Linearizer(load_scenario("postcapture")) as linearizer:
-        diagram = weakref.ref(linearizer.loop.diagram)
+        diagram = weakref.ref(linearizer._loop.loop.diagram)
     del linearizer
     gc.collect()
     assert diagram() is None

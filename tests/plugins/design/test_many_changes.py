@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.scenario import shipped_scenarios
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.registry import call_factory, find_factory

@@ -8,7 +8,8 @@ import pytest
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.design.stability import stability
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.moving import motion_stability
 

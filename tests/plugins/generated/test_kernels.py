@@ -130,7 +130,7 @@ def test_angles_are_within_an_ulp():
     (angle,) = tape.inputs("q", 1)
     results = {"out": [sine(angle), cosine(angle)]}
     text = function(registers(), "turn", tape, {"q": 1}, results)
-    code = Code(text, lambda: text)
+    code = Code(lambda: text)
     random = np.random.default_rng(1)
     angles = np.concatenate(
         [

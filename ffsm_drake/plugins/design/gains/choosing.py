@@ -49,7 +49,8 @@ from ffsm_drake.plugins.design.gains.variation import vary
 from ffsm_drake.plugins.design.limit import Limit, find_limit
 from ffsm_drake.plugins.design.stability.adaptation import adapts, axis_law, expected_gains
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries, find_boundaries
-from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
+from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import Demand, make_demand
 from ffsm_drake.plugins.design.stability.prediction import Prediction, predict, predict_noise
 from ffsm_drake.plugins.design.stability.rehearsal import rehearse
@@ -408,7 +409,7 @@ class _Search:
         """
         period, force, requirement = candidate.sample_time, self._demand.force, self.requirement
         with Linearizer(candidate) as linearizer:
-            if linearizer.loop.tracks_frame:
+            if linearizer.tracks_frame:
                 raise BlockError(
                     f"{candidate.controller} tracks a frame; gains are designed for "
                     "errors of coordinates"
@@ -421,7 +422,7 @@ class _Search:
             noise = (
                 predict_noise(linearizer, held)
                 if stable or whole
-                else _diverged(linearizer.loop.coordinates)
+                else _diverged(linearizer.coordinates)
             )
             point = DesignPoint(
                 scenario=candidate,

@@ -14,7 +14,8 @@ import numpy as np
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear, TooLarge
+from ffsm_drake.plugins.design.stability.linear_loop import NotLinear, TooLarge
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 

@@ -17,8 +17,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import RandomSource, ZeroOrderHold
 
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
-from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, NotLinear
+from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -63,7 +63,7 @@ def disk_margins(scenario: Scenario) -> DiskMargins:
     """
     with Linearizer(scenario, blocks={f"forces.{_PUSH}": force_beside}) as linearizer:
         loops, delay = linearizer.along(POSTURES), linearizer.given.actuation.delay
-        driven = linearizer.loop.coordinates.driven
+        driven = linearizer.coordinates.driven
     found = [_margins(loop, driven, delay) for loop in loops]
     worst = np.argmin([alone for alone, _, _ in found], axis=0)
     every = range(len(worst))

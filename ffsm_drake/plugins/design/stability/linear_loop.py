@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -17,6 +18,14 @@ WARM_UP = 5  # control samples on the plan before the map is taken, to fill ever
 MARGINAL = 1e-6  # distance from the unit circle within which a pole neither grows nor decays
 _KEPT = 1e-7  # singular value of A - 1 that is zero, but for the differences' rounding
 STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
+
+
+class NotLinear(BlockError):
+    """A loop with a block that cannot be linearised."""
+
+
+class TooLarge(NotLinear):
+    """A loop whose linearisation would take minutes, or fill the memory."""
 
 
 def radius_digits(radius: float) -> str:

@@ -16,8 +16,13 @@ from typing import Literal
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
-from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, LinearLoop, radius_digits
-from ffsm_drake.plugins.design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.plugins.design.stability.linear_loop import (
+    WARM_UP,
+    LinearLoop,
+    NotLinear,
+    radius_digits,
+)
+from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.moving import (
     GROWN,
     LARGE_GROWTH,

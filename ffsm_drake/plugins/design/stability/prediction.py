@@ -106,7 +106,7 @@ def predict_noise(linearizer: Linearizer, held: Mapping[str, np.ndarray]) -> Pre
     """The noise's part of a prediction, at a fraction of its cost; ``held``: see
     ``Linearizer.at``.
     """
-    scenario, coordinates = linearizer.given, linearizer.loop.coordinates
+    scenario, coordinates = linearizer.given, linearizer.coordinates
     loops = linearizer.along(_POSTURES, held=held)
     responses = [loop.noise_response(scenario.num_control_periods) for loop in loops]
     error, force = (

@@ -1,0 +1,147 @@
+"""The map of a sampled loop from just before a control sample to just before the next, compiled,
+with its exact derivative.
+"""
+
+import collections
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.plugins.compiled.dynamics import Compiled, _place_of, _Run
+from ffsm_drake.plugins.compiled.kernel import Slopes
+from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.systems.planned_motion import PlannedMotion
+
+_KEPT = 32  # codes
+_codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
+_ROW = {"reference", "noise", "drift_noise"}  # what a sample may read of its time
+
+
+class Derivative(NamedTuple):
+    """Derivatives by the state before a sample (n) and by its noise (m), white of deviation 1."""
+
+    state: np.ndarray  # (n, n + m) of the state before the next sample
+    force: np.ndarray  # (nv, n + m) of the controller's force
+
+
+class TracedSample:
+    """A control sample of a scenario's loop, which is not the first of a run.
+
+    Its state (n) begins with [q; v]; ``memory`` has the parts of the law's memory. The rest is the
+    force over the last period, and what drifts in the sensors.
+    """
+
+    def __init__(self, scenario: Scenario, motion: PlannedMotion) -> None:
+        """Args: the scenario, and its motion. Raises NotCovered."""
+        Compiled().check(scenario)
+        run = _Run(scenario)
+        if not run.coordinates.is_driven.all():
+            raise NotCovered("undriven coordinates")
+        if not set(run.blocks.row) <= _ROW:
+            raise NotCovered("sensors with periods or delays")
+        self._scenario, self._motion = scenario, motion
+        self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
+        self.sample_time = scenario.sample_time  # s
+        self._code, blocks = _code(run), run.blocks
+        self._sizes = blocks.parameters | blocks.states | blocks.results
+        self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
+        self.size = sum(blocks.states.values())
+        places = self._code.places
+        end = places["memory"] - places["x"]
+        self.memory = dict[str, slice]()
+        for name, value in blocks.memory.items():
+            self.memory[name] = slice(end, end + value.size)
+            end += value.size
+        self.start = np.zeros(self.size)  # the state at the run's start, with sensors without drift
+        for name in ("x", "memory"):
+            first = places[name] - places["x"]
+            self.start[first : first + self._sizes[name]] = run.states[name]
+        self._cells = self._code.cells()
+        for name, values in run.parameters.items():
+            self._of(self._cells, name)[:] = values[:, None]
+        self._row = np.zeros((sum(blocks.row.values()), self._code.width))  # without noise
+
+    def after(self, index: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The state before the next sample (n), and the controller's force until then (nv),
+        without noise.
+
+        Args: the control sample, and the state before it.
+        """
+        self._state(self._cells)[:] = state[:, None]
+        self._go(self._cells, index)
+        force = self._of(self._cells, "generalized_force")
+        return self._state(self._cells)[:, 0].copy(), force[:, 0].copy()
+
+    def derivative(
+        self, index: int, state: np.ndarray, truth: MassProperties | None = None
+    ) -> tuple[np.ndarray, Derivative]:
+        """The state before the next sample (n), and the derivative there.
+
+        Args:
+          index: of the control sample.
+          state: before it.
+          truth: true mass properties of the payload, in place of the scenario's.
+        """
+        start, width = self._cells.copy(), self._code.width
+        if truth is not None:
+            payload = dataclasses.replace(self._scenario.payload, truth=truth)
+            run = _Run(dataclasses.replace(self._scenario, payload=payload))
+            self._of(start, "own")[:] = run.parameters["own"][:, None]
+        self._state(start)[:] = state[:, None]
+        count = self.size + self.num_noise
+        directions = np.eye(count, -(-count // width) * width)
+        of_state = np.empty((self.size, directions.shape[1]))
+        of_force = np.empty((self._sizes["generalized_force"], directions.shape[1]))
+        noise = self._code.places["d_noise"]
+        for first in range(0, count, width):
+            part, cells = slice(first, first + width), start.copy()
+            self._state(cells, "d_")[:] = directions[: self.size, part]
+            cells[noise : noise + self.num_noise] = directions[self.size :, part]
+            self._go(cells, index)
+            of_state[:, part] = self._state(cells, "d_")
+            of_force[:, part] = self._of(cells, "d_generalized_force")
+        found = Derivative(of_state[:, :count], of_force[:, :count])
+        return self._state(cells)[:, 0].copy(), found
+
+    def _go(self, cells: np.ndarray, index: int) -> None:
+        time = index * self.sample_time
+        row = self._motion.row(time)
+        self._row[: row.size] = row[:, None]
+        self._code.run(cells, self._row, time)
+
+    def _state(self, cells: np.ndarray, prefix: str = "") -> np.ndarray:
+        first = self._code.places[f"{prefix}x"]
+        return cells[first : first + self.size]
+
+    def _of(self, cells: np.ndarray, name: str) -> np.ndarray:
+        first = self._code.places[name]
+        return cells[first : first + self._sizes[name.removeprefix("d_")]]
+
+
+def traced_sample(scenario: Scenario, motion: PlannedMotion) -> TracedSample | None:
+    """Return the sample of a scenario with its motion; None: it is not covered."""
+    try:
+        return TracedSample(scenario, motion)
+    except FfsmError:
+        return None
+
+
+def _code(run: _Run) -> Slopes:
+    """The compiled sample of a run. Raises NotCovered."""
+    found = _codes.get(run.code)
+    if found is None:
+        try:
+            found = Slopes(run.blocks, steps=run.steps, key=run.key_on_disk)
+        except (FfsmError, MemoryError):
+            raise
+        except Exception as error:  # the law may raise anything on symbols
+            found = NotCovered(f"{run.scenario.controller}: {_place_of(error)}{one_line(error)}")
+        _codes[run.code] = found
+        if len(_codes) > _KEPT:
+            _codes.popitem(last=False)
+    if isinstance(found, NotCovered):
+        raise found
+    return found
