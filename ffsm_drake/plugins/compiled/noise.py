@@ -18,6 +18,7 @@ from ffsm_drake.tape.arrays import inputs
 from ffsm_drake.tape.numbers import Tape, one, smaller, square_root
 
 _LARGEST = float(np.nextafter(1.0, 0.0))
+_PAIRS = 2**12  # at once, so that they stay in the cache
 
 
 class Noise(NamedTuple):
@@ -53,8 +54,8 @@ def _few(generator: np.random.MT19937, count: int) -> np.ndarray:
 
 def _generator(seed: int) -> np.random.MT19937:
     """A twister that begins as C++'s with a seed."""
-    made = np.random.MT19937()
-    made.state = np.random.RandomState(seed).get_state(legacy=False)  # type: ignore[assignment]
+    made = np.random.MT19937(0)
+    np.random.RandomState(made).seed(seed)
     return made
 
 
@@ -62,7 +63,7 @@ def _normal(generator: np.random.MT19937, count: int) -> np.ndarray:
     """Normal numbers (count)."""
     parts, found = list[np.ndarray](), 0
     while found < count:
-        pairs = int(0.64 * (count - found)) + 64  # pi / 4 of which are accepted
+        pairs = min(int(0.64 * (count - found)) + 64, _PAIRS)  # pi / 4 of which are accepted
         parts.append(_accepted(generator.random_raw(4 * pairs)))
         found += parts[-1].size
     return np.concatenate(parts)[:count]
@@ -71,14 +72,14 @@ def _normal(generator: np.random.MT19937, count: int) -> np.ndarray:
 def _accepted(raw: np.ndarray) -> np.ndarray:
     """The normal numbers of 32-bit ones, four for a pair."""
     drawn = raw.astype(float)
-    made = np.empty((raw.size // 4, 3))
-    _polar()(drawn.ctypes.data, made.ctypes.data, len(made))
-    accepted: np.ndarray = made[(made[:, 2] <= 1.0) & (made[:, 2] != 0.0), :2].ravel()
+    pairs, square = np.empty(raw.size // 4, dtype=complex), np.empty(raw.size // 4)
+    _polar()(drawn.ctypes.data, pairs.ctypes.data, square.ctypes.data, square.size)
+    accepted: np.ndarray = pairs[(square <= 1.0) & (square != 0.0)].view(float)
     return accepted
 
 
 @functools.cache
-def _polar() -> Callable[[int, int, int], None]:
+def _polar() -> Callable[[int, int, int, int], None]:
     """The compiled function from four 32-bit numbers to two normal ones, and the square of their
     point's distance from the origin.
     """
@@ -90,14 +91,14 @@ def _polar() -> Callable[[int, int, int], None]:
     )
     square = x * x + y * y
     factor = square_root(-2.0 * one("log", math.log)(square) / square)
-    results = {"made": [y * factor, x * factor, square]}
+    results = {"pairs": [y * factor, x * factor], "square": [square]}
     text = "\n".join((
         *declarations(registers()), function(registers(), "polar", tape, {"raw": 4}, results),
     ))  # fmt: skip
     code = Code(lambda: text)
-    polar = code.function("polar", 2)
+    polar = code.function("polar", 3)
 
-    def call(raw: int, made: int, pairs: int, _held: Code = code) -> None:
-        polar(raw, made, pairs)
+    def call(raw: int, pairs: int, square: int, count: int, _held: Code = code) -> None:
+        polar(raw, pairs, square, count)
 
     return call
