@@ -1,5 +1,6 @@
 """The cases of a campaign: number -> seed and values, and their scenario for a controller."""
 
+import copy
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
@@ -87,3 +88,12 @@ def scenario_of(spec: Spec, case: Case, controller: str) -> Scenario:
             set_value(data, name, value)
     data["random_seed"], data["controller"] = case.seed, controller
     return scenario_from_dict(data)
+
+
+def with_controller(scenario: Scenario, controller: str) -> Scenario:
+    """Return the scenario of a case for another controller of the campaign; they share all else,
+    as the same objects.
+    """
+    made = copy.copy(scenario)
+    made.controller = controller
+    return made

@@ -24,7 +24,7 @@ from ffsm_drake.common.numbers import number
 from ffsm_drake.common.plugins import service
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
-from ffsm_drake.plugins.campaign.cases import Case, scenario_of
+from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
 from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
@@ -228,28 +228,27 @@ Foreseen = tuple[float, ...] | Exception  # predictions of a run, or why there a
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """Cases that a worker runs together, with one controller."""
+    """Runs that a worker computes together: cases, each with a controller."""
 
-    cases: tuple[Case, ...]
-    controller: str
+    runs: tuple[tuple[Case, str], ...]
 
     @property
     def parts(self) -> "tuple[Batch, ...]":
-        """One batch for each case."""
-        return tuple(dataclasses.replace(self, cases=(case,)) for case in self.cases)
+        """One batch for each run."""
+        return tuple(Batch((run,)) for run in self.runs)
 
 
 def batches(
-    tasks: Iterator[tuple[Case, str]], *, size: Callable[[], int], controllers: Sequence[str]
+    tasks: Iterator[tuple[Case, str]], *, size: Callable[[], int], apart: Sequence[str] = ()
 ) -> Iterator[Batch]:
-    """Tasks (case, controller) as batches of at most ``size()`` cases, nearly in order; as many
-    tasks are held as so many cases have.
+    """Runs in their order, at most ``size()`` in a batch. If they go side by side in one diagram,
+    each of the controllers ``apart`` has batches of its own, of as many cases.
     """
-    while some := list(itertools.islice(tasks, (most := size()) * len(controllers))):
-        for name in controllers:
-            cases = tuple(case for case, controller in some if controller == name)
-            for first in range(0, len(cases), most):
-                yield Batch(cases[first : first + most], name)
+    while some := tuple(itertools.islice(tasks, (most := size()) * max(len(apart), 1))):
+        for name in apart or ("",):
+            runs = tuple(run for run in some if run[1] == name or not apart)
+            for first in range(0, len(runs), most):
+                yield Batch(runs[first : first + most])
 
 
 # A cluster's worker may have several threads; a simulator and the building of one serve one.
@@ -257,7 +256,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def evaluate(campaign: str, batch: Batch) -> list[Row]:
-    """Run cases with one controller; errors become part of the rows, one row for each case.
+    """Run the runs of a batch; errors become part of the rows, one row for each run.
 
     Takes ``Spec.to_json()``, which a process reads once. A row has the columns ``outcome``,
     ``outcome_time``, ``message``, those of ``metrics_of`` and ``predictions_of``, CIRCUMSTANCES;
@@ -290,10 +289,10 @@ class Evaluator:
         share = (time.perf_counter() - start) / max(len(logs), 1)
         foreseen = self._foreseen(logs)
         rows = []
-        for case in batch.cases:
-            log, known = logs.get(case.index), foreseen.get(case.index)
-            rows.append(self.evaluate(case, batch.controller, log=log, foreseen=known))
-            rows[-1]["wall_time"] += share if case.index in logs else 0.0
+        for place, run in enumerate(batch.runs):
+            log, known = logs.get(place), foreseen.get(place)
+            rows.append(self.evaluate(*run, log=log, foreseen=known))
+            rows[-1]["wall_time"] += share if place in logs else 0.0
         return rows
 
     def _foreseen(self, logs: Mapping[int, RunLog]) -> dict[int, Foreseen]:
@@ -309,24 +308,27 @@ class Evaluator:
         return {}
 
     def _side_by_side(self, batch: Batch) -> dict[int, RunLog]:
-        """Return the logs of those cases that can run side by side, by their number."""
-        scenarios: dict[int, Scenario] = {}
-        for case in batch.cases if len(batch.cases) > 1 else ():
+        """Return the logs of those runs that can go side by side, by their place in the batch."""
+        scenarios, cases = dict[int, Scenario](), dict[int, Scenario]()
+        for place, (case, controller) in enumerate(batch.runs if len(batch.runs) > 1 else ()):
             with contextlib.suppress(Exception):  # the row reports the error
-                scenario = timed(scenario_of(self._spec, case, batch.controller))
-                if scenario.approach is not None:  # one that is refused would stop all
-                    service("planned_approach", "capture.approach")(scenario)
-                scenarios[case.index] = scenario
-        numbers = list(scenarios)
-        groups = batches_of(list(scenarios.values()), len(numbers))
-        chosen = [numbers[place] for group in groups if len(group) > 1 for place in group]
-        limit, logs = self._spec.time_limit * max(len(chosen), 1), dict[int, RunLog]()
+                if case.index not in cases:
+                    scenario = timed(scenario_of(self._spec, case, controller))
+                    if scenario.approach is not None:  # one that is refused would stop all
+                        service("planned_approach", "capture.approach")(scenario)
+                    cases[case.index] = scenario
+                scenarios[place] = with_controller(cases[case.index], controller)
+        places = list(scenarios)
+        if self._spec.dynamics == DRAKE:
+            groups = batches_of(list(scenarios.values()), len(places))
+            places = [places[at] for group in groups if len(group) > 1 for at in group]
+        limit, logs = self._spec.time_limit * max(len(places), 1), dict[int, RunLog]()
         # alone each has its own, and reports an error
         with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
-            given = [scenarios[number] for number in chosen]
-            for place, result in run_many(given, dynamics=self._spec.dynamics):
+            given = [scenarios[place] for place in places]
+            for at, result in run_many(given, dynamics=self._spec.dynamics):
                 if isinstance(result, RunLog):
-                    logs[chosen[place]] = result
+                    logs[places[at]] = result
         return logs
 
     def evaluate(

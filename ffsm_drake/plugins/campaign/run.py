@@ -40,7 +40,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.dynamics import find_dynamics
+from ffsm_drake.spacecraft.dynamics import DRAKE, find_dynamics
 from ffsm_drake.systems.reference import timed
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
@@ -227,7 +227,7 @@ def merge_campaigns(databases: Sequence[Path], out: Path) -> None:
 
 @dataclasses.dataclass
 class BatchSizes:
-    """The number of cases in the next batch: one until runs have shown their time, then as many
+    """The number of runs in the next batch: one until runs have shown their time, then as many
     as take LONGEST, as the runs of a batch end together.
     """
 
@@ -266,15 +266,19 @@ def _drive(
     # so small that the workers end at about the same time
     share = (total - before) // (_BATCHES_EACH * workers.in_flight())
     first = itertools.islice(store.pending(), 1)
-    usual = usual_batch(find_dynamics(store.spec.dynamics).dynamics)
+    usual = usual_batch(
+        find_dynamics(store.spec.dynamics).dynamics, samples=store.spec.scenario.num_control_periods
+    )
     most = max(1, min(batch or usual, share))
     with contextlib.suppress(FfsmError):  # an error becomes a row
         if any(runs_alone(scenario_of(store.spec, *each)) for each in first):
             most = 1  # each result is kept as soon as it is there
     sizes = BatchSizes(most)
+    # the runs of a case share much, unless controllers cannot share a diagram
+    apart = store.spec.controllers if store.spec.dynamics == DRAKE else ()
     results = run_tasks(
         evaluate,
-        batches(store.pending(), size=sizes, controllers=store.spec.controllers),
+        batches(store.pending(), size=sizes, apart=apart),
         arguments=lambda some: (campaign, some),
         workers=workers,
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
@@ -285,7 +289,7 @@ def _drive(
         runs = counted(total, "run")
         with contextlib.closing(results), step(lambda: f"{before + tally['session']} of {runs}"):
             for some, result in results:
-                rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
+                rows = [_LOST] * len(some.runs) if isinstance(result, WorkerLost) else result
                 store.add(some, rows)
                 outcomes = [row["outcome"] for row in rows]
                 sizes.add(rows)

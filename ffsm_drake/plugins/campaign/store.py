@@ -181,8 +181,8 @@ class Store:
     def add(self, batch: Batch, rows: Sequence[Row]) -> None:
         """Store the results of a batch, all or none."""
         with _one_line_errors(self.path), self._connection:
-            for case, row in zip(batch.cases, rows, strict=True):
-                self._insert(case.index, batch.controller, row)
+            for (case, controller), row in zip(batch.runs, rows, strict=True):
+                self._insert(case.index, controller, row)
 
     def _insert(self, case: int, controller: str, row: Row) -> None:
         cells = (case, controller, *map(row.get, self._results))

@@ -23,21 +23,21 @@ CONTROLLERS = ("tdc", "asmc", "aismc")
 @given(
     tasks=st.sets(st.tuples(st.integers(0, 20), st.sampled_from(CONTROLLERS))),
     size=st.integers(1, 30),
+    apart=st.sampled_from([(), CONTROLLERS]),
 )
-def test_every_task_is_in_one_batch(tasks, size):
+def test_every_task_is_in_one_batch(tasks, size, apart):
     cases = [Case(index=index, seed=0, values={}) for index in range(21)]
     given_tasks = [
         (cases[i], name) for i, name in sorted(tasks, key=lambda t: (t[0], CONTROLLERS.index(t[1])))
     ]
-    found = list(batches(iter(given_tasks), size=lambda: size, controllers=CONTROLLERS))
-    assert all(1 <= len(batch.cases) <= size for batch in found)
-    made = [(case.index, batch.controller) for batch in found for case in batch.cases]
-    assert sorted(made) == sorted(tasks)
-    for name in CONTROLLERS:  # in order
-        assert [i for i, own in made if own == name] == sorted(i for i, own in tasks if own == name)
-    assert [part.cases for batch in found for part in batch.parts] == [
-        (case,) for batch in found for case in batch.cases
-    ]
+    found = list(batches(iter(given_tasks), size=lambda: size, apart=apart))
+    assert all(1 <= len(batch.runs) <= size for batch in found)
+    assert not apart or all(len({name for _, name in batch.runs}) == 1 for batch in found)
+    made = [run for batch in found for run in batch.runs]
+    own = [[run for run in made if run[1] == name] for name in CONTROLLERS]
+    assert own == [[run for run in given_tasks if run[1] == name] for name in CONTROLLERS]
+    assert apart or made == given_tasks
+    assert [part.runs for batch in found for part in batch.parts] == [(run,) for run in made]
 
 
 @pytest.fixture(scope="module")
@@ -107,9 +107,9 @@ def test_the_rows_say_how_many_runs_a_batch_has(spec, tmp_path, monkeypatch):
         sizes = found.setdefault(seconds, [])
 
         def slow(_, batch, sizes=sizes, seconds=seconds):
-            sizes.append(len(batch.cases))
+            sizes.append(len(batch.runs))
             own = {**dict.fromkeys(CIRCUMSTANCES), "software": "", "wall_time": seconds}
-            return [{**own, "rss_mib": 0.0, **error_row("x")} for _ in batch.cases]
+            return [{**own, "rss_mib": 0.0, **error_row("x")} for _ in batch.runs]
 
         monkeypatch.setattr(campaign_run, "evaluate", slow)
         loaded = spec_from_data({**load_spec(spec).data, "cases": 100})

@@ -112,7 +112,7 @@ def test_the_option_replaces_the_key(tmp_path, monkeypatch):
 
 def test_a_worker_without_the_dynamics_reports_it_in_each_row(tmp_path):
     spec = load_spec(write_spec(tmp_path / "s.yaml", dynamics="elsewhere", cases=2))
-    rows = Evaluator(spec).evaluate_batch(Batch(tuple(make_cases(spec)), "tdc"))
+    rows = Evaluator(spec).evaluate_batch(Batch(tuple((case, "tdc") for case in make_cases(spec))))
     assert [row["outcome"] for row in rows] == ["error"] * 2
     assert all("'elsewhere' is unknown" in row["message"] for row in rows)
 

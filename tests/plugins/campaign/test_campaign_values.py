@@ -109,7 +109,7 @@ def test_initial_velocity_is_the_state_at_the_start(spec):
 
 
 def evaluate_alone(spec, case):
-    (row,) = evaluate(spec.to_json(), Batch((case,), "tdc"))
+    (row,) = evaluate(spec.to_json(), Batch(((case, "tdc"),)))
     return row
 
 
