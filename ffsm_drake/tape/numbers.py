@@ -7,14 +7,33 @@ number's value, such as ``if x > 0.0`` or ``float(x)``, raises NotTraceable.
 import functools
 import math
 import operator
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 
 class NotTraceable(TypeError):
     """The code needs the value of a number that is known only when it runs."""
+
+    last: ClassVar["NotTraceable | None"] = None
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(problem)
+        NotTraceable.last = self
+
+
+@contextmanager
+def none_caught() -> Iterator[None]:
+    """Raise a NotTraceable that the code within has caught: its answer is that of a failure."""
+    NotTraceable.last = None
+    try:
+        yield
+        if NotTraceable.last is not None:
+            raise NotTraceable.last
+    finally:
+        NotTraceable.last = None
 
 
 class Operation(NamedTuple):
@@ -43,13 +62,21 @@ class Tape:
 
     def record(self, kind: str, *operands: "Traceable | float | str") -> Any:
         """The result of an operation, which is new or known."""
-        plain = tuple(each.index if isinstance(each, Traceable) else each for each in operands)
+        plain = tuple(map(self.place_of, operands))
         key = (kind, plain, *map(type, plain))  # the constant 1.0 is not the operation 1
         if key not in self._known:
             made = Truth if kind in TRUTHS else Symbol
             self._known[key] = made(self, len(self.operations))
             self.operations.append(Operation(kind, plain))
         return self._known[key]
+
+    def place_of(self, operand: "Traceable | float | str") -> int | float | str:
+        """The index of an operand's operation; of a number itself."""
+        if not isinstance(operand, Traceable):
+            return operand
+        if operand.tape is not self:
+            raise NotTraceable("a number of another sample, kept outside of the law's memory")
+        return operand.index
 
 
 class Traceable:

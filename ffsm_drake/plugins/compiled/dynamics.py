@@ -2,17 +2,15 @@
 
 import collections
 import functools
-import os
 import time
-import traceback
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import service
+from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
@@ -321,18 +319,8 @@ def _compiled(run: _Run) -> Kernel:
     except (FfsmError, MemoryError):
         raise
     except Exception as error:  # the law may raise anything on symbols
-        raise NotCovered(
-            f"{run.scenario.controller}: {_place_of(error)}{one_line(error)}"
-        ) from error
+        raise NotCovered(f"{run.scenario.controller}: {reason_of(error)}") from error
     return kernel
-
-
-def _place_of(error: Exception) -> str:
-    """File and line of the law's code that raised an error on symbols."""
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if "/numpy/" not in frame.filename and f"{os.sep}tape{os.sep}" not in frame.filename:
-            return f"{Path(frame.filename).name}:{frame.lineno}: "
-    return ""
 
 
 def _judge(run: _Run, kernel: Kernel) -> None:

@@ -5,10 +5,12 @@ it reads a row (reference, noise) and writes a row of the log.
 """
 
 import ctypes
+import functools
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from ffsm_drake.plugins.compiled.apart import apart
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, Blocks, Function
@@ -32,7 +34,7 @@ class Kernel:
         self.blocks, self.width = blocks, registers().width
         self.parts: Parts = {}  # whose signals follow from the log
         self._text = _Runs(blocks, registers(), steps=steps)
-        self._code = Code(self._text.module, key and f"runs {key}")
+        self._code = self._text.code("runs", key)
         self._run = self._code.function("run", 3)
 
     def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -69,7 +71,7 @@ class Slopes:
         self.width = registers().width
         self._text = _Sample(blocks, registers(), steps=steps, slopes=True)
         self.places = self._text.places
-        self._code = Code(self._text.module, key and f"slopes {key}")
+        self._code = self._text.code("slopes", key)
         self._run = self._code.function("run", 2, ctypes.c_double)
 
     def cells(self) -> np.ndarray:
@@ -108,8 +110,12 @@ class _Text:
             self.size += size
         self._count = 0
 
-    def module(self) -> str:
-        """Return all of it."""
+    def code(self, what: str, key: str | None) -> Code:
+        """Return the compiled module. A user's law (without a key) is traced apart."""
+        make = functools.partial(apart, self._module) if key is None else self._module
+        return Code(make, key and f"{what} {key}")
+
+    def _module(self) -> str:
         functions = self._blocks.functions(self._registers, slopes=self._slopes)
         lines = "\n".join((*self._entry(), *self._lines(functions)))
         return "\n".join((

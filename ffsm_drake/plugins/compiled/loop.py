@@ -26,7 +26,7 @@ from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.sensing import Sensor, quantize
 from ffsm_drake.tape.arrays import inputs, traced
-from ffsm_drake.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.tape.numbers import NotTraceable, Tape, none_caught, number
 from ffsm_drake.tape.tangents import tangents
 
 
@@ -213,6 +213,8 @@ class Blocks:
         for each, values in results.items():
             if len(values) != sizes[each]:
                 raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
+            for one in values:
+                tape.place_of(one)
         if slopes:
             seeds = dict[int, Any]()
             for each in [each for each in reads if each not in _FIXED]:
@@ -270,7 +272,8 @@ class Blocks:
         )  # fmt: skip
         for each in (sample.q, sample.v, e, e_dot):
             each.setflags(write=False)
-        force, after = law.step(sample, memory)
+        with none_caught():
+            force, after = law.step(sample, memory)
         shapes = {name: value.shape for name, value in self.memory.items()}
         if np.shape(force) != (self.nv,) or {n: np.shape(v) for n, v in after.items()} != shapes:
             raise NotTraceable("the law returns other names or shapes than it should")
@@ -320,6 +323,13 @@ class TracedModel(PlantModel):
         raise NotTraceable("the law asks its model for more than mass matrix and bias")
 
 
+class _Unknown:
+    """In place of a plant and its context, whose numbers would be constants of the code."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise NotTraceable("the law asks its model's plant for more than mass matrix and bias")
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _TracedReduced(ReducedModel, TracedModel):
     """As TracedModel, of an underactuated plant."""
@@ -327,8 +337,11 @@ class _TracedReduced(ReducedModel, TracedModel):
 
 def _traced_model(model: PlantModel, own: Any) -> TracedModel:
     kind = _TracedReduced if isinstance(model, ReducedModel) else TracedModel
-    fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
-    return kind(**fields, own=list(own), tree=reader_of(model.plant).tree)
+    unknown: Any = _Unknown()
+    return kind(
+        plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
+        own=list(own), tree=reader_of(model.plant).tree,
+    )  # fmt: skip
 
 
 def steps_of(sample_time: float, longest: float) -> int:

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.plugins.compiled.dynamics import Compiled, _place_of, _Run
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.compiled.apart import reason_of
+from ffsm_drake.plugins.compiled.dynamics import Compiled, _Run
 from ffsm_drake.plugins.compiled.kernel import Slopes
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.dynamics import NotCovered
@@ -138,7 +139,7 @@ def _code(run: _Run) -> Slopes:
         except (FfsmError, MemoryError):
             raise
         except Exception as error:  # the law may raise anything on symbols
-            found = NotCovered(f"{run.scenario.controller}: {_place_of(error)}{one_line(error)}")
+            found = NotCovered(f"{run.scenario.controller}: {reason_of(error)}")
         _codes[run.code] = found
         if len(_codes) > _KEPT:
             _codes.popitem(last=False)
