@@ -14,7 +14,7 @@ N s: constant without external forces.
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -285,6 +285,5 @@ def driven_model(model: PlantModel) -> PlantModel:
     """
     if not model.coordinates.undriven:
         return model
-    return ReducedModel(
-        plant=model.plant, context=model.context, coordinates=model.coordinates, split=model.split
-    )
+    kind: Any = getattr(model, "reduced", ReducedModel)  # a model of a plug-in has its own
+    return kind(**{each.name: getattr(model, each.name) for each in dataclasses.fields(model)})

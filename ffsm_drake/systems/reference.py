@@ -261,7 +261,7 @@ def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> D
         found = next((each for each in made if each[0] == part), None)
         if found is None:
             planned = make_motion(scenario, coordinates)
-            found = part, planned, _make_frame_motion(scenario, planned)
+            found = part, planned, make_frame_motion(scenario, planned)
             made.append(found)
         motions.append(found[1])
         if found[2] is not None:
@@ -299,7 +299,7 @@ def reference_from(
     return reference
 
 
-def _make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
+def make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
     """Return the path of the frame whose pose is prescribed along a planned motion, if one is."""
     if not _prescribes_frame(scenario):
         return None

@@ -23,7 +23,7 @@ import numpy as np
 
 from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.free_floating import FreeFloating, ReducedModel
+from ffsm_drake.spacecraft.free_floating import FreeFloating, ReducedModel, driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain, step_each
 
@@ -51,13 +51,13 @@ class Coordinated(ControlLaw):
     )
 
     @functools.cached_property
-    def internal(self) -> ReducedModel:
+    def internal(self) -> PlantModel:
         """The model with H* and C*, of base attitude and joints if the whole base is driven."""
         given = self.model
         if isinstance(given, ReducedModel):
             return given
         coordinates = dataclasses.replace(given.coordinates, undriven=("base_position",))
-        return ReducedModel(plant=given.plant, context=given.context, coordinates=coordinates)
+        return driven_model(dataclasses.replace(given, coordinates=coordinates))
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         if sample.v.ndim > 1:

@@ -31,7 +31,8 @@ from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.part import Parts
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_frame_motion, make_motion
 from ffsm_drake.systems.sensing import SensorErrors, late_sensors
 
 # From Drake's run, as a share of a signal's largest value. Rounding is amplified by high gains.
@@ -69,7 +70,6 @@ class Compiled(Dynamics):
             ("actuation.thrusters", scenario.actuation.thrusters is not None),
             ("actuation.wheels", scenario.actuation.wheels is not None),
             ("actuation.drives", scenario.actuation.drives is not None),
-            ("reference.frame", scenario.reference.frame is not None),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
@@ -137,7 +137,9 @@ class _Run:
         controller = make_controller(scenario, nominal)
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
-        self.law = controller.law
+        self.law: Any = controller.law
+        if getattr(self.law, "tracks_frame", False) or getattr(self.law, "contacts_read", 0):
+            raise NotCovered("a law that tracks a frame, or reads contacts")
         self.coordinates: Coordinates = nominal.coordinates
         self.samples = scenario.num_control_periods + 1
         own, law, constants = reader_of(self.true.plant), *parameters_of(self.law)
@@ -220,12 +222,15 @@ class _Run:
         """The samples of its sensors' noise."""
         return noise_of(self.scenario.random_seed, self.samples, **self._sizes_of_noise)
 
+    @functools.cached_property
+    def motion(self) -> PlannedMotion:
+        """The reference."""
+        return make_motion(self.scenario, self.coordinates)
+
     def rows(self) -> np.ndarray:
         """What the run reads at each sample (samples, n)."""
         period = self.scenario.sample_time
-        reference = make_motion(self.scenario, self.coordinates).rows(
-            period * np.arange(self.samples)
-        )
+        reference = self.motion.rows(period * np.arange(self.samples))
         white = self.noise.white if self.blocks.noisy else np.zeros((self.samples, 0))
         late = phases(self.blocks.late, self.samples)
         return np.hstack([reference, white, self.noise.drift, late])
@@ -289,6 +294,9 @@ def _log(
         return None
     scenario, duration = run.scenario, (run.samples - 1) * run.scenario.sample_time
     copied = {name: np.ascontiguousarray(values) for name, values in series.items()}
+    times = scenario.sample_time * np.arange(run.samples)
+    if (frame := make_frame_motion(scenario, run.motion)) is not None:
+        copied["desired_frame"] = frame.rows(times)
     log = RunLog(
         scenario=scenario,
         outcome=Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s"),
@@ -297,7 +305,7 @@ def _log(
         sliding_unit=str(run.law.sliding_unit),
         dynamics=Compiled.name,
         parts=parts,
-        time=scenario.sample_time * np.arange(run.samples),
+        time=times,
         series={
             **copied,
             "desired_state": rows[:, : nq + nv].copy(),

@@ -9,7 +9,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -304,6 +304,7 @@ class Blocks:
 class TracedModel(PlantModel):
     """A nominal model on symbols: its mass matrix, bias and tracking errors."""
 
+    reduced: ClassVar[type]  # of an underactuated plant, see ``driven_model``
     own: list[Any]  # the parameters of the tree
     tree: Tree
 
@@ -333,6 +334,9 @@ class _Unknown:
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _TracedReduced(ReducedModel, TracedModel):
     """As TracedModel, of an underactuated plant."""
+
+
+TracedModel.reduced = _TracedReduced
 
 
 def _traced_model(model: PlantModel, own: Any) -> TracedModel:
