@@ -1,15 +1,14 @@
 """A campaign's case end to end, side by side over alone.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/campaign_cases.py [NAME ...] [--repeats 10]
-        [--cases 16] [--duration S] [--dynamics generated [--compare]]
+        [--cases 16] [--duration S] [--engine compiled [--compare]]
 
 Processor time of a case as a worker and the driver spend it: its scenario checked, built and run,
 predictions, metrics, and its row stored. The same cases run one by one and as one batch, in turns
 in one process, because a machine's speed changes from minute to minute; minima of the repeats.
 Names of shipped campaigns are those, ``payload_uncertainty`` with its four laws; shipped scenarios
-have a seed and payload that differ from case to case. Other dynamics than Drake's are the
-batch's; one by one the cases run with Drake's. ``--compare`` measures no
-time: it compares their rows with Drake's.
+have a seed and payload that differ from case to case. ``--engine`` is the engine of the batch; one
+by one the cases run on Drake. ``--compare`` measures no time: it compares their rows with Drake's.
 """
 
 import argparse
@@ -29,8 +28,8 @@ from ffsm_drake.plugins.campaign.evaluate import FIRST_LIMIT, Batch, Evaluator, 
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.batches import usual_batch
+from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.scenario import shipped_scenarios
-from ffsm_drake.spacecraft.dynamics import DRAKE
 
 NAMES = (
     "payload_uncertainty",
@@ -45,7 +44,7 @@ SPREAD = 0.05  # of the payload's masses, true and nominal
 
 def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> Spec:
     """A shipped campaign of that name, else one of the scenario, with at least one case more than
-    so many: the first may run with two dynamics.
+    so many: the first may run on two engines.
     """
     shipped = None if name in shipped_scenarios() else shipped_campaigns()[name]
     data: dict[str, Any] = {} if shipped is None else yaml.safe_load(shipped.read_text("utf-8"))
@@ -84,20 +83,20 @@ def processor_time(
             store.add(batch, rows)
             failed = [row["message"] for row in rows if row["outcome"] == "error"]
             if failed:
-                raise SystemExit(f"{batch.controller}: {failed[0]}")
+                raise SystemExit(f"{batch.runs[0][1]}: {failed[0]}")
         seconds = time.process_time() - start
     database.unlink()
     return seconds
 
 
 def minima(
-    spec: Spec, controller: str, cases: Sequence[Case], repeats: int, folder: Path, dynamics: str
+    spec: Spec, controller: str, cases: Sequence[Case], repeats: int, folder: Path, engine: str
 ) -> np.ndarray:
     """Of one law, s per case: alone and side by side."""
-    whole = Batch(tuple(cases), controller)
-    other = spec_from_data({**spec.data, "dynamics": dynamics})
+    whole = Batch(tuple((case, controller) for case in cases))
+    drake, other = (spec_from_data({**spec.data, "engine": each}) for each in (DRAKE, engine))
     ways = {
-        "alone": (spec, Evaluator(spec), whole.parts),
+        "alone": (drake, Evaluator(drake), whole.parts),
         "batched": (other, Evaluator(other), (whole,)),
     }
     seconds = {way: list[float]() for way in ways}
@@ -108,11 +107,11 @@ def minima(
     return np.array([min(seconds[way]) for way in ways])
 
 
-def compare(spec: Spec, controller: str, cases: Sequence[Case], dynamics: str) -> str:
-    """How far the rows of cases are from those with Drake's dynamics, in words."""
-    whole, rows = Batch(tuple(cases), controller), list[list[Row]]()
-    for each in (DRAKE, dynamics):
-        evaluator = Evaluator(spec_from_data({**spec.data, "dynamics": each}))
+def compare(spec: Spec, controller: str, cases: Sequence[Case], engine: str) -> str:
+    """How far the rows of cases are from those with Drake, in words."""
+    whole, rows = Batch(tuple((case, controller) for case in cases)), list[list[Row]]()
+    for each in (DRAKE, engine):
+        evaluator = Evaluator(spec_from_data({**spec.data, "engine": each}))
         rows.append(evaluator.evaluate_batch(whole))
     others, largest, where = 0, 0.0, "none"
     for own, other in zip(*rows, strict=True):
@@ -140,8 +139,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, default=10, help="of each (default: 10)")
     parser.add_argument("--cases", type=int, default=usual_batch(), help="in a batch")
     parser.add_argument("--duration", type=float, help="of a run, s (default: the scenario's)")
-    parser.add_argument("--dynamics", default=DRAKE, help="of the batch (default: drake)")
-    parser.add_argument("--compare", action="store_true", help="rows with both dynamics")
+    parser.add_argument("--engine", default=DRAKE, help="of the batch (default: drake)")
+    parser.add_argument("--compare", action="store_true", help="rows with both engines")
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         for name in options.names or NAMES:
@@ -149,10 +148,10 @@ def main(argv: Sequence[str] | None = None) -> None:
             cases, total = tuple(make_cases(spec))[1 : options.cases + 1], np.zeros(2)
             for controller in spec.controllers:
                 if options.compare:
-                    told = compare(spec, controller, cases, options.dynamics)
+                    told = compare(spec, controller, cases, options.engine)
                     print(f"{name}, {controller}: {told}", flush=True)
                     continue
-                given = options.repeats, Path(folder), options.dynamics
+                given = options.repeats, Path(folder), options.engine
                 seconds = minima(spec, controller, cases, *given)
                 report(f"{name}, {controller}", seconds)
                 total += seconds / len(spec.controllers)

@@ -19,9 +19,8 @@ of a
 (e) 16 and 64 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on
     arrays. Its time is that of all, divided by their number.
 (w) our closed loop of as many runs side by side, each with a seed of its own, per run.
-(g) the same with dynamics ``generated``, where llvmlite is installed (pip install
-    'ffsm-drake[generated]').
-(k) the same runs compiled, with their preparation, noise and log.
+(k) the same runs compiled, with their preparation, noise and log, where llvmlite is installed (pip
+    install 'ffsm-drake[compiled]').
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -44,11 +43,11 @@ import numpy as np
 from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
+from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
-from ffsm_drake.spacecraft.dynamics import dynamics_names, find_dynamics
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant
 
@@ -59,7 +58,7 @@ except ImportError as error:
 
 JOINTS = (5, 7, 14)
 AT_ONCE = (16, 64)  # runs
-GENERATED, COMPILED = "generated", "compiled"
+COMPILED = "compiled"
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
     "four wheels": ("actuation.thrusters=null",),
@@ -208,23 +207,19 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     scenario = rollout.loop.scenario
     seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
     logs = [rollout.run(seed) for seed in seeds]
-    ours = {"w": Rollout(seeds)}
-    compiled = None
-    if {GENERATED, COMPILED} <= set(dynamics_names()) and find_spec("llvmlite"):
-        ours["g"] = Rollout(seeds, dynamics=find_dynamics(GENERATED).dynamics)
-        compiled = find_dynamics(COMPILED).dynamics
+    own = Rollout(seeds)
+    compiled = find_engine(COMPILED) if find_spec("llvmlite") else None
     noise = np.stack([sensor_noise(log) for log in logs], axis=1)
     errors = np.stack([log.error for log in logs], axis=1)
     batch = MujocoBatch(scenario, logs[0].coordinates, runs)
     found = {
-        name: np.stack([log.error for log in logs_of(own)], axis=1) for name, own in ours.items()
+        "w": np.stack([log.error for log in logs_of(own)], axis=1),
+        "e": batch.run(noise),
     }
-    found["e"] = batch.run(noise)
     contestants: dict[str, Callable[[], float]] = {
-        name: lambda own=own: advance_time(lambda: logs_of(own)) / runs
-        for name, own in ours.items()
+        "w": lambda: advance_time(lambda: logs_of(own)) / runs,
+        "e": lambda: timed(lambda: batch.run(noise)) / runs,
     }
-    contestants["e"] = lambda: timed(lambda: batch.run(noise)) / runs
     if compiled is not None:
         found["k"] = np.stack([log.error for log in compiled.run_all(seeds)], axis=1)
         contestants["k"] = lambda: timed(lambda: compiled.run_all(seeds)) / runs
@@ -291,7 +286,7 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
 
 
 def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> None:
-    labels = {"e": "MuJoCo", "w": "ours", "g": f"ours, {GENERATED}", "k": f"ours, {COMPILED}"}
+    labels = {"e": "MuJoCo", "w": "ours", "k": f"ours, {COMPILED}"}
     for each in together:
         for name, difference in each.differences.items():
             letter, runs = name[0], name[1:]
@@ -304,8 +299,8 @@ def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> No
             label = f"({letter}) {runs} at once, {labels[letter]}, each"
             print(f"  {label:38s} {times[name]}   {against}")
             print(f"  error of all runs, largest difference (b) - ({letter}): {difference:.1e}")
-    if not any(name.startswith("g") for name in times):
-        print("  (g), (k) skipped, needs 'pip install ffsm-drake[generated]'")
+    if not any(name.startswith("k") for name in times):
+        print("  (k) skipped, needs 'pip install ffsm-drake[compiled]'")
 
 
 def print_variants(times: Mapping[str, Timing], samples: int) -> None:

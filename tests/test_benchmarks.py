@@ -77,9 +77,9 @@ def test_rollout(monkeypatch, capsys):
     assert float(differences["w"]) == 0.0  # ours have the same bits
     assert 0.0 < float(differences["e"]) < 1e-7
     assert all(len(re.findall(rf"{name}/a {ratio}", printed)) == 2 for name in "we")
-    generated = "(g), (k) skipped" not in printed
-    assert all(len(re.findall(rf"{name}/e {ratio}", printed)) == 2 * generated for name in "gk")
-    assert not generated or max(float(differences[name]) for name in "gk") < 1e-10
+    compiled = "(k) skipped" not in printed
+    assert len(re.findall(rf"k/e {ratio}", printed)) == 2 * compiled
+    assert not compiled or float(differences["k"]) < 1e-10
     for other in others:
         # the shipped arm and three others
         assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other
@@ -131,12 +131,12 @@ def test_campaign_cases(monkeypatch, capsys):
         assert abs(batched / alone - ratio) < 0.01
 
 
-def test_cases_with_other_dynamics_are_compared(monkeypatch, capsys):
+def test_cases_with_another_engine_are_compared(monkeypatch, capsys):
     pytest.importorskip("llvmlite")
-    pytest.importorskip("ffsm_drake.plugins.generated")
+    pytest.importorskip("ffsm_drake.plugins.compiled")
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     cases = importlib.import_module("campaign_cases")
-    short = ["--cases", "3", "--duration", "0.1", "--dynamics", "generated", "--compare"]
+    short = ["--cases", "3", "--duration", "0.1", "--engine", "compiled", "--compare"]
     cases.main(["postcapture", *short])
     said = r"postcapture, \w+: 3 (\w+); 0 outcomes or first limits differ; numbers by (\S+) at most"
     found = re.match(said, capsys.readouterr().out)

@@ -32,7 +32,6 @@ NEEDS = {
     "compiled": {"equations"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
-    "generated": {"compiled", "equations"},
     "gymnasium": {"policy", "task_space"},
     "new": {"actuators", "design"},
     "paper": {"analysis", "design"},

@@ -42,7 +42,6 @@ PAGE_OF = {
     "design": "verdict",
     "environment": "orbit",
     "exports": "interfaces",
-    "generated": "many_runs",
     "inputs": "repeat_a_run",
     "interactive": "meshcat",
     "new": "own_arm",

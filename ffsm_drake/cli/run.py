@@ -58,6 +58,12 @@ _require = click.option(
 @json_option
 @_report
 @_require
+@click.option(
+    "--engine",
+    metavar="NAME",
+    help="drake, or compiled for machine code, if it covers the scenario. Default: drake, or the "
+    "engine of the repeated run.",
+)
 @click.option("--meshcat", is_flag=True, help="Run live in the browser, at real time.")
 @click.option("--foxglove", is_flag=True, help="Run live in Foxglove, at real time.")
 @click.option(
@@ -71,6 +77,7 @@ def run(
     as_json: bool,
     report: bool,
     require: str | None,
+    engine: str | None,
     meshcat: bool,
     foxglove: bool,
     controls: bool,
@@ -90,11 +97,16 @@ def run(
       ffsm run mine.yaml --controller my_module:MyController --out out/mine
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
+    from ffsm_drake.runs.engine import DRAKE
     from ffsm_drake.runs.record import RunRecord, check_saving, record_stamp
     from ffsm_drake.spacecraft.plant import check_pictures
 
+    if (live := meshcat or foxglove or controls) and engine not in (None, DRAKE):
+        raise click.UsageError(f"--engine {engine}: has no live view; leave the option out")
     repeated = repeated_run()
     first = RunRecord.load(repeated) if repeated else None
+    if engine is None:
+        engine = DRAKE if first is None or live else first.engine.partition(" ")[0]
     directory = out or Path("out") / (
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
@@ -115,7 +127,7 @@ def run(
         record = load(LIVE, "foxglove", "--foxglove")(scenario, tell=tell)
     else:
         with _kept(directory, before):
-            record = _simulate(scenario)
+            record = _simulate(scenario, engine)
     directory = _saved(record, directory, before)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
     if first is not None:
@@ -316,11 +328,11 @@ def _kept(directory: Path, before: Any) -> Iterator[None]:
         raise
 
 
-def _simulate(scenario: "Scenario") -> "RunRecord":
+def _simulate(scenario: "Scenario", engine: str = "drake") -> "RunRecord":
     from ffsm_drake.runs.simulate import simulate
 
     progress = RunProgress(scenario.controller)
-    record = simulate(scenario, progress=progress)
+    record = simulate(scenario, progress=progress, engine=engine)
     progress.close(record)
     return record
 

@@ -27,8 +27,8 @@ CONTROLLER_FILES = "ffsm_drake.controller_files"
 SECTIONS = "ffsm_drake.sections"
 # Name -> function or class that the core uses where it is installed: see the callers.
 SERVICES = "ffsm_drake.services"
-# Name -> class derived from ``spacecraft.dynamics.Dynamics``, made without arguments.
-DYNAMICS = "ffsm_drake.dynamics"
+# Name -> class derived from ``runs.engine.Engine``, made without arguments.
+ENGINES = "ffsm_drake.engines"
 
 
 @functools.cache  # searches the installed packages once per process

@@ -22,7 +22,7 @@ from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
-from ffsm_drake.spacecraft.dynamics import Dynamics
+from ffsm_drake.spacecraft.copies import copies_of
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.controllers import make_controller
@@ -162,7 +162,6 @@ def make_blocks(
     nominals: Sequence[PlantModel],
     factories: Mapping[str, Factory] | None = None,
     split: StateSplit | None = None,
-    dynamics: Dynamics | None = None,
 ) -> tuple[dict[str, System], tuple[dict[str, PlacedPart], ...]]:
     """All blocks by name, checked, and the parts among them for each copy of the spacecraft; no
     ``actuation`` if it is ideal.
@@ -172,15 +171,13 @@ def make_blocks(
       nominals: for each copy, the plant with the nominal payload; the controller's own.
       factories: block -> factory in place of the scenarios' choice; "forces.<name>" for a force.
       split: known and hidden coordinates of the true plant.
-      dynamics: what computes the models of several copies' laws; None: Drake.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
       BlockError: a user-supplied block cannot be loaded, built or wired.
       NotAlike: the blocks of the copies cannot stand side by side.
     """
-    dynamics = dynamics or Dynamics()
-    making = _Making(scenarios, nominals, factories or {}, split or StateSplit(), dynamics)
+    making = _Making(scenarios, nominals, factories or {}, split or StateSplit())
     for name in making.names:
         if name == "controller":
             making.make_controller()
@@ -198,10 +195,9 @@ class _Making:
         nominals: Sequence[PlantModel],
         given: Mapping[str, Factory],
         split: StateSplit,
-        dynamics: Dynamics,
     ) -> None:
         _check_names(given)
-        self._nominals, self._given, self._dynamics = nominals, given, dynamics
+        self._nominals, self._given = nominals, given
         self._scenarios = scenarios = [
             settle_faults(scenario, nominal.coordinates)
             for scenario, nominal in zip(scenarios, nominals, strict=True)
@@ -237,7 +233,7 @@ class _Making:
         ]
         made = each[0]
         if len(each) > 1:
-            join_models = functools.partial(self._dynamics.models, scenario=self._scenarios[0])
+            join_models = functools.partial(copies_of, scenario=self._scenarios[0])
             joined = join_controllers(each, self._nominals, join_models)
             restarts = ("restart",) if "supervisor" in self.names else ()
             made = joined or SideBySide(each, {*fed, *restarts})

@@ -43,7 +43,6 @@ from ffsm_drake.loop.blocks import (
 from ffsm_drake.scenario import MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.copies import Copies
-from ffsm_drake.spacecraft.dynamics import DRAKE, Dynamics
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     change_payload,
@@ -112,7 +111,6 @@ class ClosedLoop:
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
     copies: Copies | None = None  # None: there is one
-    dynamics: str = DRAKE  # name of what computes the plant
     scenarios: tuple[Scenario, ...] = ()  # scenarios of several copies
     parts_of_copies: tuple[Parts, ...] = ()
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
@@ -303,7 +301,6 @@ def add_closed_loop(
     blocks: Mapping[str, Factory] | None = None,
     plant: MultibodyPlant | None = None,
     joint_force: np.ndarray | None = None,
-    dynamics: Dynamics | None = None,
 ) -> ClosedLoop:
     """Add the closed loop of a scenario to a Drake diagram.
 
@@ -318,7 +315,6 @@ def add_closed_loop(
         a new plant without geometry.
       joint_force: (joints), constant force of the joint actuators, which replaces the command, N m
         or N; with several copies, one row for each.
-      dynamics: implementation of the dynamics of several copies; default: Drake's plant.
 
     Returns: the loop, without its diagram.
 
@@ -339,13 +335,12 @@ def add_closed_loop(
     """
     scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
     first = scenarios[0]
-    dynamics = dynamics or Dynamics()
-    plant, copies = _add_plant(builder, scenarios, plant, dynamics)
+    plant, copies = _add_plant(builder, scenarios, plant)
     single = plant if copies is None else copies.single
     coordinates, split = coordinates_of(single, undriven=first.undriven), split_of(single)
     _check_coordinates(scenarios, single, coordinates)
     nominals = [make_nominal_plant(each) for each in scenarios]
-    blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split, dynamics)
+    blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
     wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
@@ -359,22 +354,18 @@ def add_closed_loop(
         blocks=blocks_by_name,
         sources=wiring.sources,
         copies=copies,
-        dynamics=dynamics.name if copies else DRAKE,
         scenarios=scenarios if copies else (),
         parts_of_copies=parts if copies else (),
     )
 
 
 def _add_plant(
-    builder: DiagramBuilder,
-    scenarios: Sequence[Scenario],
-    plant: MultibodyPlant | None,
-    dynamics: Dynamics,
+    builder: DiagramBuilder, scenarios: Sequence[Scenario], plant: MultibodyPlant | None
 ) -> tuple[MultibodyPlant, Copies | None]:
     """Return the plant of all scenarios, unless there is one, and of several the copies in it."""
     model = scenarios[0].model
     if len(scenarios) > 1:
-        copies = dynamics.copies(model, len(scenarios))
+        copies = Copies.of(model, len(scenarios), flexible=True)
         return builder.AddNamedSystem("plant", copies.plant), copies
     if plant is None:
         plant = builder.AddNamedSystem("plant", make_plant(model, flexible=True))

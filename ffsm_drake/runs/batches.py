@@ -11,7 +11,6 @@ clock; runs with flexible joints; runs with a measured target.
 """
 
 import dataclasses
-import functools
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -20,13 +19,12 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.runs.engine import DRAKE, Engine, find_engine, on_drake
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.scenario.capture import Approach
-from ffsm_drake.spacecraft.dynamics import DRAKE, Chosen, Dynamics, NotCovered, find_dynamics
 from ffsm_drake.systems.reference import timed
-from ffsm_drake.systems.side_by_side import NotAlike
 
 # Sections in which runs side by side may differ: they affect only computations before or after a
 # run, its own context, or blocks with a row or an instance for each run.
@@ -63,14 +61,14 @@ _FEWEST, _USUAL, _MOST = 4, 16, 24
 _MEMORY, _OF_A_SAMPLE = 400 * 2**20, 3 * 2**10  # bytes of the logs of a batch, and of a sample
 
 
-def usual_batch(dynamics: Dynamics | None = None, *, samples: int = 1) -> int:
+def usual_batch(engine: Engine | None = None, *, samples: int = 1) -> int:
     """How many runs go side by side by default: as many as the second-level cache holds, 4 to
-    24; 16 where its size is not known. Other dynamics than Drake's may say a number. Runs of so
-    many samples log at most ``_MEMORY``.
+    24; 16 where its size is not known. An engine has its own number. Runs of so many samples log
+    at most ``_MEMORY``.
     """
     logged = max(_FEWEST, _MEMORY // (_OF_A_SAMPLE * samples))
-    if dynamics is not None and dynamics.batch is not None:
-        return min(dynamics.batch, logged)
+    if engine is not None:
+        return min(engine.batch, logged)
     try:
         size = os.sysconf("SC_LEVEL2_CACHE_SIZE")
     except (AttributeError, ValueError, OSError):
@@ -96,42 +94,54 @@ def runs_alone(scenario: Scenario) -> bool:
 
 
 def run_many(
-    scenarios: Sequence[Scenario], *, batch: int | None = None, dynamics: str = DRAKE
+    scenarios: Sequence[Scenario], *, batch: int | None = None, engine: str = DRAKE
 ) -> Iterator[tuple[int, RunLog | Exception]]:
     """Run scenarios side by side if possible, in no fixed order.
 
     Args:
       scenarios: the scenarios, with durations in seconds (``timed``).
       batch: largest number of runs side by side; default: ``usual_batch``.
-      dynamics: implementation of the dynamics (``find_dynamics``). If it is not Drake's, a run that
-        fails, or diverges between samples, is repeated with Drake's. Its log has the reason.
+      engine: what computes the runs (``find_engine``). A run that it does not cover, or that fails
+        or diverges, is computed by Drake, and its log has the reason.
 
-    Yields: the index of a scenario and its log, or the exception of a separate run. With Drake's
-    dynamics, a log has the same bits as ``Rollout.run``.
+    Yields: the index of a scenario and its log, or the exception of a separate run. With Drake, a
+    log has the same bits as ``Rollout.run``.
 
     Raises:
-      FfsmError: the dynamics are unknown.
+      FfsmError: the engine is unknown.
       KeyboardInterrupt: interrupted from the keyboard.
     """
-    chosen = find_dynamics(dynamics)
+    own = find_engine(engine)
     samples = max((scenario.num_control_periods for scenario in scenarios), default=1)
-    most = batch or usual_batch(chosen.dynamics, samples=samples)
-    runs = _Runs(chosen)
+    left = dict.fromkeys(range(len(scenarios)), DRAKE)  # and the engine in their logs
+    if own is not None:
+        most, left = batch or usual_batch(own, samples=samples), {}
+        for first in range(0, len(scenarios), most):
+            found = own.run_all(scenarios[first : first + most])
+            for index, log in enumerate(found, start=first):
+                if isinstance(log, RunLog):
+                    yield index, log
+                else:
+                    left[index] = on_drake(log)
+    runs, remaining = _Runs(), list(left)
     try:
-        for indices in batches_of(scenarios, most):
+        most = batch or usual_batch(samples=samples)
+        for places in batches_of([scenarios[index] for index in remaining], most):
+            indices = [remaining[place] for place in places]
             results = runs.results([scenarios[index] for index in indices])
-            yield from zip(indices, results, strict=True)
+            for index, result in zip(indices, results, strict=True):
+                if isinstance(result, RunLog):
+                    result = dataclasses.replace(result, engine=left[index])
+                yield index, result
     finally:
         runs.release()
 
 
 class _Runs:
-    """Runs of batches with some dynamics."""
+    """Runs of batches."""
 
-    def __init__(self, chosen: Chosen) -> None:
-        self._dynamics, self._else_drake = chosen
-        self._alone = Kept(make_rollout)
-        self._together = Kept(functools.partial(make_rollout, dynamics=self._dynamics))
+    def __init__(self) -> None:
+        self._alone, self._together = Kept(make_rollout), Kept(make_rollout)
 
     def release(self) -> None:
         """Free all rollouts."""
@@ -140,40 +150,13 @@ class _Runs:
 
     def results(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
         """The log of each scenario of a batch, or the exception of a separate run."""
-        if self._dynamics.runs_whole:
-            yield from self._whole(scenarios)
-            return
         logs = self._side_by_side(scenarios) if len(scenarios) > 1 else [None]
         for scenario, log in zip(scenarios, logs, strict=True):
             yield self._by_itself(scenario) if log is None else log
 
-    def _whole(self, scenarios: Sequence[Scenario]) -> Iterator[RunLog | Exception]:
-        """``results`` with dynamics that compute whole runs. What they do not cover goes side by
-        side on Drake.
-        """
-        found = self._dynamics.run_all(scenarios)
-        refused = [i for i, each in enumerate(found) if isinstance(each, NotCovered)]
-        most, with_drake = usual_batch(), _Runs(Chosen(Dynamics(), False))
-        others = dict[int, RunLog | Exception]()
-        try:
-            for at in range(0, len(refused) if self._else_drake else 0, most):
-                part = refused[at : at + most]
-                results = with_drake.results([scenarios[i] for i in part])
-                others |= dict(zip(part, results, strict=True))
-        finally:
-            with_drake.release()
-        for i, scenario in enumerate(scenarios):
-            if i in others:
-                yield _named(others[i], one_line(found[i]))
-            elif isinstance(found[i], RunLog):
-                yield found[i]
-            else:
-                yield self._otherwise(scenario, found[i])
-
     def _side_by_side(self, scenarios: Sequence[Scenario]) -> Sequence[RunLog | None]:
         """Return the log of each run; None: repeat the run separately."""
         try:
-            self._dynamics.check(scenarios[0])
             rollout = self._together.rollout(scenarios, scenarios[0])
             logs: Sequence[RunLog | None] = rollout.run_all(scenarios)
         except _FAILURES:  # a run failed; separate runs find it
@@ -182,52 +165,12 @@ class _Runs:
         return logs
 
     def _by_itself(self, scenario: Scenario) -> RunLog | Exception:
-        if self._dynamics.name == DRAKE:
-            return self._with_drake(scenario)
-        try:
-            if (log := self._doubled(scenario)) is not None:
-                return log
-        except NotCovered as error:
-            return self._otherwise(scenario, error)
-        except _FAILURES:  # Drake's run shows it
-            self._together.drop()
-        return self._otherwise(scenario, None)
-
-    def _otherwise(self, scenario: Scenario, error: NotCovered | None) -> RunLog | Exception:
-        """The run with Drake, as it is not covered, or fails or diverges."""
-        if error is not None and not self._else_drake:
-            return error
-        reason = "the run fails or diverges" if error is None else one_line(error)
-        return _named(self._with_drake(scenario), reason)
-
-    def _doubled(self, scenario: Scenario) -> RunLog | None:
-        """Return the log of a run next to a copy of itself, for dynamics that compute several
-        copies.
-        """
-        self._dynamics.check(scenario)
-        if group_of(scenario) is None:
-            raise NotCovered("a run that cannot go side by side with others")
-        both = [scenario, scenario]
-        try:
-            log: RunLog | None = self._together.rollout(both, scenario).run_all(both)[0]
-        except NotAlike as error:
-            raise NotCovered(one_line(error)) from error
-        return log
-
-    def _with_drake(self, scenario: Scenario) -> RunLog | Exception:
         try:
             log: RunLog = self._alone.rollout(scenario, scenario).run(scenario)
         except _FAILURES as error:
             self._alone.drop()
             return error if isinstance(error, Exception) else FfsmError(one_line(error))
         return log
-
-
-def _named(result: RunLog | Exception, reason: str) -> RunLog | Exception:
-    """A result of Drake's, with the reason why other dynamics did not compute the run."""
-    if isinstance(result, RunLog):
-        return dataclasses.replace(result, dynamics=f"{DRAKE} ({reason})")
-    return result
 
 
 class Kept:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
+from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.metrics import Tracking, tracking_metrics
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
-from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.controllers.law import ControlLaw
@@ -82,7 +82,7 @@ class RunLog:
     # whether the controller tracks a frame, and coordinates only in its null space
     tracks_frame: bool = False
     sliding_unit: str = ControlLaw.sliding_unit
-    dynamics: str = DRAKE  # name of what computed the spacecraft's motion
+    engine: str = DRAKE  # name of what computed the run
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a signal at the samples (n, its width), or (n) for a single number."""

@@ -72,19 +72,17 @@ class Mission:
         scenarios: Sequence[Scenario],
         progress: Progress | None = None,
         *,
-        make: Callable[..., Rollout] = Rollout,
         blocks: Mapping[str, Factory] | None = None,
         kept: Mapping[bool, Rollout | None] | None = None,
     ) -> None:
         """Args:
         scenarios: scenario of each run, as its log shall have it.
         progress: see ``Rollout.run``.
-        make: makes the loop of a phase, ``Rollout`` with further arguments.
         blocks: factories that replace the scenarios' blocks.
         kept: by ``holds``, loops of phases that differ in nothing else.
         """
         self._scenarios, self._progress = list(scenarios), progress
-        self._make, self._blocks, self._kept = make, blocks or {}, kept or {}
+        self._blocks, self._kept = blocks or {}, kept or {}
         self._start, self.sample = time.perf_counter(), 0
         self._names: list[tuple[str, int]] = []  # phases with an end, and the sample after it
         self.logs: list[list[RunLog]] = [[] for _ in scenarios]
@@ -124,7 +122,7 @@ class Mission:
         if (kept := self._kept.get(phase.holds)) and not own and phase.scenario is None:
             return kept
         blocks = {**self._blocks, **own}
-        self._own.append(self._make(scenarios, blocks=blocks, joint_force=phase.joint_force))
+        self._own.append(Rollout(scenarios, blocks=blocks, joint_force=phase.joint_force))
         return self._own[-1]
 
     def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:

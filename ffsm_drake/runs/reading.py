@@ -20,12 +20,12 @@ from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
+from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
 from ffsm_drake.scenario.layers import scenario_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
-from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.systems.part import (
     CURVE,
@@ -166,6 +166,7 @@ def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
         for name, source in blocks.items()
     }
     parts = manifest.get("parts", [])
+    before = manifest.get("dynamics", DRAKE)  # its name until version 0.3
     times = manifest["wall_time"]
     wall_time = {name: times[name] for name in ("build", "advance_to", "total")}
     return {
@@ -176,7 +177,7 @@ def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
         "blocks": sources,
         "parts": _fitting(tuple(map(PartRecord.from_dict, parts)), tuple[PartRecord, ...], "parts"),
         "grasp": manifest.get("grasp"),
-        "dynamics": _fitting(manifest.get("dynamics", DRAKE), str, "dynamics"),
+        "engine": _fitting(manifest.get("engine", before), str, "engine"),
     }
 
 

@@ -17,6 +17,7 @@ from ffsm_drake.common.errors import RecordError, one_line, spared
 from ffsm_drake.common.files import check_writable, published, stamp
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
+from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.reading import (
     DATASET_FILE,
@@ -34,7 +35,6 @@ from ffsm_drake.runs.table import Table, Values
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.part import Figure, PartRecord, nested
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class RunRecord:
     # for a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
     grasp: dict[str, Any] | None = None
     parts: tuple[PartRecord, ...] = ()
-    dynamics: str = DRAKE  # name of what computed the spacecraft's motion
+    engine: str = DRAKE  # name of what computed the run
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
     # reports carry
     identifier: str = dataclasses.field(default="", init=False)
@@ -198,8 +198,8 @@ class RunRecord:
             },
             "scenario": portable_scenario(self.scenario, directory),
         }
-        if self.dynamics != DRAKE:
-            manifest["dynamics"] = self.dynamics
+        if self.engine != DRAKE:
+            manifest["engine"] = self.engine
         if self.grasp is not None:
             manifest["grasp"] = self.grasp
         if self.parts:

@@ -30,7 +30,6 @@ from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
 from ffsm_drake.scenario.contacts import closing_times
-from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.part import signals_of
@@ -82,7 +81,6 @@ class Rollout:
         meshcat: Meshcat | None = None,
         show: Callable[[DiagramBuilder, ClosedLoop], None] | None = None,
         joint_force: np.ndarray | None = None,
-        dynamics: Dynamics | None = None,
     ) -> None:
         """Build the closed loop.
 
@@ -92,7 +90,6 @@ class Rollout:
           meshcat: shows the motion.
           show: adds the scene graph and the systems that move its bodies; default: from the plant.
           joint_force: see ``add_closed_loop``.
-          dynamics: see ``add_closed_loop``.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -109,7 +106,6 @@ class Rollout:
             blocks=blocks,
             plant=plant,
             joint_force=joint_force,
-            dynamics=dynamics,
         )
         if show is not None:
             show(builder, loop)
@@ -457,7 +453,6 @@ def _make_log(
         split=loop.split,
         tracks_frame=loop.tracks_frame,
         sliding_unit=str(getattr(law, "sliding_unit", ControlLaw.sliding_unit)),
-        dynamics=loop.dynamics,
         parts=loop.parts,
         time=times,
         series=series,
@@ -554,7 +549,6 @@ def make_rollout(
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
-    dynamics: Dynamics | None = None,
 ) -> Any:
     """Return the rollout of a scenario, or of several with the same blocks: a ``Rollout``, or with
     a capture one with the same methods. Arguments and errors: see ``Rollout``.
@@ -563,4 +557,4 @@ def make_rollout(
     kind = service("capture_rollout", "capture") if first.grasps else Rollout
     if first.closed is None and len(closing_times(first)) > 1:
         kind = service("later_hands_rollout", "contacts.closes")
-    return kind(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)
+    return kind(scenario, blocks=blocks, meshcat=meshcat)

@@ -19,11 +19,11 @@ from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.engine import DRAKE, Engine, NotCovered, find_engine, on_drake
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
-from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
@@ -45,6 +45,7 @@ def simulate(
     meshcat: Meshcat | None = None,
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
+    engine: str = DRAKE,
 ) -> RunRecord:
     """Run a scenario and return its record.
 
@@ -64,10 +65,14 @@ def simulate(
       progress: function of the simulated time and the duration in s, called once per simulated
         second.
       check_stability: True: check the mission before the run, see ``prepare``.
+      engine: ``drake``, or ``compiled`` for machine code, which does not cover ``blocks`` and
+        ``meshcat`` (docs/many_runs.md). A run that diverges is repeated with Drake. The record has
+        the name of its engine.
 
     Returns: the record of the run, also of a run that ended early.
 
     Raises:
+      FfsmError: the engine is unknown, or does not cover the run.
       ModelError, ScenarioError: the model or a value of the scenario cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run. The original
         exception is its cause, and its ``record`` has the samples before the failure.
@@ -78,11 +83,19 @@ def simulate(
       >>> record.outcome.status, record.dataset["error"].dims
       ('completed', ('time', 'coordinate'))
     """
-    start = time.perf_counter()
+    start, own = time.perf_counter(), find_engine(engine)
+    if own is not None:
+        own.check(checked(scenario))
+        if others := [*(blocks or {}), *(["a live view"] if meshcat is not None else [])]:
+            raise NotCovered(", ".join(others))
     rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
     try:
         with guarded:
-            return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+            log = None if own is None else _computed(own, rollout.loop.scenario)
+            log = log or rollout.run(progress=progress)
+            if own is not None and log.engine == DRAKE:
+                log = dataclasses.replace(log, engine=on_drake(None))
+            return make_record(log, blocks=blocks, start=start)
     except BlockError as error:
         if error.log is not None:
             with contextlib.suppress(FfsmError), guarded:
@@ -90,6 +103,14 @@ def simulate(
         raise
     finally:
         rollout.release()
+
+
+def _computed(engine: Engine, scenario: Scenario) -> RunLog | None:
+    """The log of a run; None: it fails or diverges. Raises NotCovered."""
+    (log,) = engine.run_all([scenario])
+    if isinstance(log, NotCovered):
+        raise log
+    return log
 
 
 def prepare(
@@ -169,7 +190,7 @@ def make_record(
         outcome=log.outcome,
         dataset=dataset,
         parts=parts,
-        dynamics=log.dynamics,
+        engine=log.engine,
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),
@@ -212,7 +233,7 @@ def simulate_many(
     *,
     batch: int | None = None,
     keep_errors: bool = False,
-    dynamics: str = DRAKE,
+    engine: str = DRAKE,
 ) -> list[RunRecord]:
     """Run many scenarios and return their records in the same order.
 
@@ -227,9 +248,9 @@ def simulate_many(
       batch: largest number of runs side by side; 1: none; default: as many as fit into the
         second-level cache of the processor.
       keep_errors: True: a failed run has its exception in place of its record.
-      dynamics: implementation of the spacecraft's dynamics. Default: Drake's plant. ``generated``
-        has its own bits; ``generated_else_drake`` uses Drake for runs that it does not cover. Each
-        record has the name of its dynamics.
+      engine: ``drake``, or ``compiled`` for machine code, whose results differ by rounding. Drake
+        computes the runs that it does not cover (docs/many_runs.md). Each record has the name of
+        its engine, with the reason.
 
     Returns: one record for each scenario.
 
@@ -255,7 +276,7 @@ def simulate_many(
             except Exception as error:
                 results[index] = error
         places = list(ready)
-        for place, result in run_many(list(ready.values()), batch=batch, dynamics=dynamics):
+        for place, result in run_many(list(ready.values()), batch=batch, engine=engine):
             results[places[place]] = result
             if not isinstance(result, Exception):
                 try:

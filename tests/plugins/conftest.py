@@ -4,14 +4,14 @@ from importlib.util import find_spec
 
 import pytest
 
-from ffsm_drake.spacecraft.dynamics import dynamics_names
+from ffsm_drake.common.plugins import ENGINES, offered
 
-COMPILED = ("compiled", "generated")  # plug-ins, and the dynamics that they bring
+COMPILED = "compiled"
 
 
 @pytest.fixture(autouse=True)
 def _kept_code(request, tmp_path_factory, monkeypatch):
-    if request.path.parent.name in COMPILED:
+    if request.path.parent.name == COMPILED:
         folder = tmp_path_factory.getbasetemp() / "kept_code"
         monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
 
@@ -19,12 +19,11 @@ def _kept_code(request, tmp_path_factory, monkeypatch):
 def pytest_collection_modifyitems(items):
     """Without llvmlite, or the plug-in's entry point, these tests have nothing to test."""
     for item in items:
-        name = item.path.parent.name
-        if name not in COMPILED:
+        if item.path.parent.name != COMPILED:
             continue
         if not find_spec("llvmlite"):
-            reason = "needs llvmlite: pip install 'ffsm-drake[generated]'"
+            reason = "needs llvmlite: pip install 'ffsm-drake[compiled]'"
             item.add_marker(pytest.mark.skip(reason=reason))
-        elif name not in dynamics_names():
-            reason = "needs the entry point of the dynamics: pip install -e . again"
+        elif COMPILED not in offered(ENGINES):
+            reason = "needs the entry point of the engine: pip install -e . again"
             item.add_marker(pytest.mark.skip(reason=reason))

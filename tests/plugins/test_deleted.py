@@ -44,7 +44,6 @@ NEEDED = {
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
     "compiled": [],
     "equations": [],
-    "generated": [],
     "gymnasium": [],
     "inputs": [],
     "interactive": [

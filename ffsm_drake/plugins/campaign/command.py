@@ -72,20 +72,35 @@ _database_option = click.option(
 _cases_option = click.option(
     "--cases", type=click.IntRange(min=1), help="Number of cases, in place of the specification's."
 )
-_dynamics_option = click.option(
-    "--dynamics",
-    help="Implementation of the dynamics, in place of the specification's: drake, generated, or "
-    "generated_else_drake (Drake for the runs that generated does not cover).",
-)
-_OPTIONS = ("cases", "dynamics")  # keys of a specification that options replace
+
+
+def _engine_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Add ``--engine``, and its name until version 0.3."""
+
+    def refuse(_context: click.Context, _option: click.Parameter, name: str | None) -> None:
+        if name is not None:
+            raise click.UsageError("--dynamics: is now --engine; write --engine compiled, or drake")
+
+    old = click.option("--dynamics", hidden=True, expose_value=False, callback=refuse)
+    return old(
+        click.option(
+            "--engine",
+            metavar="NAME",
+            help="In place of the specification's: drake, or compiled for machine code, with Drake "
+            "for the runs that it does not cover.",
+        )(command)
+    )
+
+
+_OPTIONS = ("cases", "engine")  # keys of a specification that options replace
 
 
 @campaign.command()
 @click.argument("spec")
 @_cases_option
-@_dynamics_option
+@_engine_option
 @workers_option
-def plan(spec: str, cases: int | None, dynamics: str | None, workers: int | None) -> None:
+def plan(spec: str, cases: int | None, engine: str | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and estimate its run time.
 
     Runs cases with every controller, until one reaches its end, to estimate the time; writes
@@ -97,14 +112,14 @@ def plan(spec: str, cases: int | None, dynamics: str | None, workers: int | None
     """
     from ffsm_drake.plugins.campaign.plan import plan_text
 
-    click.echo(plan_text(_load(spec, cases, dynamics), workers=workers or processors()))
+    click.echo(plan_text(_load(spec, cases, engine), workers=workers or processors()))
 
 
 @campaign.command()
 @click.argument("spec")
 @_database_option
 @_cases_option
-@_dynamics_option
+@_engine_option
 @workers_option
 @_scheduler_option
 @_slurm_option
@@ -113,7 +128,7 @@ def run(
     spec: str,
     database: Path | None,
     cases: int | None,
-    dynamics: str | None,
+    engine: str | None,
     workers: int | None,
     scheduler: str | None,
     slurm: bool,
@@ -136,7 +151,7 @@ def run(
 
     part = Shard.parse(shard)
     path = database or _default_database(spec, "" if part == Shard() else f"-{shard}")
-    start = partial(start_campaign, _load(spec, cases, dynamics), shard=part)
+    start = partial(start_campaign, _load(spec, cases, engine), shard=part)
     _drive(start, path, workers, scheduler, slurm=slurm)
 
 
@@ -316,11 +331,14 @@ def report(
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
 
 
-def _load(spec: str, cases: int | None, dynamics: str | None) -> "Spec":
-    from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
+def _load(spec: str, cases: int | None, engine: str | None) -> "Spec":
+    from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data, why_not_compiled
+    from ffsm_drake.runs.engine import DRAKE
 
     loaded = load_spec(spec)
-    given = {"cases": cases, "dynamics": dynamics}
+    if engine is None and loaded.engine == DRAKE and (why := why_not_compiled()):
+        click.echo(f"{why}; this campaign runs on Drake, several times as slowly", err=True)
+    given = {"cases": cases, "engine": engine}
     changed = {name: value for name, value in given.items() if value is not None}
     return spec_from_data({**loaded.data, **changed}) if changed else loaded
 
@@ -341,7 +359,7 @@ def _locate(source: str, database: Path | None) -> Path:
         return Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
-        # The number of cases may differ, by --cases, and the dynamics by --dynamics.
+        # The number of cases may differ, by --cases, and the engine by --engine.
         options = {name: store.spec.data[name] for name in _OPTIONS if name in store.spec.data}
         shared = {name: value for name, value in spec.data.items() if name not in _OPTIONS}
         if store.spec.fingerprint != spec_from_data({**shared, **options}).fingerprint:

@@ -26,9 +26,10 @@ from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
 from ffsm_drake.plugins.campaign.prediction import predict_many
-from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
+from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, batches_of, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
+from ffsm_drake.runs.engine import DRAKE, find_engine, on_drake
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
@@ -38,7 +39,6 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import in_words
-from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.part import Metric, Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import section_parts
@@ -51,9 +51,9 @@ METRICS = (*(each.column_name for each in RUN_METRICS if each.column_name), "set
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # FIRST_LIMIT, which a run with a capture exceeds first, is text.
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
-# Further columns with other dynamics than Drake's: name of the dynamics; if the run was repeated
+# Further columns with another engine than Drake: the engine of the run; if the run was repeated
 # with Drake, its outcome and the largest difference of the errors, rad and m.
-DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE = "dynamics", "drake_outcome", "drake_difference"
+ENGINE, DRAKE_OUTCOME, DRAKE_DIFFERENCE = "engine", "drake_outcome", "drake_difference"
 _COMPARED = 100  # one case in so many runs with Drake, too
 DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
 NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot be linearised
@@ -64,9 +64,10 @@ def texts_of(spec: Spec) -> tuple[str, ...]:
     return (FIRST_LIMIT,) if spec.scenario.grasps else ()
 
 
-def dynamics_columns(spec: Spec) -> tuple[str, ...]:
-    """Return the columns of a campaign on the dynamics of its runs; none with Drake's."""
-    return () if spec.dynamics == DRAKE else (DYNAMICS, DRAKE_OUTCOME, DRAKE_DIFFERENCE)
+def engine_columns(spec: Spec) -> tuple[str, ...]:
+    """Return the columns of a campaign on the engine of its runs; none with Drake."""
+    name = OLD_ENGINE if OLD_ENGINE in spec.data else ENGINE
+    return () if spec.engine == DRAKE else (name, DRAKE_OUTCOME, DRAKE_DIFFERENCE)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -319,14 +320,14 @@ class Evaluator:
                     cases[case.index] = scenario
                 scenarios[place] = with_controller(cases[case.index], controller)
         places = list(scenarios)
-        if self._spec.dynamics == DRAKE:
+        if self._spec.engine == DRAKE:
             groups = batches_of(list(scenarios.values()), len(places))
             places = [places[at] for group in groups if len(group) > 1 for at in group]
         limit, logs = self._spec.time_limit * max(len(places), 1), dict[int, RunLog]()
         # alone each has its own, and reports an error
         with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
             given = [scenarios[place] for place in places]
-            for at, result in run_many(given, dynamics=self._spec.dynamics):
+            for at, result in run_many(given, engine=self._spec.engine):
                 if isinstance(result, RunLog):
                     logs[places[at]] = result
         return logs
@@ -343,13 +344,13 @@ class Evaluator:
         its predictions.
         """
         start = time.perf_counter()
-        own = dynamics_columns(self._spec)
+        own = engine_columns(self._spec)
         row: Row = dict.fromkeys((*self._metrics, *self._predictions, *own))
         try:
             with guarded, time_limit(self._spec.time_limit):
                 if log is None:
                     log = self._run(timed(scenario_of(self._spec, case, controller)))
-                row |= evaluate_run(self._spec, log) | self._dynamics_of(log, case)
+                row |= evaluate_run(self._spec, log) | self._engine_of(log, case)
                 if self._spec.predictions:
                     row |= self._predicted(log.scenario, row["message"], foreseen)
         except LimitError as error:  # no motion keeps the limits
@@ -377,12 +378,12 @@ class Evaluator:
             why = f"{NO_PREDICTION}{one_line(error)}"
             return {"message": "; ".join(filter(None, (message, why)))}
 
-    def _dynamics_of(self, log: RunLog, case: Case) -> Row:
-        """Return the columns ``dynamics_columns`` of a run."""
-        if self._spec.dynamics == DRAKE:
+    def _engine_of(self, log: RunLog, case: Case) -> Row:
+        """Return the columns ``engine_columns`` of a run."""
+        if self._spec.engine == DRAKE:
             return {}
-        row: Row = {DYNAMICS: log.dynamics}
-        if case.index % _COMPARED == 0 and not log.dynamics.startswith(DRAKE):
+        row: Row = {ENGINE: log.engine}
+        if case.index % _COMPARED == 0 and not log.engine.startswith(DRAKE):
             other = self._run_with_drake(log.scenario)
             count = min(log.time.size, other.time.size)
             difference = np.abs(log.error[:count] - other.error[:count]).max()
@@ -391,12 +392,12 @@ class Evaluator:
         return row
 
     def _run(self, scenario: Scenario) -> RunLog:
-        if self._spec.dynamics == DRAKE:
+        if (engine := find_engine(self._spec.engine)) is None:
             return self._run_with_drake(scenario)
-        ((_, result),) = run_many([scenario], dynamics=self._spec.dynamics)
-        if isinstance(result, Exception):
-            raise result
-        return result
+        (found,) = engine.run_all([scenario])
+        if isinstance(found, RunLog):
+            return found
+        return dataclasses.replace(self._run_with_drake(scenario), engine=on_drake(found))
 
     def _run_with_drake(self, scenario: Scenario) -> RunLog:
         kept = self._rollouts.setdefault(scenario.controller, Kept(make_rollout))

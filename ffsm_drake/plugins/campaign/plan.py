@@ -1,7 +1,9 @@
 """The plan and the status of a campaign, as plain text."""
 
+import collections
 import itertools
 import statistics
+from collections.abc import Mapping
 
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
@@ -10,17 +12,17 @@ from ffsm_drake.plugins.campaign.evaluate import (
     COMPLETED,
     DRAKE_DIFFERENCE,
     DRAKE_OUTCOME,
-    DYNAMICS,
+    ENGINE,
     NO_PREDICTION,
     OUTCOMES,
     Evaluator,
     Row,
-    dynamics_columns,
+    engine_columns,
 )
 from ffsm_drake.plugins.campaign.run import MEMORY_LIMIT, check_cases, duration_text
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.store import Store
-from ffsm_drake.spacecraft.dynamics import DRAKE
+from ffsm_drake.runs.engine import DRAKE
 
 _SHOWN = 5
 _WINDOW = 1000  # runs over which memory is averaged
@@ -79,6 +81,9 @@ def plan_text(spec: Spec, *, workers: int) -> str:
         f"one run: {per_run}; all of them with {counted(workers, 'worker')}: about "
         f"{duration_text(total)}",
     ]
+    if engine_columns(spec):
+        engines = collections.Counter(filter(None, (row[ENGINE] for row in rows.values())))
+        lines += _engine_lines(spec, {name: n * spec.cases for name, n in engines.items()})
     lines += problems.values()
     if early := [name for name, row in rows.items() if row["outcome"] not in COMPLETED]:
         lines.append(
@@ -117,7 +122,7 @@ def status_text(store: Store) -> str:
             + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
             + f"{mean:>9}"
         )
-    lines += _compared(store)
+    lines += _engines(store)
     memory = (
         "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index "
         "{} LIMIT ?)"
@@ -136,24 +141,38 @@ def status_text(store: Store) -> str:
     return "\n".join(lines)
 
 
-def _compared(store: Store) -> list[str]:
-    """How the runs that ran with Drake too compare."""
-    if not dynamics_columns(store.spec):
+def _engines(store: Store) -> list[str]:
+    """Number of runs with the engine and with Drake, and how those with both compare."""
+    if not (columns := engine_columns(store.spec)):
         return []
+    name = columns[0]
+    counts = f"SELECT {name}, count(*) FROM results WHERE {name} IS NOT NULL GROUP BY 1"
+    lines = _engine_lines(store.spec, dict(store.query(counts)))
     select = (
         f"SELECT count(*), max({DRAKE_DIFFERENCE}), total({DRAKE_OUTCOME} != outcome) FROM results "
         f"WHERE {DRAKE_OUTCOME} IS NOT NULL"
     )
     runs, difference, outcomes = next(store.query(select))
-    other = f"SELECT count(*) FROM results WHERE {DYNAMICS} LIKE '{DRAKE}%'"
-    ((left,),) = store.query(other)
-    lines = [f"dynamics: {store.spec.dynamics}; {counted(left, 'run')} left to Drake"]
     if runs:
         lines[0] += (
-            f"; {runs} run with both: {outcomes:.0f} outcomes differ, errors by at most "
+            f"; {runs} run with Drake too: {outcomes:.0f} outcomes differ, errors by at most "
             f"{difference:.1e} (rad, m)"
         )
     return ["", *lines]
+
+
+def _engine_lines(spec: Spec, counts: Mapping[str, int]) -> list[str]:
+    """The engine of a campaign, and a line for each reason of runs on Drake: those that are most
+    frequent.
+    """
+    left = {name: runs for name, runs in counts.items() if name.startswith(DRAKE)}
+    lines = [f"engine: {spec.engine}, {counted(sum(counts.values()) - sum(left.values()), 'run')}"]
+    ranked = sorted(left, key=lambda name: -left[name])
+    lines += [f"engine: {name}, {counted(left[name], 'run')}" for name in ranked[:_SHOWN]]
+    if more := ranked[_SHOWN:]:
+        runs = counted(sum(left[name] for name in more), "run")
+        lines.append(f"engine: {DRAKE}, for {counted(len(more), 'other reason')}: {runs}")
+    return lines
 
 
 def _short(spec: Spec, name: str, case: Case) -> str:

@@ -32,15 +32,15 @@ from ffsm_drake.plugins.campaign.evaluate import (
     evaluate,
     evaluate_run,
 )
-from ffsm_drake.plugins.campaign.spec import Spec, load_spec
+from ffsm_drake.plugins.campaign.spec import Spec, check_engine, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
 from ffsm_drake.runs.batches import run_many, runs_alone, usual_batch
+from ffsm_drake.runs.engine import DRAKE, find_engine
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.dynamics import DRAKE, find_dynamics
 from ffsm_drake.systems.reference import timed
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
@@ -108,7 +108,7 @@ def check_cases(spec: Spec) -> None:
       CampaignError, ModelError, ScenarioError: every run would fail.
     """
     check_columns(spec)
-    find_dynamics(spec.dynamics)
+    check_engine(spec)
     for controller in spec.controllers:
         problem: Exception | None = None
         for case in itertools.islice(make_cases(spec), _TRIED):
@@ -251,6 +251,7 @@ def _drive(
     batch: int | None,
     progress: Callable[[Progress], None] | None,
 ) -> None:
+    check_engine(store.spec)
     campaign, start, total = store.spec.to_json(), time.perf_counter(), store.runs
     before = store.num_results()
     tally = {"session": 0, "failed": 0, "unsettled": 0}
@@ -266,16 +267,15 @@ def _drive(
     # so small that the workers end at about the same time
     share = (total - before) // (_BATCHES_EACH * workers.in_flight())
     first = itertools.islice(store.pending(), 1)
-    usual = usual_batch(
-        find_dynamics(store.spec.dynamics).dynamics, samples=store.spec.scenario.num_control_periods
-    )
+    samples = store.spec.scenario.num_control_periods
+    usual = usual_batch(find_engine(store.spec.engine), samples=samples)
     most = max(1, min(batch or usual, share))
     with contextlib.suppress(FfsmError):  # an error becomes a row
         if any(runs_alone(scenario_of(store.spec, *each)) for each in first):
             most = 1  # each result is kept as soon as it is there
     sizes = BatchSizes(most)
     # the runs of a case share much, unless controllers cannot share a diagram
-    apart = store.spec.controllers if store.spec.dynamics == DRAKE else ()
+    apart = store.spec.controllers if store.spec.engine == DRAKE else ()
     results = run_tasks(
         evaluate,
         batches(store.pending(), size=sizes, apart=apart),
@@ -327,8 +327,8 @@ class Repeated:
     differences: list[str]  # columns that differ
 
 
-def _run_again(scenario: Scenario, dynamics: str) -> RunLog:
-    ((_, result),) = run_many([timed(scenario)], dynamics=dynamics)
+def _run_again(scenario: Scenario, engine: str) -> RunLog:
+    ((_, result),) = run_many([timed(scenario)], engine=engine)
     if isinstance(result, Exception):
         raise result
     return result
@@ -340,12 +340,13 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     Raises:
       CampaignError: the database holds no such run.
     """
+    check_engine(store.spec)
     stored = store.result(case.index, controller)
     start, log = time.perf_counter(), None
     try:
         name = f"case {case.index} with {controller}"
         with step(name), guarded, time_limit(store.spec.time_limit):
-            log = _run_again(scenario_of(store.spec, case, controller), store.spec.dynamics)
+            log = _run_again(scenario_of(store.spec, case, controller), store.spec.engine)
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
+from ffsm_drake.common.errors import CampaignError, FfsmError, ScenarioError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.plugins.campaign.dispersion import (
     SAMPLINGS,
@@ -26,6 +26,7 @@ from ffsm_drake.plugins.campaign.dispersion import (
     parse_distribution,
     parse_rule,
 )
+from ffsm_drake.runs.engine import DRAKE, find_engine
 from ffsm_drake.scenario import (
     Scenario,
     anchor_paths,
@@ -42,7 +43,6 @@ from ffsm_drake.scenario.layers import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.show.style import label_of
 from ffsm_drake.spacecraft.coordinates import GROUPS
-from ffsm_drake.spacecraft.dynamics import DRAKE
 from ffsm_drake.systems.registry import find_factory, module_folder
 
 if TYPE_CHECKING:
@@ -63,13 +63,16 @@ _KEYS = (
     "settled",
     "time_limit",
     "predictions",
-    "dynamics",
+    "engine",
 )
 # cases, values of a case, points drawn in all
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
 _LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
 _LABEL = 60  # characters
 _TIME_LIMIT = 600.0  # s
+COMPILED = "compiled"
+OLD_ENGINE = "dynamics"  # the name of the key ``engine`` until version 0.3
+_NEW = f"is now 'engine'; write engine: {COMPILED}, or engine: {DRAKE}"
 # Keys that the campaign itself sets.
 _RESERVED = {
     "random_seed": "follows from 'seed' and the case's number",
@@ -123,7 +126,7 @@ class Spec:
     settled: Settled
     time_limit: float  # s of wall time; a run that takes longer becomes an error row
     predictions: bool = True  # whether stability is predicted beside each run
-    dynamics: str = DRAKE  # computation of the motion, see ``find_dynamics``
+    engine: str = DRAKE  # see ``find_engine``; Drake computes what another one does not cover
 
     @property
     def base(self) -> dict[str, Any]:
@@ -197,6 +200,22 @@ class Spec:
         return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()
 
 
+def why_not_compiled() -> str:
+    """Return why COMPILED, the default engine, cannot be used here; empty: it can."""
+    try:
+        find_engine(COMPILED)
+    except FfsmError as error:
+        return one_line(error)
+    return ""
+
+
+def check_engine(spec: Spec) -> None:
+    """Raise FfsmError unless the engine of a campaign can be used here."""
+    if spec.data.get(OLD_ENGINE, DRAKE) != DRAKE:
+        raise CampaignError(f"{OLD_ENGINE}: {_NEW}, into a new database")
+    find_engine(spec.engine)
+
+
 def shipped_campaigns() -> dict[str, Path]:
     """Return the campaigns that ship with the package: name -> file."""
     return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
@@ -226,8 +245,11 @@ def load_spec(name_or_path: str | Path) -> Spec:
         raise CampaignError(f"{path}: must be a mapping with keys {', '.join(_KEYS)}")
     try:
         check_plain(data, place="specification")
+        if OLD_ENGINE in data:
+            raise CampaignError(f"{OLD_ENGINE}: {_NEW}")
         check_keys(data, _KEYS, place="specification")
-        whole = {**data, "base": _base(data, folder=path.parent)}
+        engine = DRAKE if why_not_compiled() else COMPILED
+        whole = {"engine": engine, **data, "base": _base(data, folder=path.parent)}
         _anchor_policies(whole, path.parent)
         spec = spec_from_data(whole)
         return _with_python_path(spec)
@@ -283,9 +305,9 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     predictions = data.get("predictions", True)
     if not isinstance(predictions, bool):
         raise CampaignError(f"predictions: must be true or false, not {predictions!r}")
-    dynamics = data.get("dynamics", DRAKE)
-    if not isinstance(dynamics, str):
-        raise CampaignError(f"dynamics: must be a name, such as {DRAKE}, not {shown(dynamics)}")
+    engine = data.get("engine", data.get(OLD_ENGINE, DRAKE))
+    if not isinstance(engine, str):
+        raise CampaignError(f"engine: must be a name, such as {DRAKE}, not {shown(engine)}")
     sampling = data.get("sampling", SAMPLINGS[0])
     if sampling not in SAMPLINGS:
         raise CampaignError(
@@ -323,7 +345,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         ),
         time_limit=time_limit,
         predictions=predictions,
-        dynamics=dynamics,
+        engine=engine,
     )
     _check_names(spec)
     labels = data.get("labels", {})

@@ -28,21 +28,21 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.campaign.cases import Case
 from ffsm_drake.plugins.campaign.evaluate import (
     DRAKE_OUTCOME,
-    DYNAMICS,
+    ENGINE,
     FIRST_LIMIT,
     OUTCOMES,
     Batch,
     Row,
-    dynamics_columns,
+    engine_columns,
     metrics_of,
     predictions_of,
     texts_of,
 )
-from ffsm_drake.plugins.campaign.spec import Spec, spec_from_json
+from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
 
 FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
-_TEXT = ("outcome", "message", "worker", FIRST_LIMIT, DYNAMICS, DRAKE_OUTCOME)
+_TEXT = ("outcome", "message", "worker", FIRST_LIMIT, ENGINE, OLD_ENGINE, DRAKE_OUTCOME)
 _CHUNK, _EXPORTED = 200, 10_000  # cases, and rows of an export, held at a time
 PATIENCE = 5.0  # s to wait for another program's lock
 
@@ -574,7 +574,7 @@ def result_columns(spec: Spec) -> tuple[str, ...]:
         "message",
         *texts_of(spec),
         *numbers,
-        *dynamics_columns(spec),
+        *engine_columns(spec),
         "wall_time",
         "worker",
         "rss_mib",

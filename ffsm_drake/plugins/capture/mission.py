@@ -23,7 +23,6 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Progress
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.systems.registry import Factory
 
 
@@ -36,11 +35,10 @@ class MissionRollout:
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
-        dynamics: Dynamics | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
-        self._blocks, self._dynamics = blocks, dynamics
-        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat, dynamics=dynamics)
+        self._blocks = blocks
+        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
         self._scenarios = _as_tuple(scenario)
         self._approach = None
         first = self._scenarios[0]
@@ -53,7 +51,6 @@ class MissionRollout:
                 blocks=blocks,
                 meshcat=meshcat,
                 show=show,
-                dynamics=dynamics,
             )
 
     @property
@@ -113,7 +110,6 @@ class MissionRollout:
         mission = kind(
             [Handover(each) for each in scenarios],
             progress,
-            make=functools.partial(Rollout, dynamics=self._dynamics),
             blocks=self._blocks,
             kept={True: self._stop, False: self._approach},
         )

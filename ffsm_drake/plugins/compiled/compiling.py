@@ -32,7 +32,7 @@ def llvm() -> Any:
     try:
         import llvmlite.binding
     except ImportError as error:
-        problem = f"dynamics: generated: {one_line(error)}; pip install 'ffsm-drake[generated]'"
+        problem = f"engine: compiled: {one_line(error)}; pip install 'ffsm-drake[compiled]'"
         raise FfsmError(problem) from error
     llvmlite.binding.initialize_native_target()
     llvmlite.binding.initialize_native_asmprinter()

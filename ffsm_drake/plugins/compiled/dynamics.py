@@ -1,4 +1,4 @@
-"""Dynamics ``compiled``: whole runs in machine code, compared with Drake before the first use."""
+"""The engine ``compiled``: whole runs in machine code, compared with Drake before the first use."""
 
 import collections
 import functools
@@ -20,11 +20,11 @@ from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import group_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
+from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.dynamics import Dynamics, NotCovered
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import SampledController, make_controller
@@ -47,19 +47,17 @@ class Diverges(NotCovered):
     """Nothing can be said of the code by this run."""
 
 
-class Compiled(Dynamics):
+class Compiled(Engine):
     """Runs in machine code, as many at once as a register holds."""
 
     name = "compiled"
-    batch = 64
-    runs_whole = True
 
     def __init__(self) -> None:
         """Raises FfsmError: llvmlite is missing."""
         llvm()
 
     def check(self, scenario: Scenario) -> None:
-        """See Dynamics."""
+        """See Engine."""
         config = scenario.simulator_config
         steps = steps_of(scenario.sample_time, config.max_step_size)
         own = set(scenario.blocks.choices()) | {name for name, is_there in (
@@ -80,7 +78,7 @@ class Compiled(Dynamics):
             raise NotCovered(", ".join(sorted(own)))
 
     def run_all(self, scenarios: Sequence[Scenario]) -> list[RunLog | NotCovered | None]:
-        """See Dynamics."""
+        """See Engine."""
         results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
         groups: dict[Any, list[tuple[int, _Run]]] = {}
         for index, scenario in enumerate(scenarios):
@@ -303,7 +301,7 @@ def _log(
         coordinates=run.coordinates,
         split=run.true.split,
         sliding_unit=str(run.law.sliding_unit),
-        dynamics=Compiled.name,
+        engine=Compiled.name,
         parts=parts,
         time=times,
         series={

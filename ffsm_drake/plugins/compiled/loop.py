@@ -253,9 +253,7 @@ class Blocks:
             "waiting_after": waiting[: -self.nv],
         }
 
-    def _law(
-        self, cells: Any, measured: Any, is_new: Any, *, is_first: bool
-    ) -> tuple[Any, Any]:
+    def _law(self, cells: Any, measured: Any, is_new: Any, *, is_first: bool) -> tuple[Any, Any]:
         """The force and the law's memory after a sample, see ``SampledController.step``."""
         law, nq, nx = with_symbols(self.law, cells.law, _traced_model), self.nq, self.nq + self.nv
         memory, taken = dict[str, Any](), 0

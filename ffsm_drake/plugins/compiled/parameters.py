@@ -13,7 +13,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.plugins.equations.tree import Reader
-from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import gains_of

@@ -12,8 +12,8 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.dynamics import Compiled, _Run
 from ffsm_drake.plugins.compiled.kernel import Slopes
+from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.dynamics import NotCovered
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _KEPT = 32  # codes

@@ -15,7 +15,7 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import (
     COMMANDS,
     CONTROLLER_FILES,
-    DYNAMICS,
+    ENGINES,
     EXPORTERS,
     LIVE,
     load,
@@ -126,7 +126,7 @@ def _plugins() -> str:
         "files": EXPORTERS,
         "live": LIVE,
         "laws": CONTROLLER_FILES,
-        "dynamics": DYNAMICS,
+        "engines": ENGINES,
     }
     for group in groups.values():
         for name in offered(group):

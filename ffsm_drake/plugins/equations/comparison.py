@@ -11,8 +11,8 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.plugins.equations.equations import bias, derivative, mass_matrix
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Reader, Tree
+from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft import coordinates
-from ffsm_drake.spacecraft.dynamics import NotCovered
 
 LARGEST_DIFFERENCE = 1e-11  # from Drake, as a share of the terms of an equation
 _STATES = 8

@@ -17,7 +17,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from ffsm_drake.spacecraft.dynamics import NotCovered
+from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.inertia import SIX
 
 _INERTIA = 10  # parameters of a body: mass, mass times centre of mass, inertia xx yy zz xy xz yz

@@ -27,7 +27,6 @@ from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
-from ffsm_drake.spacecraft.dynamics import Dynamics
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.side_by_side import NotAlike
 
@@ -43,14 +42,13 @@ class LaterHandsRollout:
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
-        dynamics: Dynamics | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
         first, *others = [scenario] if isinstance(scenario, Scenario) else scenario
         if others:
             raise NotAlike("a spacecraft with a closed chain runs alone")
         self._scenario = first
-        how: Any = {"blocks": blocks, "meshcat": meshcat, "dynamics": dynamics}
+        how: Any = {"blocks": blocks, "meshcat": meshcat}
         self._rollouts: dict[float, Any] = {}
         for time in closing_times(first):
             kind = Rollout if self._rollouts else make_rollout

@@ -1,5 +1,6 @@
 """Every kind of dispersed value reaches the plant or the controller: the run's series change."""
 
+import dataclasses
 import gc
 
 import pytest
@@ -117,7 +118,11 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
     mass = {"distribution": "uniform", "low": 20, "high": 300}
     spec = load_spec(
         write_spec(
-            tmp_path / "s.yaml", parameters={"payload.truth.mass": mass}, factors={}, derive={}
+            tmp_path / "s.yaml",
+            parameters={"payload.truth.mass": mass},
+            factors={},
+            derive={},
+            engine="drake",
         )
     )
     evaluator = Evaluator(spec)
@@ -144,7 +149,7 @@ def test_a_case_that_cannot_be_built_leaves_nothing_of_the_one_before(spec, monk
     def refuse(*arguments, **settings):
         raise LimitError("capture.approach.start", "no start is clear", limit="clearance")
 
-    evaluator = Evaluator(spec)
+    evaluator = Evaluator(dataclasses.replace(spec, engine="drake"))
     before = evaluator.evaluate(first, "tdc")
     with monkeypatch.context() as patched:
         patched.setattr("ffsm_drake.runs.rollout.Rollout", refuse)

@@ -71,7 +71,7 @@ def check(record, folder):
     record.save(folder)
     found = RunRecord.load(folder)
     assert found.dataset.identical(record.dataset)
-    for name in ("scenario", "outcome", "parts", "software", "dynamics"):
+    for name in ("scenario", "outcome", "parts", "software", "engine"):
         told = [json.dumps(getattr(each, name), default=repr) for each in (found, record)]
         assert told[0] == told[1] or name == "scenario", name
     given = set(record.dataset.data_vars)

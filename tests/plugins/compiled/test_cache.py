@@ -1,24 +1,25 @@
 """Compiled code on disk: used again, and made again where it is not what was written."""
 
+import numpy as np
 import pytest
+from compiled_equations import compiled
 from drawn_trees import drawn_tree
 
 from ffsm_drake.plugins.compiled import compiling
+from ffsm_drake.plugins.equations.equations import bias
 from ffsm_drake.plugins.equations.tree import Reader
-from ffsm_drake.plugins.generated.comparison import Differences
-from ffsm_drake.plugins.generated.kernels import Kernels
 
 
 @pytest.fixture
-def plant():
-    return drawn_tree(5, 1)
+def tree():
+    return Reader(drawn_tree(5, 1)).tree
 
 
 @pytest.fixture
-def kept(tmp_path, monkeypatch, plant):
-    """The file with the plant's code."""
+def kept(tmp_path, monkeypatch, tree):
+    """The file with the code."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    Kernels(Reader(plant).tree)
+    compiled("bias", tree)
     (file,) = (tmp_path / "ffsm_drake" / "compiled").iterdir()
     return file
 
@@ -31,13 +32,16 @@ def compilations(monkeypatch):
     return made
 
 
-def works(plant):
-    return Differences(Kernels(Reader(plant).tree), plant).largest < 1e-13
+def works(tree):
+    sizes = tree.num_positions, tree.num_velocities, tree.num_parameters
+    q, v, own = (np.full((1, size), 0.5) for size in sizes)
+    expected = bias(tree, *(each[0].tolist() for each in (q, v, own)))
+    return np.allclose(compiled("bias", tree)(q, v, own)[0], expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.smoke
-def test_code_is_compiled_once(kept, plant, compilations):
-    assert works(plant)
+def test_code_is_compiled_once(kept, tree, compilations):
+    assert works(tree)
     assert not compilations
     assert not kept.stat().st_mode & 0o077
 
@@ -61,30 +65,30 @@ def another_file(file):
 
 
 @pytest.mark.parametrize("damage", [truncated, with_another_bit, empty, another_file])
-def test_damaged_code_is_compiled_again(kept, plant, compilations, damage):
+def test_damaged_code_is_compiled_again(kept, tree, compilations, damage):
     whole = kept.read_bytes()
     damage(kept)
-    assert works(plant)
+    assert works(tree)
     assert len(compilations) == 1
     assert kept.read_bytes() == whole
 
 
-def test_code_that_others_may_write_is_not_used(kept, plant, compilations):
+def test_code_that_others_may_write_is_not_used(kept, tree, compilations):
     kept.chmod(0o666)
-    assert works(plant)
+    assert works(tree)
     assert len(compilations) == 1
 
 
 @pytest.mark.slow
-def test_another_tree_or_version_has_another_file(kept, plant, compilations, monkeypatch):
-    Kernels(Reader(drawn_tree(6, 1)).tree)
+def test_another_tree_or_version_has_another_file(kept, tree, compilations, monkeypatch):
+    compiled("bias", Reader(drawn_tree(6, 1)).tree)
     monkeypatch.setattr(compiling, "_generator", lambda: b"another")
-    Kernels(Reader(plant).tree)
+    compiled("bias", tree)
     assert len(compilations) == 2
     assert len(list(kept.parent.iterdir())) == 3
 
 
 @pytest.mark.parametrize("home", ["/dev/null", "/proc/nowhere"])
-def test_a_folder_that_cannot_be_written_does_not_matter(plant, home, monkeypatch):
+def test_a_folder_that_cannot_be_written_does_not_matter(tree, home, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", home)
-    assert works(plant)
+    assert works(tree)

@@ -1,0 +1,59 @@
+"""Choice of what computes a run: Drake, or a plug-in's engine by name."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ffsm_drake.common.errors import FfsmError, choices
+from ffsm_drake.common.plugins import ENGINES, load, offered
+from ffsm_drake.scenario import Scenario
+
+DRAKE = "drake"
+FAILS = "the run fails or diverges"
+
+
+class NotCovered(FfsmError):
+    """An engine does not compute a spacecraft, a law or a run."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"engine: not covered: {what}; use the engine {DRAKE}")
+        self.what = what
+
+
+class Engine:
+    """Computes whole runs; plug-ins derive from it (entry point group ``ENGINES``)."""
+
+    name: str
+    batch = 64  # usual number of runs at once
+
+    def check(self, scenario: Scenario) -> None:
+        """Raise NotCovered for a scenario whose settings show that it is not covered."""
+
+    def run_all(self, scenarios: Sequence[Scenario]) -> Sequence[Any]:
+        """Return the log (``RunLog``) of each run. In its place, NotCovered: it is not computed; None: it fails
+        or diverges, so that Drake's run shows how.
+        """
+        raise NotImplementedError
+
+
+def on_drake(found: NotCovered | None) -> str:
+    """Return the engine in the log of a run that Drake computes for another engine, which returned
+    this in its place.
+    """
+    return f"{DRAKE} ({FAILS if found is None else f'not covered: {found.what}'})"
+
+
+def find_engine(name: str) -> Engine | None:
+    """Return the engine of a name; None: Drake.
+
+    Raises:
+      FfsmError: the name is unknown, or the engine needs a package that is not installed.
+      BlockError: the plug-in cannot be loaded.
+    """
+    if name == DRAKE:
+        return None
+    known = [DRAKE, *offered(ENGINES)]
+    if name not in known:
+        raise FfsmError(f"engine: '{name}' is unknown; choose one of {choices(name, known)}")
+    made: Any = load(ENGINES, name, "engine")
+    engine: Engine = made()
+    return engine
