@@ -29,8 +29,8 @@ class Engine:
         """Raise NotCovered for a scenario whose settings show that it is not covered."""
 
     def run_all(self, scenarios: Sequence[Scenario]) -> Sequence[Any]:
-        """Return the log (``RunLog``) of each run. In its place, NotCovered: it is not computed; None: it fails
-        or diverges, so that Drake's run shows how.
+        """Return the log (``RunLog``) of each run. In its place, NotCovered: it is not computed;
+        None: it fails or diverges, so that Drake's run shows how.
         """
         raise NotImplementedError
 
