@@ -92,7 +92,7 @@ class Sensor(NamedTuple):
 
     period: int
     delay: int
-    entries: np.ndarray
+    entries: Any  # array of indices
 
     @property
     def kept(self) -> int:

@@ -1,39 +1,16 @@
-"""Compiled runs against Drake's, and laws that cannot be compiled."""
+"""Compiled runs against Drake's."""
 
 import dataclasses
-import itertools
-import sys
-import time
-from typing import ClassVar
 
 import numpy as np
 import pytest
+from compared_runs import check
 
-from ffsm_drake import ControlLaw, FfsmError, gain, load_scenario, simulate, simulate_many
+from ffsm_drake import FfsmError, load_scenario, simulate, simulate_many
 from ffsm_drake.plugins.compiled.noise import noise_of
-from ffsm_drake.plugins.compiled.parameters import parameters_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.sensing import SensorErrors
-
-SAME = {"position": 1e-10, "velocity": 1e-10, "error": 1e-10}  # m, rad, and per second
-OTHERS = 1e-7  # share of the largest value
-
-
-def check(scenarios):
-    """Equal to Drake's runs but for rounding. Returns the records."""
-    found = simulate_many(scenarios, engine="compiled")
-    for record, other in zip(found, simulate_many(scenarios), strict=True):
-        assert record.outcome == other.outcome
-        completed = other.outcome.status == "completed"
-        assert record.engine == ("compiled" if completed else "drake (the run fails or diverges)")
-        assert set(record.dataset.variables) == set(other.dataset.variables)
-        for name, values in other.dataset.data_vars.items():
-            if values.dtype == float:
-                bound = SAME.get(name, OTHERS * max(1.0, float(np.abs(values).max())))
-                difference = np.abs(record.dataset[name].values - values.values).max()
-                assert difference < bound, name
-    return found
 
 
 def varied(given, count):
@@ -142,6 +119,7 @@ def test_code_is_compared_with_the_first_run_that_completes():
     [
         "environment.solar_pressure.area=10",
         "blocks.forces={drag: {system: 'tests_drag:none'}}",
+        "actuation.drives={coulomb_friction: 0.1}",
         "simulator_config.use_error_control=true",
     ],
 )
@@ -164,114 +142,3 @@ def test_it_says_what_is_not_covered():
     for record, other in zip(left, simulate_many(others), strict=True):
         assert record.engine.startswith("drake (not covered: actuation.thrusters")
         assert record.dataset.identical(other.dataset)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Pd(ControlLaw):
-    """An honest law; the ones below each break the contract."""
-
-    k_p: np.ndarray = gain(20.0)
-    k_d: np.ndarray = gain(60.0)
-
-    def step(self, sample, state):
-        return self.force(sample), state
-
-    def force(self, sample):
-        return self.k_p * sample.e + self.k_d * sample.e_dot
-
-
-class Counts(Pd):
-    calls: ClassVar = itertools.count()
-
-    def force(self, sample):
-        return super().force(sample) + 1e-3 * next(self.calls)
-
-
-class Draws(Pd):
-    def force(self, sample):
-        return super().force(sample) + np.random.default_rng().normal(size=sample.e.size)
-
-
-class Branches(Pd):
-    def force(self, sample):
-        return super().force(sample) * (0.5 if np.abs(sample.e).max() > 0.1 else 1.0)
-
-
-class Caches(Pd):
-    kept: ClassVar = {}
-
-    def force(self, sample):
-        before = self.kept.get("e", sample.e)
-        self.kept["e"] = sample.e.copy()
-        return super().force(sample) + 5.0 * (sample.e - before)
-
-
-class Writes(Pd):
-    def force(self, sample):
-        sample.v[:] = 0.0
-        return super().force(sample)
-
-
-class Clock(Pd):
-    def force(self, sample):
-        return super().force(sample) + time.perf_counter() % 1.0
-
-
-class Solves(Pd):
-    """Without exchange of rows, the elimination divides by zero."""
-
-    def force(self, sample):
-        n = sample.e.size
-        swap = np.eye(n)[::-1] + 0.0 * sample.e[:, None]
-        return np.linalg.solve(swap + 1e-18 * np.diag(sample.e), super().force(sample))
-
-
-class Shape(Pd):
-    def force(self, sample):
-        return super().force(sample)[:-1]
-
-
-class Names(Pd):
-    def step(self, sample, state):
-        return self.force(sample), {"more": sample.e}
-
-
-HOSTILE = (Counts, Draws, Branches, Caches, Writes, Clock, Solves, Shape, Names)
-
-
-def runs_of(law, count, monkeypatch):
-    module = sys.modules[__name__]
-    monkeypatch.setitem(sys.modules, "hostile_laws", module)
-    scenarios = [
-        load_scenario(
-            "postcapture",
-            ["duration=0.2", f"random_seed={k}", f"controller=hostile_laws:{law.__name__}"],
-        )
-        for k in range(count)
-    ]
-    return simulate_many(scenarios, engine="compiled", keep_errors=True)
-
-
-def test_a_law_of_a_user_joins_by_itself(monkeypatch):
-    found = runs_of(Pd, 2, monkeypatch)
-    assert {record.engine for record in found} == {"compiled"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", HOSTILE, ids=lambda law: law.__name__)
-def test_laws_that_break_the_contract_are_not_compiled(law, monkeypatch):
-    for record in runs_of(law, 2, monkeypatch):
-        if isinstance(record, Exception):  # as with Drake
-            assert law in (Caches, Writes, Shape, Names), record
-        else:
-            assert record.engine.startswith("drake ("), record.engine
-
-
-@pytest.mark.parametrize("field", [[1.0], {"a": 1.0}, {1.0}, object(), len])
-def test_fields_of_unknown_kinds_are_refused(field):
-    @dataclasses.dataclass(frozen=True, kw_only=True)
-    class Law(Pd):
-        other: object = None
-
-    with pytest.raises(NotCovered, match="field other"):
-        parameters_of(Law(k_p=np.ones(3), k_d=np.ones(3), other=field))

@@ -1,0 +1,112 @@
+"""Shipped scenarios, and drawn sensors, flexible parts, captures and bases, compiled."""
+
+import os
+
+import numpy as np
+import pytest
+from compared_runs import check, of_seeds
+
+DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
+SHIPPED = {
+    "flight_sensors": [],
+    "slow_navigation": ["duration=1.3", "reference.duration=1.3"],  # past a late measurement
+    "flexible_panels": [],
+    "planar_detumble": [],
+    "envisat": [],
+    "seven_joint": [],
+    "paper": [],
+    "ets_vii": [],
+    "reaction_null": [],
+    "free_floating": ["controller=tdc"],
+}
+LAWS = (
+    "tdc", "asmc", "aismc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time",
+    "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "coordinated",
+)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenarios_have_the_runs_of_drake(name):
+    check(of_seeds(name, ["duration=0.2", *SHIPPED[name]], 2))
+
+
+def some(random, most, groups):
+    """Whole numbers up to a largest one, for some groups of coordinates."""
+    chosen = [group for group in groups if random.random() < 0.5]
+    values = ", ".join(f"{group}: {random.integers(1, most + 1)}" for group in chosen)
+    return f"{{{values}}}"
+
+
+def late_sensors(random):
+    """Periods and delays of each group, and of the force."""
+    groups = "base_rotation", "base_position", "joints"
+    sensors = [
+        f"sensing.{what}_{how}={some(random, 6, groups)}"
+        for what in ("position", "velocity")
+        for how in ("period", "delay")
+    ]
+    more = [
+        f"actuation.delay={random.integers(3)}",
+        f"sensing.delay={random.integers(3)}",
+        f"estimator.kind={random.choice(['kalman', 'one_sample'])}",
+        "estimator.velocity_bias_walk={base_rotation: 1.0e-6}" if random.random() < 0.5 else "",
+    ]
+    return "flight_sensors", [*sensors, *filter(None, more)]
+
+
+def flexible_parts(random):
+    """Up to three parts of any kind on the base."""
+    kinds = {
+        "panel": "plates: {n}, frequency: {f}",
+        "pendulum": "frequency: {f}, length: 0.3",
+        "mass": "frequency: {f}",
+        "beam": "frequencies: [{f}, 2.5]",
+    }
+    parts = []
+    for i in range(random.integers(1, 4)):
+        kind = str(random.choice(list(kinds)))
+        own = kinds[kind].format(n=random.integers(1, 3), f=round(random.uniform(0.2, 1.0), 3))
+        place = np.round(random.uniform(-1.0, 1.0, size=3), 3).tolist()
+        mass, damping = np.round(random.uniform((1.0, 0.0), (6.0, 0.1)), 3)
+        parts.append(
+            f"part_{i}: {{kind: {kind}, position: {place}, mass: {mass}, "
+            f"damping_ratio: {damping}, {own}}}"
+        )
+    return "postcapture", [f"model.flexible={{{', '.join(parts)}}}"]
+
+
+def captures(random):
+    """A grasp at the start."""
+    rate, velocity = np.round(random.uniform(-0.1, 0.1, size=(2, 3)), 4).tolist()
+    return "postcapture", [
+        "reference.base_rotation=eigenaxis",
+        f"reference.goal={random.choice(['stop', 'target_posture'])}",
+        f"capture.rate={rate}",
+        f"capture.velocity={velocity}",
+        f"capture.servicer={random.choice(['rest', 'track_joints', 'track_all', 'detumble'])}",
+        f"capture.joints={random.choice(['free', 'braked'])}",
+        *(["capture.compliance={}"] if random.random() < 0.5 else []),
+    ]
+
+
+def undriven_bases(random):
+    """Bases that only momentum moves."""
+    driven = str(random.choice(["[joints]", "[base_rotation, joints]"]))
+    name = str(random.choice(["ets_vii", "free_floating", "reaction_null", "seven_joint"]))
+    if name == "reaction_null":  # it holds the attitude by the joints
+        return name, []
+    posture = "{base_position: [0, 0, 0], base_rpy: [0, 0, 0]}"
+    same = [f"initial_posture={posture}"] if name == "seven_joint" else []
+    return name, [f"actuation.driven={driven}", *same]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", [late_sensors, flexible_parts, captures, undriven_bases])
+@pytest.mark.parametrize("seed", range(DRAWS))
+def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
+    random = np.random.default_rng(seed)
+    name, given = draw(random)
+    law = random.choice(LAWS)
+    found = check(of_seeds(name, ["duration=0.2", f"controller={law}", *given], 2))
+    assert draw is late_sensors or {record.engine for record in found} == {"compiled"}
