@@ -70,7 +70,7 @@ class Reader:
     """Reads the tree of a plant, and the parameters of its contexts."""
 
     def __init__(self, plant: MultibodyPlant) -> None:
-        """Raises NotCovered: the plant has what generated dynamics do not compute."""
+        """Raises NotCovered: the plant has what the equations do not cover."""
         _check(plant)
         self._plant = plant
         (base,) = (plant.get_body(index) for index in plant.GetFloatingBaseBodies())
