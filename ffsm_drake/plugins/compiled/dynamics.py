@@ -16,7 +16,7 @@ from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
 from ffsm_drake.plugins.compiled.measuring import phases
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
-from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import group_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
@@ -173,6 +173,7 @@ class _Run:
         self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
         start = state_at_start(scenario, self.true)
         known = self.true.split.known_part(np.arange(start.size))
+        nq = len(self.coordinates.position_names)
         before = [np.tile(start[known][list(each.entries)], each.kept) for each in late]
         self.states = {
             "x": start,
@@ -182,7 +183,8 @@ class _Run:
         }
         fixed = {
             "num_parameters": law.size,
-            "nq": len(self.coordinates.position_names),
+            "num_planned": rows_of(self.law, start[None, known[:nq]]).size,
+            "nq": nq,
             "nv": len(self.coordinates.names),
             "tree": own.tree,
             "known": tuple(known.tolist()),
@@ -231,7 +233,8 @@ class _Run:
         reference = self.motion.rows(period * np.arange(self.samples))
         white = self.noise.white if self.blocks.noisy else np.zeros((self.samples, 0))
         late = phases(self.blocks.late, self.samples)
-        return np.hstack([reference, white, self.noise.drift, late])
+        planned = rows_of(self.law, reference[:, : self.blocks.nq])
+        return np.hstack([reference, white, self.noise.drift, late, planned])
 
 
 def _results(runs: Sequence[_Run]) -> list[RunLog | NotCovered | None]:

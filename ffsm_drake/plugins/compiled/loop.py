@@ -9,19 +9,18 @@ import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.measuring import measured
-from ffsm_drake.plugins.compiled.parameters import reader_of, with_symbols
+from ffsm_drake.plugins.compiled.models import traced_model
+from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Tree
-from ffsm_drake.spacecraft.free_floating import ReducedModel
-from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.sensing import Sensor, quantize
@@ -65,13 +64,13 @@ CARRIED = {
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
     "x", "t0", "law", "turn", "bias", "deviation", "resolution", "drift", "share", "added",
-    "reference", "noise", "drift_noise", "phases", "past", "memory", "applied", "waiting", "limit",
-    "force_resolution", "sines",
+    "reference", "noise", "drift_noise", "phases", "planned", "past", "memory", "applied",
+    "waiting", "limit", "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
     "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "phases",
-    "limit", "force_resolution", "sines", "t", "own", "step",
+    "planned", "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
@@ -89,6 +88,7 @@ class Blocks:
 
     law: Any
     num_parameters: int  # of the law
+    num_planned: int  # numbers of the law that differ between samples, see ``rows_of``
     nq: int  # of the known coordinates
     nv: int
     tree: Tree  # of the spacecraft
@@ -152,6 +152,7 @@ class Blocks:
         return {
             "reference": self.nq + 2 * self.nv, "noise": noise,
             "drift_noise": len(self.drifting), "phases": 3 * len(self.late),
+            "planned": self.num_planned,
         }  # fmt: skip
 
     @property
@@ -255,7 +256,8 @@ class Blocks:
 
     def _law(self, cells: Any, measured: Any, is_new: Any, *, is_first: bool) -> tuple[Any, Any]:
         """The force and the law's memory after a sample, see ``SampledController.step``."""
-        law, nq, nx = with_symbols(self.law, cells.law, _traced_model), self.nq, self.nq + self.nv
+        law = with_symbols(self.law, cells.law, cells.planned, traced_model)
+        nq, nx = self.nq, self.nq + self.nv
         memory, taken = dict[str, Any](), 0
         for name, value in self.memory.items():
             memory[name] = cells.memory[taken : taken + value.size].reshape(value.shape)
@@ -296,54 +298,6 @@ class Blocks:
         step = cells.step[0]
         parts = [step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
         return {"y": cells.x + functools.reduce(np.add, parts)}
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TracedModel(PlantModel):
-    """A nominal model on symbols: its mass matrix, bias and tracking errors."""
-
-    reduced: ClassVar[type]  # of an underactuated plant, see ``driven_model``
-    own: list[Any]  # the parameters of the tree
-    tree: Tree
-
-    def calc_mass_matrix(self, q: Any) -> Any:
-        """See PlantModel."""
-        return traced(equations.mass_matrix(self.tree, list(q), self.own))
-
-    def calc_bias(self, q: Any, v: Any) -> Any:
-        """See PlantModel."""
-        return traced(equations.bias(self.tree, list(q), list(v), self.own))
-
-    def calc_tracking_errors(self, desired: Any, actual: Any, num_positions: int) -> Any:
-        """See PlantModel."""
-        return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
-
-    def _set_state(self, q: Any, v: Any = None) -> None:
-        raise NotTraceable("the law asks its model for more than mass matrix and bias")
-
-
-class _Unknown:
-    """In place of a plant and its context, whose numbers would be constants of the code."""
-
-    def __getattr__(self, name: str) -> Any:
-        raise NotTraceable("the law asks its model's plant for more than mass matrix and bias")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _TracedReduced(ReducedModel, TracedModel):
-    """As TracedModel, of an underactuated plant."""
-
-
-TracedModel.reduced = _TracedReduced
-
-
-def _traced_model(model: PlantModel, own: Any) -> TracedModel:
-    kind = _TracedReduced if isinstance(model, ReducedModel) else TracedModel
-    unknown: Any = _Unknown()
-    return kind(
-        plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
-        own=list(own), tree=reader_of(model.plant).tree,
-    )  # fmt: skip
 
 
 def steps_of(sample_time: float, longest: float) -> int:

@@ -1,11 +1,13 @@
 """The parameters of a law: the numbers in its fields, in the order of the fields.
 
 Arrays of floats, declared gains and the masses of models are parameters, which may differ between
-runs. All other fields are constants of the traced code.
+runs. Fields in ``by_sample`` of their class are planned numbers, which differ between samples too.
+All other fields are constants of the traced code.
 """
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -33,23 +35,50 @@ def parameters_of(law: Any) -> tuple[np.ndarray, tuple[Any, ...]]:
         constants.append(values.shape)
         return values
 
-    _replaced(law, "the law", note, constants.append, lambda model, own: model)
+    def shape(part: Any, name: str) -> Any:
+        constants.append(getattr(part, name).shape[1:])
+        return getattr(part, name)
+
+    _replaced(law, "the law", note, constants.append, lambda model, own: model, shape)
     return np.concatenate(rows), tuple(constants)
 
 
-def with_symbols(law: Any, symbols: Any, model: Callable[[PlantModel, Any], Any]) -> Any:
-    """Return the law with symbols (n) in place of its parameters; ``model`` replaces a model, given
-    the symbols of its masses.
+def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:
+    """Return the planned numbers (n, m) of a law at samples with desired configurations q_d
+    (n, nq).
     """
-    taken = 0
+    rows = [np.zeros((len(q_d), 0))]
 
-    def take(values: np.ndarray) -> Any:
-        nonlocal taken
-        part = symbols[taken : taken + values.size].reshape(values.shape)
-        taken += values.size
+    def note(part: Any, name: str) -> Any:
+        rows.append(part.at_samples(q_d)[name].reshape(len(q_d), -1))
+        return getattr(part, name)
+
+    ignored = lambda *values: values[0]  # noqa: E731
+    _replaced(law, "the law", ignored, ignored, ignored, note)
+    return np.hstack(rows)
+
+
+def with_symbols(
+    law: Any, symbols: Any, planned: Any, model: Callable[[PlantModel, Any], Any]
+) -> Any:
+    """Return the law with symbols (n) in place of its parameters, and one row of ``planned`` (m)
+    in place of tables by sample; ``model`` replaces a model, given the symbols of its masses.
+    """
+    taken = {"symbols": 0, "planned": 0}
+
+    def take(which: str, array: Any, shape: tuple[int, ...]) -> Any:
+        first = taken[which]
+        taken[which] += math.prod(shape)
+        return array[first : taken[which]].reshape(shape)
+
+    def number(values: np.ndarray) -> Any:
+        part = take("symbols", symbols, values.shape)
         return part if values.ndim else part.item()
 
-    return _replaced(law, "the law", take, lambda constant: None, model)
+    def row(part: Any, name: str) -> Any:
+        return take("planned", planned, (1, *getattr(part, name).shape[1:]))
+
+    return _replaced(law, "the law", number, lambda constant: None, model, row)
 
 
 @functools.lru_cache(maxsize=64)
@@ -64,8 +93,9 @@ def _replaced(
     number: Callable[[np.ndarray], Any],
     constant: Callable[[Any], None],
     model: Callable[[PlantModel, Any], Any],
+    row: Callable[[Any, str], Any],
 ) -> Any:
-    """An object with other numbers and models; ``constant`` is told everything else."""
+    """An object with other numbers, models and tables by sample; ``constant`` gets all else."""
     if type(value) in (PlantModel, ReducedModel):
         reader = reader_of(value.plant)
         constant((type(value).__name__, value.coordinates.undriven, reader.tree))
@@ -80,7 +110,7 @@ def _replaced(
         return value
     if isinstance(value, tuple):
         constant(len(value))
-        return tuple(_replaced(each, place, number, constant, model) for each in value)
+        return tuple(_replaced(each, place, number, constant, model, row) for each in value)
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         raise NotCovered(f"{place}: {type(value).__name__}")
     kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()
@@ -91,9 +121,11 @@ def _replaced(
             raise NotCovered(f"{place}: its field {field.name} is computed")
         if (field.name in gains or field.name == "sample_time") and isinstance(own, float):
             made[field.name] = number(np.array(own))
+        elif field.name in getattr(kind, "by_sample", ()):
+            made[field.name] = row(value, field.name)
         else:
             inner = f"{place}, field {field.name}"
-            made[field.name] = _replaced(own, inner, number, constant, model)
+            made[field.name] = _replaced(own, inner, number, constant, model, row)
     # not by the class, whose checks of values were made with the numbers
     other = object.__new__(kind)
     for name, each in made.items():

@@ -132,6 +132,8 @@ def traced_sample(scenario: Scenario, motion: PlannedMotion) -> TracedSample | N
 
 def _code(run: _Run) -> Slopes:
     """The compiled sample of a run. Raises NotCovered."""
+    if run.blocks.num_planned:
+        raise NotCovered("a law with tables by sample")
     found = _codes.get(run.code)
     if found is None:
         try:

@@ -31,7 +31,7 @@ desired one is used.
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -286,6 +286,7 @@ class CoupledEstimator(Estimator):
 
     wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
+    by_sample: ClassVar[tuple[str, ...]] = ("gain",)
     separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     biased: np.ndarray  # (k,) those of them whose velocities have a bias
@@ -332,8 +333,14 @@ class CoupledEstimator(Estimator):
         if isinstance(self.gain, tuple):
             each = zip(self.gain, self.postures, q_d, strict=True)
             return np.stack([gain[_nearest(postures, own)] for gain, postures, own in each])
+        if len(self.gain) == 1 and q_d.ndim == 1:
+            return self.gain[0]
         nearest: np.ndarray = self.gain[_nearest(np.asarray(self.postures), q_d)]
         return nearest
+
+    def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
+        """See ControlLaw."""
+        return {"gain": self.gain_at(q_d)}
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State

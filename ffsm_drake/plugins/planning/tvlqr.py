@@ -51,6 +51,7 @@ class Tvlqr(ControlLaw):
     """
 
     wide: ClassVar[bool] = True
+    by_sample: ClassVar[tuple[str, ...]] = ("gains",)
     model: PlantModel
     sample_time: float
     error_size: np.ndarray = gain(
@@ -86,8 +87,15 @@ class Tvlqr(ControlLaw):
         if isinstance(self.gains, tuple):
             each = zip(self.gains, samples.astype(int).tolist(), strict=True)
             return np.stack([own[min(k, len(own) - 1)] for own, k in each])
+        if len(self.gains) == 1 and np.ndim(samples) == 0:
+            return self.gains[0]
         gain: np.ndarray = self.gains[np.minimum(samples.astype(int), len(self.gains) - 1)]
         return gain
+
+    def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
+        """See ControlLaw."""
+        assert isinstance(self.gains, np.ndarray)
+        return {"gains": self.gains[np.minimum(np.arange(len(q_d)), len(self.gains) - 1)]}
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "Tvlqr":

@@ -21,7 +21,7 @@ SHIPPED = {
 }
 LAWS = (
     "tdc", "asmc", "aismc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time",
-    "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "coordinated",
+    "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "coordinated", "tvlqr",
 )  # fmt: skip
 
 
@@ -49,7 +49,8 @@ def late_sensors(random):
     more = [
         f"actuation.delay={random.integers(3)}",
         f"sensing.delay={random.integers(3)}",
-        f"estimator.kind={random.choice(['kalman', 'one_sample'])}",
+        f"estimator.kind={random.choice(['kalman', 'one_sample', 'coupled'])}",
+        "estimator.force_walk=0.07",
         "estimator.velocity_bias_walk={base_rotation: 1.0e-6}" if random.random() < 0.5 else "",
     ]
     return "flight_sensors", [*sensors, *filter(None, more)]

@@ -1,0 +1,62 @@
+"""Models of a spacecraft on symbols, for laws."""
+
+import dataclasses
+from typing import Any, ClassVar
+
+from ffsm_drake.plugins.compiled.parameters import reader_of
+from ffsm_drake.plugins.equations import equations
+from ffsm_drake.plugins.equations.errors import tracking_errors
+from ffsm_drake.plugins.equations.tree import Tree
+from ffsm_drake.spacecraft.free_floating import ReducedModel
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.tape.arrays import traced
+from ffsm_drake.tape.numbers import NotTraceable
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TracedModel(PlantModel):
+    """A nominal model on symbols: its mass matrix, bias and tracking errors."""
+
+    reduced: ClassVar[type]  # of an underactuated plant, see ``driven_model``
+    own: list[Any]  # the parameters of the tree
+    tree: Tree
+
+    def calc_mass_matrix(self, q: Any) -> Any:
+        """See PlantModel."""
+        return traced(equations.mass_matrix(self.tree, list(q), self.own))
+
+    def calc_bias(self, q: Any, v: Any) -> Any:
+        """See PlantModel."""
+        return traced(equations.bias(self.tree, list(q), list(v), self.own))
+
+    def calc_tracking_errors(self, desired: Any, actual: Any, num_positions: int) -> Any:
+        """See PlantModel."""
+        return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
+
+    def _set_state(self, q: Any, v: Any = None) -> None:
+        raise NotTraceable("the law asks its model for more than mass matrix and bias")
+
+
+class _Unknown:
+    """In place of a plant and its context, whose numbers would be constants of the code."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise NotTraceable("the law asks its model's plant for more than mass matrix and bias")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _TracedReduced(ReducedModel, TracedModel):
+    """As TracedModel, of an underactuated plant."""
+
+
+TracedModel.reduced = _TracedReduced
+
+
+def traced_model(model: PlantModel, own: Any) -> TracedModel:
+    """Return a model with symbols as its parameters."""
+    kind = _TracedReduced if isinstance(model, ReducedModel) else TracedModel
+    unknown: Any = _Unknown()
+    return kind(
+        plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
+        own=list(own), tree=reader_of(model.plant).tree,
+    )  # fmt: skip
