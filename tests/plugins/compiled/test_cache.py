@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compiled_equations import compiled
+from compiled_equations import compiled, text_of
 from drawn_trees import drawn_tree
 
 from ffsm_drake.plugins.compiled import compiling
@@ -79,13 +79,14 @@ def test_code_that_others_may_write_is_not_used(kept, tree, compilations):
     assert len(compilations) == 1
 
 
-@pytest.mark.slow
 def test_another_tree_or_version_has_another_file(kept, tree, compilations, monkeypatch):
     compiled("bias", Reader(drawn_tree(6, 1)).tree)
-    monkeypatch.setattr(compiling, "_generator", lambda: b"another")
-    compiled("bias", tree)
-    assert len(compilations) == 2
-    assert len(list(kept.parent.iterdir())) == 3
+    text = text_of("bias", compiling.registers(), tree)
+    for version in ("one", "one", "another"):
+        monkeypatch.setattr(compiling, "_package", lambda version=version: version)
+        compiling.Code(lambda: text, "the key")
+    assert len(compilations) == 3
+    assert len(list(kept.parent.iterdir())) == 4
 
 
 @pytest.mark.parametrize("home", ["/dev/null", "/proc/nowhere"])
