@@ -235,6 +235,14 @@ def group_of(scenario: Scenario) -> str | None:
     return json.dumps(data | kinds | {"phases": phases}, sort_keys=True)
 
 
+def all_but_controller(scenario: Scenario) -> tuple[int, ...]:
+    """Return a key of a scenario while it lives. Scenarios with the same key have the same values,
+    as the same objects, except the controller.
+    """
+    names = (field.name for field in dataclasses.fields(scenario) if field.name != "controller")
+    return tuple(id(getattr(scenario, name)) for name in names)
+
+
 def _without_springs(model: Model) -> Model:
     """Return a model without springs and dampers of hinges, whose values are in a context."""
     hinged = ("panel", "pendulum")

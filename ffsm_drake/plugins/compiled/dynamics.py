@@ -1,9 +1,10 @@
 """The engine ``compiled``: whole runs in machine code, compared with Drake before the first use."""
 
 import collections
+import dataclasses
 import functools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,13 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.compiling import llvm
-from ffsm_drake.plugins.compiled.kernel import Kernel
+from ffsm_drake.plugins.compiled.kernel import Kernel, Signals
 from ffsm_drake.plugins.compiled.loop import SCHEMES, Blocks, steps_of
 from ffsm_drake.plugins.compiled.measuring import phases
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
-from ffsm_drake.runs.batches import group_of
+from ffsm_drake.runs.batches import all_but_controller, group_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
@@ -81,17 +82,22 @@ class Compiled(Engine):
         """See Engine."""
         results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
         groups: dict[Any, list[tuple[int, _Run]]] = {}
+        cases = dict[Any, _Case]()
         for index, scenario in enumerate(scenarios):
             try:
                 self.check(scenario)
-                run = _Run(scenario)
+                if (same := all_but_controller(scenario)) not in cases:
+                    cases[same] = _Case(scenario)
+                run = _Run(scenario, cases[same])
                 groups.setdefault((run.key, run.samples), []).append((index, run))
             except NotCovered as error:
                 results[index] = error
             except FfsmError:  # Drake's run shows it
                 pass
+        rows = dict[Any, np.ndarray]()
         for group in groups.values():
-            for (index, _), result in zip(group, _results([run for _, run in group]), strict=True):
+            found = _results([run for _, run in group], rows)
+            for (index, _), result in zip(group, found, strict=True):
                 results[index] = result
         return results
 
@@ -125,22 +131,15 @@ def _kernel(run: "_Run") -> Kernel:
     return found
 
 
-class _Run:
-    """One run: what its code depends on, and its numbers."""
+class _Case:
+    """What runs share that differ in their controllers at most."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.true = make_flexible_plant(scenario)
-        nominal = make_nominal_plant(scenario)
-        controller = make_controller(scenario, nominal)
-        if not isinstance(controller, SampledController):
-            raise NotCovered("a controller that is a Drake system")
-        self.law: Any = controller.law
-        if getattr(self.law, "tracks_frame", False) or getattr(self.law, "contacts_read", 0):
-            raise NotCovered("a law that tracks a frame, or reads contacts")
-        self.coordinates: Coordinates = nominal.coordinates
+        self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
+        self.coordinates: Coordinates = self.nominal.coordinates
         self.samples = scenario.num_control_periods + 1
-        own, law, constants = reader_of(self.true.plant), *parameters_of(self.law)
+        own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
         late = tuple(
@@ -156,7 +155,6 @@ class _Run:
         self.steps = steps_of(scenario.sample_time, config.max_step_size)
         self.parameters = {
             "own": own.parameters(self.true.context),
-            "law": law,
             "turn": errors.turn.ravel(),
             "bias": errors.bias,
             "deviation": errors.deviation,
@@ -169,22 +167,17 @@ class _Run:
             "sample_time": np.array([scenario.sample_time]),
             "step": np.array([scenario.sample_time / self.steps]),
         }
-        memory = self.law.initial_state()
         self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
         start = state_at_start(scenario, self.true)
         known = self.true.split.known_part(np.arange(start.size))
-        nq = len(self.coordinates.position_names)
         before = [np.tile(start[known][list(each.entries)], each.kept) for each in late]
         self.states = {
             "x": start,
-            "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
             "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
             "past": np.concatenate([np.zeros(0), *before]),
         }
-        fixed = {
-            "num_parameters": law.size,
-            "num_planned": rows_of(self.law, start[None, known[:nq]]).size,
-            "nq": nq,
+        self.fixed = {
+            "nq": len(self.coordinates.position_names),
             "nv": len(self.coordinates.names),
             "tree": own.tree,
             "known": tuple(known.tolist()),
@@ -204,18 +197,16 @@ class _Run:
             "waits": force.delay,
             "scheme": config.integration_scheme,
         }
-        # of equal code; and, with the same diagram on Drake
-        group = group_of(scenario)
+
+    @functools.cached_property
+    def group(self) -> str:
+        """Equal for runs with the same diagram on Drake, but for the controller. Raises
+        NotCovered.
+        """
+        group = group_of(dataclasses.replace(self.scenario, controller=""))
         if group is None:
             raise NotCovered("a run that cannot go side by side with others")
-        self.code = (*fixed.values(), constants, self.steps)
-        self.key = (group, *self.code)
-        self.blocks = Blocks(law=self.law, **fixed)
-
-    @property
-    def key_on_disk(self) -> str | None:
-        """What the code is made from, besides this package; None for a user's law."""
-        return repr(self.code) if is_shipped(self.law) else None
+        return group
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -227,18 +218,69 @@ class _Run:
         """The reference."""
         return make_motion(self.scenario, self.coordinates)
 
-    def rows(self) -> np.ndarray:
-        """What the run reads at each sample (samples, n)."""
-        period = self.scenario.sample_time
-        reference = self.motion.rows(period * np.arange(self.samples))
-        white = self.noise.white if self.blocks.noisy else np.zeros((self.samples, 0))
-        late = phases(self.blocks.late, self.samples)
-        planned = rows_of(self.law, reference[:, : self.blocks.nq])
-        return np.hstack([reference, white, self.noise.drift, late, planned])
+    @functools.cached_property
+    def times(self) -> np.ndarray:
+        """The control samples (samples), s."""
+        return self.scenario.sample_time * np.arange(self.samples)
+
+    @functools.cached_property
+    def reference(self) -> np.ndarray:
+        """Rows of the motion (samples, nq + 2 nv)."""
+        return self.motion.rows(self.times)
+
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """What all of them read at each sample, side by side (samples, n)."""
+        white = [self.noise.white] if self.fixed["noisy"] else []
+        late = phases(self.fixed["late"], self.samples)
+        return [self.reference, *white, self.noise.drift, late]
 
 
-def _results(runs: Sequence[_Run]) -> list[RunLog | NotCovered | None]:
-    """The results of runs with the same code."""
+class _Run:
+    """One run: what its code depends on, and its numbers."""
+
+    def __init__(self, scenario: Scenario, case: _Case | None = None) -> None:
+        """Args: the scenario, and what it shares with other runs."""
+        self.scenario, self.case = scenario, _Case(scenario) if case is None else case
+        controller = make_controller(scenario, self.case.nominal)
+        if not isinstance(controller, SampledController):
+            raise NotCovered("a controller that is a Drake system")
+        self.law: Any = controller.law
+        if getattr(self.law, "tracks_frame", False) or getattr(self.law, "contacts_read", 0):
+            raise NotCovered("a law that tracks a frame, or reads contacts")
+        self.coordinates, self.samples = self.case.coordinates, self.case.samples
+        self.motion, self.steps = self.case.motion, self.case.steps
+        law, constants = parameters_of(self.law)
+        memory = self.law.initial_state()
+        self.parameters = self.case.parameters | {"law": law}
+        self.states = self.case.states | {
+            "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
+        }
+        known = self.case.states["x"][None, list(self.case.fixed["known"])]
+        planned = rows_of(self.law, known[:, : self.case.fixed["nq"]])
+        fixed = {"num_parameters": law.size, "num_planned": planned.size, **self.case.fixed}
+        # of equal code; and, with the same diagram on Drake
+        self.code = (*fixed.values(), constants, self.steps)
+        self.key = (self.case.group, scenario.controller, *self.code)
+        self.blocks = Blocks(law=self.law, **fixed)
+
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """What it reads at each sample, side by side (samples, n)."""
+        if not self.blocks.num_planned:
+            return self.case.rows
+        return [*self.case.rows, rows_of(self.law, self.case.reference[:, : self.blocks.nq])]
+
+    @property
+    def key_on_disk(self) -> str | None:
+        """What the code is made from, besides this package; None for a user's law."""
+        return repr(self.code) if is_shipped(self.law) else None
+
+
+def _results(
+    runs: Sequence[_Run], rows: dict[Any, np.ndarray]
+) -> list[RunLog | NotCovered | None]:
+    """The results of runs with the same code; ``rows``: see ``_logs``."""
     kernel = None
     for run in runs[:_TRIED]:
         try:
@@ -251,67 +293,101 @@ def _results(runs: Sequence[_Run]) -> list[RunLog | NotCovered | None]:
     if kernel is None:
         return [None] * len(runs)
     parts = [runs[at : at + kernel.width] for at in range(0, len(runs), kernel.width)]
-    return [log for part in parts for log in _logs(kernel, part)]
+    return [log for part in parts for log in _logs(kernel, part, rows)]
 
 
-def _logs(kernel: Kernel, runs: Sequence[_Run]) -> list[RunLog | None]:
-    """The logs of at most as many runs as a register holds; None: a run diverges."""
+def _logs(
+    kernel: Kernel, runs: Sequence[_Run], rows: dict[Any, np.ndarray]
+) -> list[RunLog | None]:
+    """The logs of at most as many runs as a register holds; None: a run diverges.
+
+    ``rows`` keeps what some cases read, for their runs with other controllers.
+    """
     start = time.perf_counter()
     lanes = [*runs, *[runs[-1]] * (kernel.width - len(runs))]
     given = {name: np.array([run.parameters[name] for run in lanes]) for name in runs[0].parameters}
     given |= {name: np.array([run.states[name] for run in lanes]) for name in runs[0].states}
-    rows = np.empty((runs[0].samples, sum(kernel.blocks.row.values()), kernel.width))
-    for lane, run in enumerate(runs):
-        rows[..., lane] = run.rows()
-    rows[..., len(runs) :] = rows[..., len(runs) - 1 : len(runs)]
+    own = runs[0].key if runs[0].blocks.num_planned else None
+    if (read := (own, *(id(run.case) for run in runs))) not in rows:
+        rows[read] = _side_by_side([run.rows for run in lanes])
     began = time.perf_counter()
-    series = kernel.run(given, rows)
+    signals = kernel.run(given, rows[read])
     ended = time.perf_counter()
     wall_time = {"build": began - start, "advance_to": ended - began, "total": ended - start}
+    finite, state = signals.are_finite(), signals["state"]
     return [
-        _log(
-            run,
-            {name: values[lane] for name, values in series.items()},
-            rows[..., lane],
-            parts=kernel.parts,
-            wall_time=wall_time,
-        )
+        _log(run, _Series(signals, lane, run.case), parts=kernel.parts, wall_time=wall_time)
+        if finite[lane] and _is_within(run, state[lane])
+        else None
         for lane, run in enumerate(runs)
     ]
 
 
+def _side_by_side(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+    """The rows of runs in parts (samples, n), as one array (samples, all n, runs)."""
+    samples, width = len(rows[0][0]), sum(part.shape[1] for part in rows[0])
+    made, first = np.empty((samples, width, len(rows))), 0
+    for parts in zip(*rows, strict=True):
+        made[:, first : first + parts[0].shape[1]] = np.stack(parts, axis=-1)
+        first += parts[0].shape[1]
+    return made
+
+
+def _is_within(run: _Run, state: np.ndarray) -> bool:
+    """Whether a run with states (samples, nq + nv) keeps its bound of velocity."""
+    return bool(np.abs(state[:, run.blocks.nq :]).max() <= run.scenario.divergence_speed)
+
+
+class _Series(Mapping[str, np.ndarray]):
+    """The signals of a run, copied when they are read first."""
+
+    def __init__(self, signals: Signals, lane: int, case: _Case) -> None:
+        self._signals, self._lane, self._case = signals, lane, case
+        self._names = [*signals.places, "desired_state", "desired_acceleration"]
+        if make_frame_motion(case.scenario, case.motion) is not None:
+            self._names.append("desired_frame")
+        self._found = dict[str, np.ndarray]()
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._found:
+            self._found[name] = self._copied(name)
+        return self._found[name]
+
+    def _copied(self, name: str) -> np.ndarray:
+        if name in self._signals.places:
+            return self._signals[name][self._lane].copy()
+        if name not in self._names:
+            raise KeyError(name)
+        case, nv = self._case, self._case.fixed["nv"]
+        if name == "desired_frame":
+            return make_frame_motion(case.scenario, case.motion).rows(case.times)
+        return np.split(case.reference, [-nv], axis=1)[name == "desired_acceleration"].copy()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
 def _log(
     run: _Run,
-    series: dict[str, np.ndarray],
-    rows: np.ndarray,
+    series: Mapping[str, np.ndarray],
     *,
     parts: Parts,
     wall_time: dict[str, float],
-) -> RunLog | None:
-    nq, nv = run.blocks.nq, run.blocks.nv
-    with np.errstate(invalid="ignore"):
-        within = np.abs(series["state"][:, nq:]).max() <= run.scenario.divergence_speed
-    if not within or not all(np.isfinite(values).all() for values in series.values()):
-        return None
+) -> RunLog:
     scenario, duration = run.scenario, (run.samples - 1) * run.scenario.sample_time
-    copied = {name: np.ascontiguousarray(values) for name, values in series.items()}
-    times = scenario.sample_time * np.arange(run.samples)
-    if (frame := make_frame_motion(scenario, run.motion)) is not None:
-        copied["desired_frame"] = frame.rows(times)
     log = RunLog(
         scenario=scenario,
         outcome=Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s"),
         coordinates=run.coordinates,
-        split=run.true.split,
+        split=run.case.true.split,
         sliding_unit=str(run.law.sliding_unit),
         engine=Compiled.name,
         parts=parts,
-        time=times,
-        series={
-            **copied,
-            "desired_state": rows[:, : nq + nv].copy(),
-            "desired_acceleration": rows[:, nq + nv : nq + 2 * nv].copy(),
-        },
+        time=run.case.times.copy(),
+        series=series,
         wall_time=wall_time,
     )
     if not scenario.grasps:
@@ -322,7 +398,7 @@ def _log(
 
 def _compiled(run: _Run) -> Kernel:
     """Trace and compile. Raises NotCovered."""
-    held_to_drake(run.blocks.tree, plant=run.true.plant)
+    held_to_drake(run.blocks.tree, plant=run.case.true.plant)
     try:
         kernel = Kernel(run.blocks, steps=run.steps, key=run.key_on_disk)
     except (FfsmError, MemoryError):
@@ -343,7 +419,7 @@ def _judge(run: _Run, kernel: Kernel) -> None:
         expected = rollout.run(run.scenario)
     finally:
         rollout.release()
-    (found,) = _logs(kernel, [run])
+    (found,) = _logs(kernel, [run], {})
     if found is None or expected.outcome.status != COMPLETED:
         raise Diverges("the run diverges")
     if set(found.series) != set(expected.series):

@@ -18,6 +18,7 @@ from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.systems.part import Parts
 
 _BYTES = 8  # of a number
+_BLOCK = 64  # samples whose numbers the cache holds
 
 
 class Kernel:
@@ -37,7 +38,7 @@ class Kernel:
         self._code = self._text.code("runs", key)
         self._run = self._code.function("run", 3)
 
-    def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+    def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> "Signals":
         """Run a lane for each simulation.
 
         Args:
@@ -45,7 +46,7 @@ class Kernel:
             (width, n).
           rows: of each sample (samples, n, width), see ``Blocks.row``.
 
-        Returns: the signals of ``Blocks.log``: (width, samples, n) each.
+        Returns: the signals of ``Blocks.log``.
         """
         cells = np.zeros((self._text.size, self.width))
         for name, values in runs.items():
@@ -54,11 +55,40 @@ class Kernel:
         samples = len(rows)
         log = np.empty((samples, sum(n for *_, n in self.blocks.log.values()), self.width))
         self._run(cells.ctypes.data, rows.ctypes.data, log.ctypes.data, samples - 1)
-        made, first = {}, 0
+        places, first = dict[str, slice](), 0
         for name, (*_, size) in self.blocks.log.items():
-            made[name] = log[:, first : first + size].transpose(2, 0, 1)
+            places[name] = slice(first, first + size)
             first += size
-        return made
+        return Signals(log, places)
+
+
+class Signals:
+    """The signals of all lanes."""
+
+    def __init__(self, log: np.ndarray, places: Mapping[str, slice]) -> None:
+        """Args: numbers (samples, n, width), and the place of each signal among the n."""
+        self.places, self._log = places, log
+        self._found = dict[str, np.ndarray]()
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A signal (width, samples, its size)."""
+        if name not in self._found:
+            part = self._log[:, self.places[name]]
+            found = np.empty((part.shape[2], *part.shape[:2]))
+            for first in range(0, len(part), _BLOCK):
+                block = slice(first, first + _BLOCK)
+                found[:, block] = part[block].transpose(2, 0, 1)
+            self._found[name] = found
+        return self._found[name]
+
+    def are_finite(self) -> np.ndarray:
+        """Of each lane (width), whether all of its numbers are."""
+        flat = self._log.reshape(-1, self._log.shape[2])
+        with np.errstate(over="ignore", invalid="ignore"):
+            found: np.ndarray = np.isfinite(np.ones(len(flat)) @ flat)
+        for lane in np.flatnonzero(~found):  # a sum may exceed the largest number
+            found[lane] = np.isfinite(flat[:, lane]).all()
+        return found
 
 
 class Slopes:
