@@ -9,6 +9,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -23,6 +24,7 @@ from ffsm_drake.plugins.design.stability.linearization import POSTURES, Lineariz
 from ffsm_drake.plugins.design.stability.load import predicted_load
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.design.stability.rehearsal import Rehearsed, shares_diverged
+from ffsm_drake.runs.batches import all_but_controller
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.reference import timed
 
@@ -52,10 +54,15 @@ def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exce
     """``predict`` of several scenarios, or its error; those that are rehearsed go side by side."""
     found: list[tuple[float, ...] | Exception] = []
     cases = dict[int, Rehearsed]()
+    # for all controllers of a case: its planned dynamics, and the posture that is linearised
+    planned = dict[Any, tuple[PlannedDynamics, float]]()
     for index, scenario in enumerate(scenarios):
         try:
             with Linearizer(scenario) as linearizer:
-                own = _radii(linearizer)
+                if (same := all_but_controller(scenario)) not in planned:
+                    planned[same] = linearizer.planned, most_overestimated(linearizer.planned)
+                linearizer.planned, time = planned[same]
+                own = _radii(linearizer, time)
                 is_stable = max(own) < 1.0
                 if (load := predicted_load(linearizer)) is not None:
                     own.append(load)
@@ -76,12 +83,11 @@ def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exce
 def expected_radius(scenario: Scenario) -> float:
     """Return the second value of ``predict`` alone. Raises the same errors."""
     with Linearizer(scenario) as linearizer:
-        return _radii(linearizer)[1]
+        return _radii(linearizer, most_overestimated(linearizer.planned))[1]
 
 
-def _radii(linearizer: Linearizer) -> list[float]:
-    """Return the first two of ``predict``."""
-    time = most_overestimated(linearizer.planned)
+def _radii(linearizer: Linearizer, time: float) -> list[float]:
+    """Return the first two of ``predict``, in the posture at a time, s."""
     loop = linearizer.at(time)
     starting = expected = loop.spectral_radius
     if starting < 1.0 and (held := expected_gains(linearizer, loop)):
