@@ -123,11 +123,13 @@ def run_many(
                     yield index, log
                 else:
                     left[index] = on_drake(log)
-    runs, remaining = _Runs(), list(left)
+    runs, most = _Runs(), batch or usual_batch(samples=samples)
+    # a run that diverges costs least alone, where it ends at once
+    alone = [index for index, engine in left.items() if engine == on_drake(None)]
+    others = [index for index in left if index not in alone]
+    parts = batches_of([scenarios[index] for index in others], most)
     try:
-        most = batch or usual_batch(samples=samples)
-        for places in batches_of([scenarios[index] for index in remaining], most):
-            indices = [remaining[place] for place in places]
+        for indices in (*([others[at] for at in part] for part in parts), *([i] for i in alone)):
             results = runs.results([scenarios[index] for index in indices])
             for index, result in zip(indices, results, strict=True):
                 if isinstance(result, RunLog):

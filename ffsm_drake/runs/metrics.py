@@ -134,9 +134,15 @@ class Tracking:
         undriven group, and for joints controlled through a frame, the error is the distance from
         their motion with the nominal payload.
         """
-        if figure == "final_error":
-            return np.abs(self.error[-1])
-        return np.abs(self.error if figure == "peak_error" else self.effort).max(axis=0)
+        return self._sizes[figure]
+
+    @functools.cached_property
+    def _sizes(self) -> dict[str, np.ndarray]:
+        return {
+            "peak_error": np.abs(self.error).max(axis=0),
+            "final_error": np.abs(self.error[-1]),
+            "peak_effort": np.abs(self.effort).max(axis=0),
+        }
 
 
 def _of_group(figure: str, group: str, run: Tracking, unit: str = "") -> float | None:

@@ -57,17 +57,17 @@ class Coordinates:
     # joints that only the true plant has, for errors
     flexible: tuple[str, ...] = dataclasses.field(default=(), compare=False)
 
-    @property
+    @functools.cached_property
     def names(self) -> tuple[str, ...]:
         """Names of v, in Drake's order (nv)."""
         return BASE_ROTATION + BASE_POSITION + self.joints
 
-    @property
+    @functools.cached_property
     def position_names(self) -> tuple[str, ...]:
         """Names of q, in Drake's order (nv + 1: the rotation is a quaternion)."""
         return BASE_QUATERNION + BASE_POSITION + self.joints
 
-    @property
+    @functools.cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each coordinate (nv): "rad" or "m"."""
         return ("rad",) * 3 + ("m",) * 3 + self.joint_units
@@ -96,7 +96,7 @@ class Coordinates:
         """Indices of v that actuators move (na), ascending."""
         return np.flatnonzero(self.is_driven)
 
-    @property
+    @functools.cached_property
     def group_of(self) -> tuple[str, ...]:
         """Group of each coordinate (nv)."""
         return tuple(group for group, part in self.groups.items() for _ in self.names[part])

@@ -164,6 +164,7 @@ def check_by_trial(
             raise ModelError(f"{place}: {problem}")
 
 
+@memoized(maxsize=64)
 def _is_plain(file: Path) -> bool:
     if file.suffix.lower() not in (".yaml", ".yml"):
         return file.suffix.lower() == ".urdf"
