@@ -28,7 +28,7 @@ LAWS = (
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_scenarios_have_the_runs_of_drake(name):
-    check(of_seeds(name, ["duration=0.2", *SHIPPED[name]], 2))
+    check(of_seeds(name, ["duration=0.2", *SHIPPED[name]], 2 * [[]]))
 
 
 def some(random, most, groups):
@@ -39,8 +39,9 @@ def some(random, most, groups):
 
 
 def late_sensors(random):
-    """Periods and delays of each group, and of the force."""
-    groups = "base_rotation", "base_position", "joints"
+    """Periods and delays of each group, and of the force; noise by run."""
+    kind = random.choice(["kalman", "one_sample", "coupled"])
+    groups = () if kind == "coupled" else ("base_rotation", "base_position", "joints")
     sensors = [
         f"sensing.{what}_{how}={some(random, 6, groups)}"
         for what in ("position", "velocity")
@@ -48,23 +49,24 @@ def late_sensors(random):
     ]
     more = [
         f"actuation.delay={random.integers(3)}",
-        f"sensing.delay={random.integers(3)}",
-        f"estimator.kind={random.choice(['kalman', 'one_sample', 'coupled'])}",
+        f"sensing.delay={random.integers(3) if groups else 0}",
+        f"estimator.kind={kind}",
         "estimator.force_walk=0.07",
         "estimator.velocity_bias_walk={base_rotation: 1.0e-6}" if random.random() < 0.5 else "",
     ]
-    return "flight_sensors", [*sensors, *filter(None, more)]
+    each = [[f"sensing.velocity_noise.joints={1e-4 * k}"] for k in (1, 2, 3)]
+    return "flight_sensors", [*sensors, *filter(None, more)], each
 
 
 def flexible_parts(random):
-    """Up to three parts of any kind on the base."""
+    """Up to three parts of any kind on the base; springs and dampers by run, where they may."""
     kinds = {
         "panel": "plates: {n}, frequency: {f}",
         "pendulum": "frequency: {f}, length: 0.3",
         "mass": "frequency: {f}",
         "beam": "frequencies: [{f}, 2.5]",
     }
-    parts = []
+    parts, each = list[str](), [list[str]() for _ in range(3)]
     for i in range(random.integers(1, 4)):
         kind = str(random.choice(list(kinds)))
         own = kinds[kind].format(n=random.integers(1, 3), f=round(random.uniform(0.2, 1.0), 3))
@@ -74,32 +76,43 @@ def flexible_parts(random):
             f"part_{i}: {{kind: {kind}, position: {place}, mass: {mass}, "
             f"damping_ratio: {damping}, {own}}}"
         )
-    return "postcapture", [f"model.flexible={{{', '.join(parts)}}}"]
+        if kind in ("panel", "pendulum"):
+            for k, changes in enumerate(each):
+                changes += [f"model.flexible.part_{i}.frequency={0.3 + 0.1 * k}"]
+    return "postcapture", [f"model.flexible={{{', '.join(parts)}}}"], each
 
 
 def captures(random):
-    """A grasp at the start."""
-    rate, velocity = np.round(random.uniform(-0.1, 0.1, size=(2, 3)), 4).tolist()
-    return "postcapture", [
-        "reference.base_rotation=eigenaxis",
-        f"reference.goal={random.choice(['stop', 'target_posture'])}",
-        f"capture.rate={rate}",
-        f"capture.velocity={velocity}",
-        f"capture.servicer={random.choice(['rest', 'track_joints', 'track_all', 'detumble'])}",
-        f"capture.joints={random.choice(['free', 'braked'])}",
-        *(["capture.compliance={}"] if random.random() < 0.5 else []),
+    """A grasp at the start; the target's rate and mass by run."""
+    velocity, *rates = np.round(random.uniform(-0.1, 0.1, size=(4, 3)), 4).tolist()
+    each = [
+        [f"capture.rate={rate}", f"payload.truth.mass={90 + 10 * k}"]
+        for k, rate in enumerate(rates)
     ]
+    return (
+        "postcapture",
+        [
+            "reference.base_rotation=eigenaxis",
+            f"reference.goal={random.choice(['stop', 'target_posture'])}",
+            f"capture.velocity={velocity}",
+            f"capture.servicer={random.choice(['rest', 'track_joints', 'track_all', 'detumble'])}",
+            f"capture.joints={random.choice(['free', 'braked'])}",
+            *(["capture.compliance={}"] if random.random() < 0.5 else []),
+        ],
+        each,
+    )
 
 
 def undriven_bases(random):
-    """Bases that only momentum moves."""
+    """Bases that only momentum moves; the payload's mass by run."""
     driven = str(random.choice(["[joints]", "[base_rotation, joints]"]))
     name = str(random.choice(["ets_vii", "free_floating", "reaction_null", "seven_joint"]))
+    each = [[f"payload.truth.mass={mass}"] for mass in (70.0, 90.0, 110.0)]
     if name == "reaction_null":  # it holds the attitude by the joints
-        return name, []
+        return name, [], each
     posture = "{base_position: [0, 0, 0], base_rpy: [0, 0, 0]}"
     same = [f"initial_posture={posture}"] if name == "seven_joint" else []
-    return name, [f"actuation.driven={driven}", *same]
+    return name, [f"actuation.driven={driven}", *same], each
 
 
 @pytest.mark.slow
@@ -107,7 +120,7 @@ def undriven_bases(random):
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     random = np.random.default_rng(seed)
-    name, given = draw(random)
+    name, given, each = draw(random)
     law = random.choice(LAWS)
-    found = check(of_seeds(name, ["duration=0.2", f"controller={law}", *given], 2))
+    found = check(of_seeds(name, ["duration=0.2", f"controller={law}", *given], each))
     assert draw is late_sensors or {record.engine for record in found} == {"compiled"}
