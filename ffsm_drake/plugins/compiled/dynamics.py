@@ -277,9 +277,7 @@ class _Run:
         return repr(self.code) if is_shipped(self.law) else None
 
 
-def _results(
-    runs: Sequence[_Run], rows: dict[Any, np.ndarray]
-) -> list[RunLog | NotCovered | None]:
+def _results(runs: Sequence[_Run], rows: dict[Any, np.ndarray]) -> list[RunLog | NotCovered | None]:
     """The results of runs with the same code; ``rows``: see ``_logs``."""
     kernel = None
     for run in runs[:_TRIED]:
@@ -296,9 +294,7 @@ def _results(
     return [log for part in parts for log in _logs(kernel, part, rows)]
 
 
-def _logs(
-    kernel: Kernel, runs: Sequence[_Run], rows: dict[Any, np.ndarray]
-) -> list[RunLog | None]:
+def _logs(kernel: Kernel, runs: Sequence[_Run], rows: dict[Any, np.ndarray]) -> list[RunLog | None]:
     """The logs of at most as many runs as a register holds; None: a run diverges.
 
     ``rows`` keeps what some cases read, for their runs with other controllers.

@@ -1,8 +1,11 @@
 """The parameters of a law: the numbers in its fields, in the order of the fields.
 
 Arrays of floats, declared gains and the masses of models are parameters, which may differ between
-runs. Fields in ``by_sample`` of their class are planned numbers, which differ between samples too.
-All other fields are constants of the traced code.
+runs. All other fields are constants of the traced code.
+
+A law, or a part of it, can name tables (n, ...) in ``by_sample``. Of these, a sample uses one row,
+which depends only on the sample's number and the desired configuration. ``at_samples(q_d)`` returns
+the rows for q_d (samples, nq), by field. In the traced law, the table has only this row.
 """
 
 import dataclasses

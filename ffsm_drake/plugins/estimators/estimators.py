@@ -339,7 +339,7 @@ class CoupledEstimator(Estimator):
         return nearest
 
     def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
-        """See ControlLaw."""
+        """The gains at postures q_d (samples, nq), for the compiled engine."""
         return {"gain": self.gain_at(q_d)}
 
     def step(

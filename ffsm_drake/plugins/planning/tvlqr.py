@@ -93,7 +93,7 @@ class Tvlqr(ControlLaw):
         return gain
 
     def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
-        """See ControlLaw."""
+        """K_k of the samples from the first one, for the compiled engine."""
         assert isinstance(self.gains, np.ndarray)
         return {"gains": self.gains[np.minimum(np.arange(len(q_d)), len(self.gains) - 1)]}
 

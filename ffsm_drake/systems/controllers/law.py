@@ -196,10 +196,6 @@ class ControlLaw(abc.ABC):
     # fields are equal, except the model and ``of_each`` fields. Runs in one diagram share one law
     # (``is_wide``).
     wide: ClassVar[bool] = False
-    # Fields (n, ...) of which a sample uses one row, which depends only on its number and the
-    # desired configuration: ``at_samples(q_d)`` returns the rows for q_d (samples, nq), by field.
-    # A law, or a part of it, that has one row uses this row. For the compiled engine.
-    by_sample: ClassVar[tuple[str, ...]] = ()
     # Smallest change of its inputs (rad, m, per s) in a linearisation. For a law in single
     # precision, a smaller change would be rounding.
     least_change: ClassVar[float] = 0.0
