@@ -276,7 +276,9 @@ def _place(symbol: Symbol) -> int:
 
 
 def _difference(one: Symbol, other: Symbol) -> Any:
-    return 0.0 if one.index == other.index else one.tape.record("subtract", one, other)
+    if one.index == other.index and one.tape is other.tape:
+        return 0.0
+    return one.tape.record("subtract", one, other)
 
 
 def one(kind: str, function: Callable[[float], float]) -> Callable[[Any], Any]:

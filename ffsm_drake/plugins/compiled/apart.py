@@ -14,10 +14,12 @@ from contextlib import suppress
 from pathlib import Path
 
 from ffsm_drake.common.errors import one_line
+from ffsm_drake.tape import numbers
 from ffsm_drake.tape.numbers import NotTraceable
 
 _LONGEST = 120.0  # s
-_MOST = 90  # characters of another library's message
+_MOST = 60  # characters of another library's message
+_TRACERS = {Path(__file__).parent, Path(numbers.__file__).parent}  # folders, not of laws
 
 
 class Refused(NotTraceable):
@@ -30,10 +32,11 @@ def reason_of(error: BaseException) -> str:
         return str(error)
     text = one_line(error)
     if not isinstance(error, NotTraceable):
-        text = f"{type(error).__name__} on symbols: {text[:_MOST]}"
+        text = f"{type(error).__name__} on symbols: {text.partition('. ')[0][:_MOST]}"
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if "/numpy/" not in frame.filename and f"{os.sep}tape{os.sep}" not in frame.filename:
-            return f"{Path(frame.filename).name}:{frame.lineno}: {text}"
+        path = Path(frame.filename)
+        if "numpy" not in path.parts and path.parent not in _TRACERS:
+            return f"{path.name}:{frame.lineno}: {text}"
     return text
 
 
