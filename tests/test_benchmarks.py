@@ -98,7 +98,7 @@ def test_rollout(monkeypatch, capsys):
         assert 0.0 < max(differences) < 1e-7
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_startup(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     startup = importlib.import_module("startup")

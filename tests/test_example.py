@@ -17,10 +17,11 @@ from ffsm_drake.show.meshcat import start_meshcat, write_recording
 EXAMPLES = Path(__file__).parents[1] / "examples"
 OWN_TESTS = ("postcapture.py", "campaign.py")
 OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in OWN_TESTS)
+ON_EACH_CHANGE = ("own_law.py", "own_sensor.py", "notebook.py")
 DOCS = EXAMPLES.parent / "docs"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("rough_pictures")
 def test_the_main_job(tmp_path, monkeypatch, capfd):
     """As a script, in this process: the longest of the examples loads nearly all there is."""
@@ -52,7 +53,7 @@ def test_the_main_job(tmp_path, monkeypatch, capfd):
     assert "Traceback" not in err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_jacobian_of_a_fixed_base_misses_where_the_generalized_one_does_not(
     tmp_path, monkeypatch, capsys
 ):
@@ -155,7 +156,7 @@ def test_examples_are_short():
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.long if name == "own_mission.py" else pytest.mark.slow)
+        pytest.param(name, marks=pytest.mark.slow if name in ON_EACH_CHANGE else pytest.mark.long)
         for name in OTHERS
     ],
 )
@@ -195,7 +196,7 @@ def _in_packed(part: str, page: str) -> bool:
     return any(part.encode() in base64.b64decode(blob) for blob in blobs)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_chromium
 def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
     def shows_it(pixels):

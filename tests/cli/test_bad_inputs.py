@@ -682,8 +682,13 @@ def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> 
     return finished([*command, *argv], cwd=cwd, **OWN_PROCESS | settings)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("id", ["no-super-init", "nan-configuration"])  # before and in the run
+@pytest.mark.parametrize(
+    "id",  # before and in the run
+    [
+        pytest.param("no-super-init", marks=pytest.mark.slow),
+        pytest.param("nan-configuration", marks=pytest.mark.long),
+    ],
+)
 def test_one_line_from_a_process_of_its_own(id, tmp_path):
     (row,) = (row for row in TABLE if row.id == id)
     for name, content in row.files.items():
@@ -917,7 +922,7 @@ def _started(process) -> None:
     [
         pytest.param(signal.SIGINT, 1, id="int", marks=pytest.mark.slow),
         pytest.param(signal.SIGTERM, 1, id="term", marks=pytest.mark.long),
-        pytest.param(signal.SIGINT, 2, id="twice", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 2, id="twice", marks=pytest.mark.long),
     ],
 )
 def test_interrupted_runs_keep_their_record(tmp_path, number, signals):

@@ -16,6 +16,8 @@ from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.controllers import make_controller
 
+pytestmark = pytest.mark.rounding
+
 SCENARIOS = {
     "the paper's": ["controller=aismc"],
     "adaptive": ["controller=tde_aismc"],

@@ -320,8 +320,7 @@ def test_what_lacks_a_linear_loop_says_so(tmp_path):
 @pytest.mark.parametrize(
     ("count", "number", "commands"),
     [(50, 0, COMMANDS), pytest.param(150, 1, COMMANDS, marks=pytest.mark.long)]
-    + [pytest.param(6, 4, LONG, marks=pytest.mark.slow)]
-    + [pytest.param(6, 5, LONG, marks=pytest.mark.long)]
+    + [pytest.param(6, k, LONG, marks=pytest.mark.long) for k in (4, 5)]
     + [pytest.param(500, k, COMMANDS + LONG, marks=pytest.mark.exhaustive) for k in range(10, 20)],
 )
 def test_faults_of_user_supplied_code(count, number, commands, tmp_path):

@@ -14,6 +14,8 @@ import sensitivity
 from children import finished
 from entry_points import needs
 
+pytestmark = pytest.mark.rounding
+
 PARTS = golden.files()
 EVERY_LAW = ("schema", *golden.WITH_EVERY_LAW)
 

@@ -26,6 +26,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.loop.blocks import BLOCKS, make_blocks
 from ffsm_drake.testing import ConformanceError, check_block
 
+pytestmark = pytest.mark.rounding
+
 LAB = {
     "reference": """
 class Rest(LeafSystem):

@@ -16,6 +16,8 @@ from ffsm_drake.show import block_diagram
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
 from ffsm_drake.systems.reference import make_motion
 
+pytestmark = pytest.mark.rounding
+
 DIAGRAMS = Path(__file__).parents[2] / "diagrams"
 
 

@@ -23,6 +23,8 @@ from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.systems.controllers import complete_gains
 
+pytestmark = pytest.mark.rounding
+
 # Table 1 of the paper.
 DURATION = 20.0  # s
 PERIOD = 0.01  # s, the controller's period and delay L

@@ -162,8 +162,13 @@ def check_wide(scenarios):
             np.testing.assert_array_equal(log.series[name], values, err_msg=name)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", WIDE)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=pytest.mark.slow if kind == "reduced" else pytest.mark.long)
+        for kind in WIDE
+    ],
+)
 def test_blocks_of_all_copies_have_their_bits(kind):
     name, *overrides = WIDE[kind]
     scenario = load_scenario(name, ["duration=0.1", *overrides])
@@ -241,7 +246,7 @@ LONG_RUNS = [
     ("thrusters_and_wheels", "tdc"),
     ("free_floating", "tdc"),
 ]
-ON_EACH_CHANGE = [("postcapture", "tde_aismc"), ("flight_sensors", "tdc")]
+ON_EACH_CHANGE = [("flight_sensors", "tdc")]
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_words_of_the_core_schema(word, meant):
     assert read_yaml(f"a: {word}") == {"a": meant}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @SETTINGS
 @given(
     st.recursive(LEAVES, lambda inner: st.dictionaries(OLD | PRINTABLE, inner) | st.lists(inner))

@@ -61,7 +61,7 @@ def test_bad_names(load, found, bad):
         load(text)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @SETTINGS
 @given(st.text("äöüßéñ", min_size=1, max_size=4), st.sampled_from(["latin-1", "utf-16", "cp1252"]))
 def test_other_encodings(load, word, encoding):

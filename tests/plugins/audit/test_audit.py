@@ -107,7 +107,7 @@ def test_a_log_of_mujoco_is_physics(true_log, tmp_path):
     assert "follows the work" in statement(found, "energy")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_models_of_mujoco_are_read_as_new_reads_them(true_log, tmp_path):
     """With its sites and armature, which Drake's own parser refuses or drops."""
     log, spec = write(tmp_path / "log.csv", true_log), craft()

@@ -61,7 +61,7 @@ def rows(spec, tmp_path_factory):
 
 
 @pytest.mark.slow
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(
     first=st.integers(1, 9),
     then=st.integers(1, 9),

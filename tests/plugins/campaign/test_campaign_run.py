@@ -96,8 +96,10 @@ def test_rows_that_another_program_removes_are_missed(tmp_path):
             assert store.num_results() == 6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.parametrize(
+    "alone",
+    [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.long)],
+)
 def test_runs_that_end_one_by_one_are_kept_one_by_one(alone, tmp_path):
     """What an interruption ends is only the run under way."""
     spec, seen = write_spec(tmp_path / "few.yaml", cases=8), list[int]()
@@ -318,7 +320,7 @@ def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
     assert record.scenario.random_seed == row["random_seed"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rerun_notices_another_result(database, tmp_path):
     path = tmp_path / "altered.db"
     path.write_bytes(database.read_bytes())

@@ -62,9 +62,12 @@ def test_the_approach_ends_with_the_velocity_of_the_grasp():
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("servicer", "least", "most"), [("detumble", 0, 1e-9), ("track_all", 1e-3, 1)]
+    ("servicer", "least", "most"),
+    [
+        pytest.param("detumble", 0, 1e-9, marks=pytest.mark.slow),
+        pytest.param("track_all", 1e-3, 1, marks=pytest.mark.long),
+    ],
 )
 def test_the_joints_alone_bring_the_stack_to_rest(servicer, least, most):
     """No force and no torque on the base after the grasp: its rate (rad/s) at the end."""

@@ -611,8 +611,13 @@ def test_a_turning_gyros_bias_is_found_in_its_axes(seed):
     assert np.linalg.norm(off) < 0.02 * np.linalg.norm(bias)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["kalman", "coupled"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("kalman", marks=pytest.mark.slow),
+        pytest.param("coupled", marks=pytest.mark.long),
+    ],
+)
 def test_a_gyros_bias_is_found(run, kind):
     """Without a state of its own it becomes an error of attitude, or position."""
     bias = (

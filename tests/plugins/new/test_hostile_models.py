@@ -330,8 +330,14 @@ def test_a_model_that_includes_itself_is_refused(tmp_path):
         make_plant(Model(servicer=str(file)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, marks=pytest.mark.long),
+        pytest.param(signal.SIGKILL, marks=pytest.mark.long),
+    ],
+)
 def test_a_signal_ends_a_command_and_its_reader(number, tmp_path):
     file = endless(tmp_path)
     command = [
@@ -358,8 +364,13 @@ def test_a_signal_ends_a_command_and_its_reader(number, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", VALID)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=pytest.mark.slow if kind == "urdf" else pytest.mark.long)
+        for kind in VALID
+    ],
+)
 def test_mutated_models_are_read_or_refused_in_one_line(
     kind, tmp_path, monkeypatch, apart_for_good
 ):

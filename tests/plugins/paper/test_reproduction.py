@@ -167,6 +167,7 @@ def test_the_outcome_follows_the_table(results):
     ]
 
 
+@pytest.mark.long
 def test_the_docs_begin_with_the_outcome(monkeypatch):
     monkeypatch.setattr(table, "SETTINGS", {"euler": SETTINGS["euler"]})
     cases = [case for case in runs.table_cases(1) if case.setting == "euler"]
@@ -179,6 +180,7 @@ def as_printed(cell):
     return dataclasses.replace(cell, mean=cell.paper, ratio=1.0, rank=cell.paper_rank)
 
 
+@pytest.mark.long
 def test_mean_and_spread_over_the_seeds():
     of_seeds = runs.run_cases(runs.table_cases(2), num_seeds=2, overrides=["duration=0.05"])
     values = [of_seeds.run("euler", "tdc", seed=seed).itae for seed in range(2)]
@@ -499,6 +501,7 @@ def test_an_interrupted_reproduction_writes_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 @needs_chromium
 def test_the_page_in_a_browser(written, tmp_path):
     def shows_it(pixels):
