@@ -92,7 +92,7 @@ def test_a_run_that_finds_another_says_where_it_is(runs, tmp_path, monkeypatch):
     assert seeds_in(tmp_path)[Path("out")] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_reader_beside_a_writer_sees_one_record(runs, tmp_path):
     """Files with and without a lock: a set, and each file, is old or new."""
     good = [run.save(tmp_path / str(run.scenario.random_seed)) for run in runs]

@@ -401,8 +401,13 @@ def test_what_drake_would_drop_is_refused(draws: int, tmp_path: Path) -> None:
     assert passed
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("way", ["directives", "servicer"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        pytest.param("directives", marks=pytest.mark.slow),
+        pytest.param("servicer", marks=pytest.mark.long),
+    ],
+)
 def test_armature_is_not_lost_by_any_way_in(way: str, tmp_path: Path) -> None:
     text = '<mujoco model="servicer"><worldbody><body name="bus"><freejoint/>{}</body></worldbody>'
     arm = '<body name="arm"><joint name="j" armature="1"/><geom size="0.2"/></body>'

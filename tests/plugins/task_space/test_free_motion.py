@@ -197,8 +197,13 @@ def test_a_motion_that_cannot_be_integrated_is_refused_within_a_bound(monkeypatc
         make_closed_loop(scenario)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("duration", [1e-4, 3e-3, 0.04, 0.5, 3.0])
+@pytest.mark.parametrize(
+    "duration",
+    [
+        pytest.param(each, marks=pytest.mark.slow if each == 1e-4 else pytest.mark.long)
+        for each in (1e-4, 3e-3, 0.04, 0.5, 3.0)
+    ],
+)
 def test_the_cost_of_a_motion_does_not_grow_as_it_becomes_shorter(duration, monkeypatch):
     """Afterwards nothing moves, however long the run; at rest the momentum is none."""
     _, _, motion = make(*JOINTS, f"reference.duration={duration}")
