@@ -12,6 +12,7 @@ may then move by more than a ten-thousandth of its variable is not compared: lon
 runs are compared by their early samples and by those of their metrics that rounding leaves alone.
 """
 
+import dataclasses
 import importlib
 import json
 import math
@@ -200,7 +201,8 @@ def interface() -> dict[str, Any]:
     for name in names():
         base = scenario_to_dict(load_scenario(name))
         specs[f"scenario {name}"] = spec.spec_from_data({**_SMALLEST_CAMPAIGN, "base": base})
-    return {name: list(store.result_columns(each)) for name, each in specs.items()}
+    compiled = {name: dataclasses.replace(each, engine="compiled") for name, each in specs.items()}
+    return {name: list(store.result_columns(each)) for name, each in compiled.items()}
 
 
 def differences(
