@@ -340,7 +340,8 @@ class _Series(Mapping[str, np.ndarray]):
     def __init__(self, signals: Signals, lane: int, case: _Case) -> None:
         self._signals, self._lane, self._case = signals, lane, case
         self._names = [*signals.places, "desired_state", "desired_acceleration"]
-        if make_frame_motion(case.scenario, case.motion) is not None:
+        self._frame = make_frame_motion(case.scenario, case.motion)
+        if self._frame is not None:
             self._names.append("desired_frame")
         self._found = dict[str, np.ndarray]()
 
@@ -355,8 +356,8 @@ class _Series(Mapping[str, np.ndarray]):
         if name not in self._names:
             raise KeyError(name)
         case, nv = self._case, self._case.fixed["nv"]
-        if name == "desired_frame":
-            return make_frame_motion(case.scenario, case.motion).rows(case.times)
+        if name == "desired_frame" and self._frame is not None:
+            return self._frame.rows(case.times)
         return np.split(case.reference, [-nv], axis=1)[name == "desired_acceleration"].copy()
 
     def __iter__(self) -> Iterator[str]:

@@ -7,7 +7,9 @@ import pytest
 from compared_runs import check
 
 from ffsm_drake import FfsmError, load_scenario, simulate, simulate_many
+from ffsm_drake.plugins.campaign.cases import with_controller
 from ffsm_drake.plugins.compiled.noise import noise_of
+from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.sensing import SensorErrors
@@ -89,6 +91,29 @@ def test_bits_do_not_depend_on_the_others():
     alone = [simulate_many([scenario], engine="compiled")[0] for scenario in scenarios[::6]]
     for one, other in zip(alone, together[::6], strict=True):
         assert one.dataset.identical(other.dataset)
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=pytest.mark.slow if k < 1 else pytest.mark.long) for k in range(8)],
+)
+def test_runs_of_a_case_that_share_it_have_the_bits_of_runs_alone(seed):
+    """Controllers of a case share plants, noise and reference; one law reads planned tables."""
+    random = np.random.default_rng(seed)
+    given = [each for part in PARTS.values() for each in random.permutation(part)[:1].tolist()]
+    runs = []
+    for case in varied([*given, "duration=0.1"], 2):
+        for law in random.permutation([*LAWS, "tvlqr"])[:2].tolist():
+            runs.append(with_controller(case, law))
+    random.shuffle(runs)
+    together, apart = dict(run_many(runs, engine="compiled")), 0
+    for number, scenario in enumerate(runs):
+        ((_, alone),) = run_many([scenario], engine="compiled")
+        assert set(alone.series) == set(together[number].series)
+        for name, values in alone.series.items():
+            np.testing.assert_array_equal(values, together[number].series[name], err_msg=name)
+        apart += alone.engine == "compiled"
+    assert apart
 
 
 @pytest.mark.slow
