@@ -38,6 +38,7 @@ from ffsm_drake.systems.registry import Factory, is_shipped
 # A logger records the state before the update at its instant: at t_k it has these signals of sample
 # k - 1.
 _HELD = ("measurement", *(each.name for each in SIGNALS.values() if each.held))
+_STOP = 0.25  # s between the instants at which a run is ended that diverges or is interrupted
 # Fields that can change without a new build, like the payload's true mass properties.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
@@ -309,7 +310,7 @@ class Rollout:
         # A log that doubles its room when it is full copies itself.
         self._logger.FindMutableLog(context).Reserve(last - leg.first + 1)
         # Stops at control samples do not change the steps.
-        stop_periods = max(1, round(1.0 / sample_time))
+        stop_periods = max(1, round(_STOP / sample_time))
         start = time.perf_counter()
         interrupted, failure = False, None
         # The run beyond the point of divergence is discarded.
