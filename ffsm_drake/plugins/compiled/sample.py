@@ -4,6 +4,7 @@ with its exact derivative.
 
 import collections
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,13 +13,14 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.dynamics import Compiled, _Run
 from ffsm_drake.plugins.compiled.kernel import Slopes
+from ffsm_drake.plugins.compiled.measuring import phases
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _KEPT = 32  # codes
 _codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
-_ROW = {"reference", "noise", "drift_noise"}  # what a sample may read of its time
+_LONGEST = 5000  # samples in a common period of the sensors
 
 
 class Derivative(NamedTuple):
@@ -31,8 +33,9 @@ class Derivative(NamedTuple):
 class TracedSample:
     """A control sample of a scenario's loop, which is not the first of a run.
 
-    Its state (n) begins with [q; v]; ``memory`` has the parts of the law's memory. The rest is the
-    force over the last period, and what drifts in the sensors.
+    Its state (n) has the plant's [q; v] at ``known`` and ``hidden``, and the parts of the law's
+    memory at ``memory``. The rest is forces and measurements before this sample, and what drifts in
+    the sensors.
     """
 
     def __init__(self, scenario: Scenario, motion: PlannedMotion) -> None:
@@ -41,13 +44,20 @@ class TracedSample:
         run = _Run(scenario)
         if not run.coordinates.is_driven.all():
             raise NotCovered("undriven coordinates")
-        if not set(run.blocks.row) <= _ROW:
-            raise NotCovered("sensors with periods or delays")
+        if run.blocks.num_planned:
+            raise NotCovered("gains along the plan")
         self._scenario, self._motion = scenario, motion
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.sample_time = scenario.sample_time  # s
         self._code, blocks = _code(run), run.blocks
         self._sizes = blocks.parameters | blocks.states | blocks.results
+        self.known, self.hidden = list(blocks.known), list(blocks.hidden)
+        self.hidden_names = run.case.true.split.names
+        self._late = blocks.late
+        period = math.lcm(*(sensor.period for sensor in blocks.late))
+        if period > _LONGEST:
+            raise NotCovered("sensors with a long common period")
+        self.phases = phases(blocks.late, period)  # kind of each sample of a common period
         self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
         self.size = sum(blocks.states.values())
         places = self._code.places
@@ -57,13 +67,22 @@ class TracedSample:
             self.memory[name] = slice(end, end + value.size)
             end += value.size
         self.start = np.zeros(self.size)  # the state at the run's start, with sensors without drift
-        for name in ("x", "memory"):
+        for name in set(run.states) - {"drift"}:
             first = places[name] - places["x"]
             self.start[first : first + self._sizes[name]] = run.states[name]
         self._cells = self._code.cells()
         for name, values in run.parameters.items():
             self._of(self._cells, name)[:] = values[:, None]
         self._row = np.zeros((sum(blocks.row.values()), self._code.width))  # without noise
+
+    def placed(self, known: np.ndarray) -> np.ndarray:
+        """The state of the run's start with another [q; v], which was measured before too (n)."""
+        state = self.start.copy()
+        state[self.known] = known
+        past = [np.tile(known[list(each.entries)], each.kept) for each in self._late]
+        first = self._code.places["past"] - self._code.places["x"]
+        state[first : first + self._sizes["past"]] = np.concatenate([np.zeros(0), *past])
+        return state
 
     def after(self, index: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state before the next sample (n), and the controller's force until then (nv),
@@ -109,8 +128,9 @@ class TracedSample:
 
     def _go(self, cells: np.ndarray, index: int) -> None:
         time = index * self.sample_time
-        row = self._motion.row(time)
+        row, phase = self._motion.row(time), self.phases[index % len(self.phases)]
         self._row[: row.size] = row[:, None]
+        self._row[len(self._row) - phase.size :] = phase[:, None]
         self._code.run(cells, self._row, time)
 
     def _state(self, cells: np.ndarray, prefix: str = "") -> np.ndarray:

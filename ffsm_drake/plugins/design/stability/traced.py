@@ -13,7 +13,7 @@ from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
-# From Drake's loop after two samples, as a share of the state's largest entry.
+# From Drake's loop after ``WARM_UP`` samples, as a share of the state's largest entry.
 _LARGEST_DIFFERENCE = 1e-9
 _agrees: dict[Any, bool] = {}  # key of code -> whether it does what Drake's loop does
 
@@ -23,7 +23,6 @@ class TracedLoop:
     those of ``DifferencedLoop``.
     """
 
-    hidden: tuple[str, ...] = ()
     tracks_frame = False
     user_supplied: Sequence[Any] = ()
 
@@ -31,16 +30,18 @@ class TracedLoop:
         """Args: the traced sample, of a scenario without what has no derivative; its motion."""
         self._sample, self.motion = sample, motion
         self.law, self.coordinates = sample.law, sample.coordinates
-        self._nq, self._nv = len(self.coordinates.position_names), len(self.coordinates.names)
+        self.hidden: tuple[str, ...] = sample.hidden_names
         held = {name: sample.memory[name] for name in self.law.held()}
+        plant = [*sample.known, *sample.hidden]
         places = [np.arange(part.start, part.stop) for part in held.values()]
-        first = self._nq + self._nv  # the state's first entry that is not the plant's
-        rest = np.arange(first, sample.size)
-        self._rest = np.setdiff1d(rest, np.concatenate([np.zeros(0, int), *places]))
+        rest = np.setdiff1d(np.arange(sample.size), np.concatenate([plant, *places]))
+        self._attitude = plant[:4]
+        # entries of the state that are the linear loop's from its fourth on
+        self._kept = np.concatenate([plant[4:], rest]).astype(int)
         self.parts_of_memory = {}
         for name, part in sample.memory.items():
             if name not in held:
-                begin = 2 * self._nv + int(np.searchsorted(self._rest, part.start))
+                begin = 3 + int(np.flatnonzero(self._kept == part.start)[0])
                 self.parts_of_memory[name] = slice(begin, begin + part.stop - part.start)
         self.noise: Mapping[str, slice] = {}
         self.start, self._state = sample.start, sample.start
@@ -48,7 +49,7 @@ class TracedLoop:
     @property
     def size(self) -> int:
         """Of the linear loop's state."""
-        return 2 * self._nv + self._rest.size
+        return 3 + self._kept.size
 
     @property
     def num_noise(self) -> int:
@@ -60,10 +61,8 @@ class TracedLoop:
 
     def place(self, index: int, held: Mapping[str, np.ndarray]) -> None:
         """Go to a control sample on the plan, with all memory as at the start of the run."""
-        state = self.start.copy()
-        known = self._nq + self._nv
-        state[:known] = self.motion.row(index * self._sample.sample_time)[:known]
-        self._state = self._holding(state, held)
+        row = self.motion.row(index * self._sample.sample_time)
+        self._state = self._holding(self._sample.placed(row[: len(self._sample.known)]), held)
 
     def save(self) -> np.ndarray:
         """The present instant, for ``load``."""
@@ -75,7 +74,8 @@ class TracedLoop:
 
     def known(self) -> np.ndarray:
         """[q; v] of the plant."""
-        return self._state[: self._nq + self._nv].copy()
+        known: np.ndarray = self._state[self._sample.known]
+        return known
 
     def go_on(self, index: int, held: Mapping[str, np.ndarray]) -> None:
         """Go on from just before the update at a control sample to just before the next."""
@@ -104,22 +104,22 @@ class TracedLoop:
         before: Callable[[], np.ndarray],
     ) -> tuple[SampleMap, ...]:
         """The map of one control sample; arguments as of ``DifferencedLoop.samples``."""
-        state = before()
-        after, found = self._sample.derivative(first + WARM_UP, state, truth)
-        by_noise = np.eye(self.num_noise)
+        state, first = before(), first + WARM_UP
+        kinds = [tuple(each) for each in self._sample.phases.tolist()]
+        found = dict[Any, SampleMap]()
+        for index in range(first, first + len(kinds)):
+            if (kind := kinds[index % len(kinds)]) not in found:
+                found[kind] = self._map(index, state, truth)
+        return tuple(found[kinds[each % len(kinds)]] for each in range(first, first + len(kinds)))
+
+    def _map(self, index: int, state: np.ndarray, truth: MassProperties | None) -> SampleMap:
+        after, found = self._sample.derivative(index, state, truth)
         enter = np.zeros((found.state.shape[1], self.size + self.num_noise))
         enter[: len(state), : self.size] = self._from_small_change(state)
-        enter[len(state) :, self.size :] = by_noise
+        enter[len(state) :, self.size :] = np.eye(self.num_noise)
         both = self._small_change(after) @ (found.state @ enter)
-        force = found.force @ enter
-        return (
-            SampleMap(
-                a=both[:, : self.size],
-                b=both[:, self.size :],
-                c=force[:, : self.size],
-                d=force[:, self.size :],
-            ),
-        )
+        force, n = found.force @ enter, self.size
+        return SampleMap(a=both[:, :n], b=both[:, n:], c=force[:, :n], d=force[:, n:])
 
     def _holding(self, state: np.ndarray, held: Mapping[str, np.ndarray]) -> np.ndarray:
         """A state with held memory at its values."""
@@ -135,21 +135,18 @@ class TracedLoop:
         """Derivative of a state by its small change, which turns the attitude about axes of the
         world.
         """
-        nq, nv = self._nq, self._nv
         found = np.zeros((len(state), self.size))
-        found[:4, :3] = np.transpose([quaternion_rate(state[:4], axis) for axis in np.eye(3)])
-        found[4 : nq + nv, 3 : 2 * nv] = np.eye(2 * nv - 3)
-        found[self._rest, np.arange(2 * nv, self.size)] = 1.0
+        turns = [quaternion_rate(state[self._attitude], axis) for axis in np.eye(3)]
+        found[self._attitude, :3] = np.transpose(turns)
+        found[self._kept, np.arange(3, self.size)] = 1.0
         return found
 
     def _small_change(self, state: np.ndarray) -> np.ndarray:
         """Derivative of the small change of a state by the state."""
-        nq, nv = self._nq, self._nv
-        found = np.zeros((self.size, len(state)))
-        w, x, y, z = state[:4] * (2.0 / (state[:4] @ state[:4]))
-        found[:3, :4] = [[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
-        found[3 : 2 * nv, 4 : nq + nv] = np.eye(2 * nv - 3)
-        found[np.arange(2 * nv, self.size), self._rest] = 1.0
+        found, attitude = np.zeros((self.size, len(state))), state[self._attitude]
+        w, x, y, z = attitude * (2.0 / (attitude @ attitude))
+        found[:3, self._attitude] = [[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]]
+        found[np.arange(3, self.size), self._kept] = 1.0
         return found
 
 
@@ -179,7 +176,7 @@ def _difference(one: TracedLoop, other: DifferencedLoop) -> float:
     index, found = round(one.motion.part(0.5) / period), list[np.ndarray]()
     for loop in (one, other):
         loop.place(index, {})
-        for each in (index, index + 1):
+        for each in range(index, index + WARM_UP):
             loop.go_on(each, {})
         found.append(loop.known())
     return float(np.abs(found[0] - found[1]).max() / np.abs(found[1]).max())
