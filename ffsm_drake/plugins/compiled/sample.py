@@ -20,6 +20,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _KEPT = 32  # codes
 _codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
+_MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
 
@@ -33,9 +34,9 @@ class Derivative(NamedTuple):
 class TracedSample:
     """A control sample of a scenario's loop, which is not the first of a run.
 
-    Its state (n) has the plant's [q; v] at ``known`` and ``hidden``, and the parts of the law's
-    memory at ``memory``. The rest is forces and measurements before this sample, and what drifts in
-    the sensors.
+    Its state (n) has the plant's [q; v] at ``known`` and ``hidden``, the force over the last period
+    at ``applied``, and the parts of the law's memory at ``memory``. The rest is delayed forces and
+    measurements, and what drifts in the sensors.
     """
 
     def __init__(self, scenario: Scenario, motion: PlannedMotion) -> None:
@@ -49,7 +50,11 @@ class TracedSample:
         self._scenario, self._motion = scenario, motion
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.sample_time = scenario.sample_time  # s
-        self._code, blocks = _code(run), run.blocks
+        blocks = run.blocks
+        self.size = sum(blocks.states.values())
+        if self.size > _MOST:
+            raise NotCovered("so long delays")
+        self._code = _code(run)
         self._sizes = blocks.parameters | blocks.states | blocks.results
         self.known, self.hidden = list(blocks.known), list(blocks.hidden)
         self.hidden_names = run.case.true.split.names
@@ -59,9 +64,10 @@ class TracedSample:
             raise NotCovered("sensors with a long common period")
         self.phases = phases(blocks.late, period)  # kind of each sample of a common period
         self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
-        self.size = sum(blocks.states.values())
         places = self._code.places
         end = places["memory"] - places["x"]
+        first = places["applied"] - places["x"]
+        self.applied = slice(first, first + blocks.nv)
         self.memory = dict[str, slice]()
         for name, value in blocks.memory.items():
             self.memory[name] = slice(end, end + value.size)

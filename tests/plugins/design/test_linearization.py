@@ -227,7 +227,7 @@ def test_a_force_of_the_wheels_momentum_stands_in_the_loop(monkeypatch):
 
 
 def test_it_is_freed():
-    with Linearizer(load_scenario("postcapture")) as linearizer:
+    with Linearizer(load_scenario("postcapture"), blocks={"controller": Damper}) as linearizer:
         diagram = weakref.ref(linearizer._loop.loop.diagram)
     del linearizer
     gc.collect()

@@ -34,16 +34,18 @@ class TracedLoop:
         held = {name: sample.memory[name] for name in self.law.held()}
         plant = [*sample.known, *sample.hidden]
         places = [np.arange(part.start, part.stop) for part in held.values()]
+        places.append(np.arange(sample.size)[sample.applied])
         rest = np.setdiff1d(np.arange(sample.size), np.concatenate([plant, *places]))
         self._attitude = plant[:4]
         # entries of the state that are the linear loop's from its fourth on
-        self._kept = np.concatenate([plant[4:], rest]).astype(int)
+        self._kept = np.concatenate([plant[4:], places[-1], rest]).astype(int)
         self.parts_of_memory = {}
         for name, part in sample.memory.items():
             if name not in held:
                 begin = 3 + int(np.flatnonzero(self._kept == part.start)[0])
                 self.parts_of_memory[name] = slice(begin, begin + part.stop - part.start)
-        self.noise: Mapping[str, slice] = {}
+        white = len(sample.known) if sample.num_noise else 0
+        self.noise = {"samples": slice(0, white), "drift": slice(white, sample.num_noise)}
         self.start, self._state = sample.start, sample.start
 
     @property
