@@ -8,7 +8,8 @@ from ffsm_drake.tape.numbers import Traceable
 
 KINDS = {
     "add": lambda x, y: x + y, "subtract": lambda x, y: x - y, "multiply": lambda x, y: x * y,
-    "divide": lambda x, y: float(np.float64(x) / y), "negate": lambda x: -x, "abs": abs, "sqrt": math.sqrt,
+    "divide": lambda x, y: float(np.float64(x) / y), "negate": lambda x: -x,
+    "abs": abs, "sqrt": math.sqrt,
     "sine": math.sin, "cosine": math.cos, "copysign": math.copysign, "floor": math.floor,
     "rint": lambda x: float(np.rint(x)), "max": max, "min": min, "pow": math.pow,
     "lt": lambda x, y: x < y, "le": lambda x, y: x <= y, "eq": lambda x, y: x == y,

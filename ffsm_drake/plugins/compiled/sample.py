@@ -10,16 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.apart import reason_of
-from ffsm_drake.plugins.compiled.dynamics import Compiled, _Run
+from ffsm_drake.plugins.compiled.dynamics import Compiled, _Case, _Run
 from ffsm_drake.plugins.compiled.kernel import Slopes
 from ffsm_drake.plugins.compiled.measuring import phases
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.spacecraft.plant import model_files
 
 _KEPT = 32  # codes
 _codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
+_case = dict[Any, _Case]()  # the last one
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
@@ -39,15 +41,15 @@ class TracedSample:
     measurements, and what drifts in the sensors.
     """
 
-    def __init__(self, scenario: Scenario, motion: PlannedMotion) -> None:
-        """Args: the scenario, and its motion. Raises NotCovered."""
+    def __init__(self, scenario: Scenario) -> None:
+        """Raises NotCovered."""
         Compiled().check(scenario)
-        run = _Run(scenario)
+        run = _Run(scenario, _case_of(scenario))
         if not run.coordinates.is_driven.all():
             raise NotCovered("undriven coordinates")
         if run.blocks.num_planned:
             raise NotCovered("gains along the plan")
-        self._scenario, self._motion = scenario, motion
+        self._scenario, self.motion = scenario, run.case.motion
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.sample_time = scenario.sample_time  # s
         blocks = run.blocks
@@ -134,7 +136,7 @@ class TracedSample:
 
     def _go(self, cells: np.ndarray, index: int) -> None:
         time = index * self.sample_time
-        row, phase = self._motion.row(time), self.phases[index % len(self.phases)]
+        row, phase = self.motion.row(time), self.phases[index % len(self.phases)]
         self._row[: row.size] = row[:, None]
         self._row[len(self._row) - phase.size :] = phase[:, None]
         self._code.run(cells, self._row, time)
@@ -148,12 +150,22 @@ class TracedSample:
         return cells[first : first + self._sizes[name.removeprefix("d_")]]
 
 
-def traced_sample(scenario: Scenario, motion: PlannedMotion) -> TracedSample | None:
-    """Return the sample of a scenario with its motion; None: it is not covered."""
+def traced_sample(scenario: Scenario) -> TracedSample | None:
+    """Return the sample of a scenario; None: it is not covered."""
     try:
-        return TracedSample(scenario, motion)
+        return TracedSample(scenario)
     except FfsmError:
         return None
+
+
+def _case_of(scenario: Scenario) -> _Case:
+    """What it shares with the scenario before it, if they differ in the controller at most."""
+    shared = dataclasses.replace(scenario, controller="")
+    key = content_of((shared, model_files(scenario.model)))
+    if key not in _case:
+        _case.clear()
+        _case[key] = _Case(scenario)
+    return _case[key]
 
 
 def _code(run: _Run) -> Slopes:

@@ -30,7 +30,7 @@ from ffsm_drake.plugins.design.stability.linear_loop import (
 )
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
-from ffsm_drake.plugins.design.stability.traced import TracedLoop, traced_loop
+from ffsm_drake.plugins.design.stability.traced import TracedLoop, agrees, traced_sample
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -74,9 +74,13 @@ class Linearizer:
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self._choices = self.given.blocks.choices()
-        self.coordinates = make_nominal_plant(self.scenario).coordinates
-        self.motion = make_motion(self.scenario, self.coordinates)
-        self._loop = self._made(factories)
+        sample = None if factories else traced_sample(self.scenario)
+        if sample is None:
+            self.coordinates = make_nominal_plant(self.scenario).coordinates
+            self.motion = make_motion(self.scenario, self.coordinates)
+        else:
+            self.coordinates, self.motion = sample.coordinates, sample.motion
+        self._loop = self._made(sample, factories)
         self.tracks_frame, self.law = self._loop.tracks_frame, self._loop.law
         settle_faults(self.given, self.coordinates)  # the loop has none; names are checked
         self.begin, self.end = self.motion.begin, self.motion.end  # s
@@ -88,16 +92,15 @@ class Linearizer:
         self._lost = dict[Hashable, int]()
         self._loops = dict[Hashable, LinearLoop]()
 
-    def _made(self, blocks: Mapping[str, Factory]) -> TracedLoop | DifferencedLoop:
-        """The loop as code if it has no other blocks than those of its settings, else as Drake's
-        diagram.
-        """
+    def _made(self, sample: Any, blocks: Mapping[str, Factory]) -> TracedLoop | DifferencedLoop:
+        """The loop as code if there is a traced sample, else as Drake's diagram."""
 
         def differenced() -> DifferencedLoop:
             return DifferencedLoop(self.scenario, self.motion, blocks=blocks)
 
-        traced = None if blocks else traced_loop(self.scenario, self.motion, differenced)
-        return differenced() if traced is None else traced
+        if sample is not None and agrees(loop := TracedLoop(sample), differenced):
+            return loop
+        return differenced()
 
     @property
     def is_exact(self) -> bool:

@@ -11,7 +11,6 @@ from ffsm_drake.plugins.design.stability.differences import DifferencedLoop, Way
 from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, SampleMap
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.systems.controllers.law import is_shipped
-from ffsm_drake.systems.planned_motion import PlannedMotion
 
 # From Drake's loop after ``WARM_UP`` samples, as a share of the state's largest entry.
 _LARGEST_DIFFERENCE = 1e-9
@@ -26,9 +25,9 @@ class TracedLoop:
     tracks_frame = False
     user_supplied: Sequence[Any] = ()
 
-    def __init__(self, sample: Any, motion: PlannedMotion) -> None:
-        """Args: the traced sample, of a scenario without what has no derivative; its motion."""
-        self._sample, self.motion = sample, motion
+    def __init__(self, sample: Any) -> None:
+        """Args: the traced sample, of a scenario without what has no derivative."""
+        self._sample, self.motion, self.key = sample, sample.motion, sample.key
         self.law, self.coordinates = sample.law, sample.coordinates
         self.hidden: tuple[str, ...] = sample.hidden_names
         held = {name: sample.memory[name] for name in self.law.held()}
@@ -152,24 +151,24 @@ class TracedLoop:
         return found
 
 
-def traced_loop(
-    scenario: Scenario, motion: PlannedMotion, make_other: Callable[[], DifferencedLoop]
-) -> TracedLoop | None:
-    """The loop of a scenario; None where the code does not cover it, or does not what Drake's loop
-    does, which ``make_other`` makes.
-    """
+def traced_sample(scenario: Scenario) -> Any:
+    """Return the traced sample of a scenario with a shipped law; None: it is not covered."""
     make = optional(SERVICES, "traced_sample")
-    sample = None if make is None else make(scenario, motion)
+    sample = None if make is None else make(scenario)
     if sample is None or not is_shipped(sample.law) or sample.law.least_change:
         return None
-    loop = TracedLoop(sample, motion)
-    if sample.key not in _agrees:
+    return sample
+
+
+def agrees(loop: TracedLoop, make_other: Callable[[], DifferencedLoop]) -> bool:
+    """Whether the code does what Drake's loop does, which ``make_other`` makes; asked once."""
+    if loop.key not in _agrees:
         other = make_other()
         try:
-            _agrees[sample.key] = _difference(loop, other) <= _LARGEST_DIFFERENCE
+            _agrees[loop.key] = _difference(loop, other) <= _LARGEST_DIFFERENCE
         finally:
             other.release()
-    return loop if _agrees[sample.key] else None
+    return _agrees[loop.key]
 
 
 def _difference(one: TracedLoop, other: DifferencedLoop) -> float:
