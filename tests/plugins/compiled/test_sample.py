@@ -20,6 +20,10 @@ SCENARIOS = (
     ("flight_sensors", ()),
     ("slow_navigation", ()),
     ("flexible_panels", ()),
+    ("paper", ()),
+    ("seven_joint", ()),
+    ("planar_detumble", ()),
+    ("envisat", ()),
 )
 STEPS = 10.0 ** np.arange(-7, -2)
 
