@@ -241,7 +241,7 @@ class PlannedReference(Part):
         """Return the references of several copies of the spacecraft, see ``systems.side_by_side``;
         None where only some prescribe a frame.
         """
-        if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:
+        if len({prescribes_frame(setup.scenario) for setup in setups}) > 1:
             return None
         return make_reference([setup.scenario for setup in setups], setups[0].coordinates)
 
@@ -301,7 +301,7 @@ def reference_from(
 
 def make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
     """Return the path of the frame whose pose is prescribed along a planned motion, if one is."""
-    if not _prescribes_frame(scenario):
+    if not prescribes_frame(scenario):
         return None
     path = make_frame_path(
         scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin
@@ -309,5 +309,6 @@ def make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMoti
     return _FrameMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
 
 
-def _prescribes_frame(scenario: Scenario) -> bool:
+def prescribes_frame(scenario: Scenario) -> bool:
+    """Whether a scenario prescribes the path of a frame."""
     return scenario.reference.frame is not None and scenario.reference.frame.task != "none"

@@ -70,6 +70,10 @@ _REDUCED = {
 }  # fmt: skip
 
 
+_SWEEPS = 8  # of ``svd``, enough for 7 columns
+_TINY = 1e-300
+
+
 class Traced(np.ndarray):
     """An array of numbers and symbols."""
 
@@ -232,8 +236,8 @@ def _clip(x: Any, a_min: Any = None, a_max: Any = None, **more: Any) -> Any:
 
 
 @rule(np.zeros_like)
-def _zeros_like(x: Any, **_: Any) -> Any:
-    return traced(np.zeros(np.shape(x)))
+def _zeros_like(x: Any, *, shape: Any = None, **_: Any) -> Any:
+    return traced(np.zeros(np.shape(x) if shape is None else shape))
 
 
 @rule(np.ones_like)
@@ -298,6 +302,48 @@ def _solve(a: Any, b: Any) -> Any:
             b[i] = b[i] - a[i, j] * b[j]
         b[i] = b[i] * pivots[i]
     return b[:, 0] if vector else b
+
+
+@rule(np.linalg.svd)
+def _svd(a: Any, full_matrices: bool = True, compute_uv: bool = True, **_: Any) -> Any:
+    """By rotations of pairs of columns, in a fixed number of sweeps. Directions without size are
+    zero.
+    """
+    a = _objects(a)
+    if full_matrices or not compute_uv or a.ndim != 2:
+        raise NotTraceable("np.linalg.svd other than that of one matrix with full_matrices=False")
+    if a.shape[0] < a.shape[1]:
+        left, sizes, right = _svd(a.T, full_matrices=False)
+        return right.T, sizes, left.T
+    columns = [list(column) for column in a.T]
+    turned = [list(row) for row in np.eye(len(columns))]
+    pairs = [(i, j) for i in range(len(columns)) for j in range(i + 1, len(columns))]
+    for i, j in pairs * _SWEEPS:
+        across = _dot(columns[i], columns[j])
+        apart = _dot(columns[j], columns[j]) - _dot(columns[i], columns[i])
+        root = numbers.square_root(apart * apart + 4.0 * across * across)
+        tangent = 2.0 * across * numbers.signed(1.0, apart) / (abs(apart) + root + _TINY)
+        cosine = 1.0 / numbers.square_root(1.0 + tangent * tangent)
+        for rows in (columns, turned):
+            rows[i], rows[j] = (
+                [cosine * (x - tangent * y) for x, y in zip(rows[i], rows[j], strict=True)],
+                [cosine * (y + tangent * x) for x, y in zip(rows[i], rows[j], strict=True)],
+            )
+    sizes = [numbers.square_root(_dot(column, column)) for column in columns]
+    found = [[s, *c, *t] for s, c, t in zip(sizes, columns, turned, strict=True)]
+    for i, j in pairs:  # the largest first
+        is_less = found[i][0] < found[j][0]
+        found[i], found[j] = (
+            [select(is_less, *both) for both in zip(found[k], found[n], strict=True)]
+            for k, n in ((j, i), (i, j))
+        )
+    made = _objects(found)
+    left = made[:, 1 : 1 + len(a)].T / _each(lambda size: numbers.larger(size, _TINY), made[:, 0])
+    return left, made[:, 0], made[:, 1 + len(a) :]
+
+
+def _dot(a: Any, b: Any) -> Any:
+    return sum((x * y for x, y in zip(a[1:], b[1:], strict=True)), a[0] * b[0])
 
 
 @rule(np.linalg.inv)

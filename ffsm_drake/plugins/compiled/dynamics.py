@@ -33,7 +33,7 @@ from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import make_frame_motion, make_motion
+from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.sensing import SensorErrors, late_sensors
 
 # From Drake's run, as a share of a signal's largest value. Rounding is amplified by high gains.
@@ -192,6 +192,7 @@ class _Case:
             "noisy": bool(errors.deviation.any()),
             "rounded": bool(errors.resolution.any()),
             "late": late,
+            "framed": prescribes_frame(scenario),
             "limited": bool(np.isfinite(limit).any()),
             "quantized": bool(resolution.any()),
             "waits": force.delay,
@@ -228,12 +229,18 @@ class _Case:
         """Rows of the motion (samples, nq + 2 nv)."""
         return self.motion.rows(self.times)
 
+    @functools.cached_property
+    def frame(self) -> list[np.ndarray]:
+        """Rows of the path of a frame (samples, 19), if it is prescribed."""
+        path = make_frame_motion(self.scenario, self.motion)
+        return [] if path is None else [path.rows(self.times)]
+
     @property
     def rows(self) -> list[np.ndarray]:
         """What all of them read at each sample, side by side (samples, n)."""
         white = [self.noise.white] if self.fixed["noisy"] else []
         late = phases(self.fixed["late"], self.samples)
-        return [self.reference, *white, self.noise.drift, late]
+        return [self.reference, *white, self.noise.drift, late, *self.frame]
 
 
 class _Run:
@@ -246,8 +253,8 @@ class _Run:
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
         self.law: Any = controller.law
-        if getattr(self.law, "tracks_frame", False) or getattr(self.law, "contacts_read", 0):
-            raise NotCovered("a law that tracks a frame, or reads contacts")
+        if getattr(self.law, "contacts_read", 0):
+            raise NotCovered("a law that reads contacts")
         self.coordinates, self.samples = self.case.coordinates, self.case.samples
         self.motion, self.steps = self.case.motion, self.case.steps
         law, constants = parameters_of(self.law)
@@ -340,8 +347,7 @@ class _Series(Mapping[str, np.ndarray]):
     def __init__(self, signals: Signals, lane: int, case: _Case) -> None:
         self._signals, self._lane, self._case = signals, lane, case
         self._names = [*signals.places, "desired_state", "desired_acceleration"]
-        self._frame = make_frame_motion(case.scenario, case.motion)
-        if self._frame is not None:
+        if case.fixed["framed"]:
             self._names.append("desired_frame")
         self._found = dict[str, np.ndarray]()
 
@@ -356,8 +362,8 @@ class _Series(Mapping[str, np.ndarray]):
         if name not in self._names:
             raise KeyError(name)
         case, nv = self._case, self._case.fixed["nv"]
-        if name == "desired_frame" and self._frame is not None:
-            return self._frame.rows(case.times)
+        if name == "desired_frame":
+            return case.frame[0].copy()
         return np.split(case.reference, [-nv], axis=1)[name == "desired_acceleration"].copy()
 
     def __iter__(self) -> Iterator[str]:
@@ -380,6 +386,7 @@ def _log(
         outcome=Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s"),
         coordinates=run.coordinates,
         split=run.case.true.split,
+        tracks_frame=bool(getattr(run.law, "tracks_frame", False)),
         sliding_unit=str(run.law.sliding_unit),
         engine=Compiled.name,
         parts=parts,

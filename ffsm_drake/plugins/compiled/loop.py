@@ -23,6 +23,7 @@ from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Tree
 from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.sampled import SIGNALS
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.sensing import Sensor, quantize
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, none_caught, number
@@ -64,13 +65,13 @@ CARRIED = {
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
     "x", "t0", "law", "turn", "bias", "deviation", "resolution", "drift", "share", "added",
-    "reference", "noise", "drift_noise", "phases", "planned", "past", "memory", "applied",
-    "waiting", "limit", "force_resolution", "sines",
+    "reference", "noise", "drift_noise", "phases", "frame", "planned", "past", "memory",
+    "applied", "waiting", "limit", "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
     "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "phases",
-    "planned", "limit", "force_resolution", "sines", "t", "own", "step",
+    "frame", "planned", "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
@@ -103,6 +104,7 @@ class Blocks:
     noisy: bool
     rounded: bool  # the measurement is quantised
     late: tuple[Sensor, ...]  # with a period or delay; entries are tuples
+    framed: bool  # the path of a frame is prescribed
     limited: bool
     quantized: bool  # the force
     waits: int  # samples from a force to its effect
@@ -152,7 +154,7 @@ class Blocks:
         return {
             "reference": self.nq + 2 * self.nv, "noise": noise,
             "drift_noise": len(self.drifting), "phases": 3 * len(self.late),
-            "planned": self.num_planned,
+            "frame": FRAME_SIZE if self.framed else 0, "planned": self.num_planned,
         }  # fmt: skip
 
     @property
@@ -160,7 +162,7 @@ class Blocks:
         """Signal of a record -> its cell at a sample, first entry there, and size."""
         sizes = self.results | self.states
         made = {name: (cell, 0, sizes[cell]) for name, cell in _SAMPLED.items() if sizes[cell]}
-        held = {signal.name: signal.held for signal in SIGNALS if signal.dimension}
+        held = {signal.name: signal.held for signal in SIGNALS}
         first = 0
         for name, value in self.memory.items():
             if name in held:
@@ -269,6 +271,7 @@ class Blocks:
         sample = Sample(
             measured[:nq], measured[nq:], desired[:nq], desired[nq:], reference[nx:],
             e, e_dot, cells.applied, is_first, is_new,
+            cells.frame if self.framed and getattr(law, "tracks_frame", False) else None,
         )  # fmt: skip
         for each in (sample.q, sample.v, e, e_dot):
             each.setflags(write=False)

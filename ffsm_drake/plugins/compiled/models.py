@@ -4,9 +4,10 @@ import dataclasses
 from typing import Any, ClassVar
 
 from ffsm_drake.plugins.compiled.parameters import reader_of
-from ffsm_drake.plugins.equations import equations
+from ffsm_drake.plugins.equations import equations, frames
 from ffsm_drake.plugins.equations.errors import tracking_errors
-from ffsm_drake.plugins.equations.tree import Tree
+from ffsm_drake.plugins.equations.frames import quaternion_of
+from ffsm_drake.plugins.equations.tree import Place, Tree
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.tape.arrays import traced
@@ -15,7 +16,7 @@ from ffsm_drake.tape.numbers import NotTraceable
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TracedModel(PlantModel):
-    """A nominal model on symbols: its mass matrix, bias and tracking errors."""
+    """A nominal model on symbols: its equations, tracking errors, and frames at a ``Place``."""
 
     reduced: ClassVar[type]  # of an underactuated plant, see ``driven_model``
     own: list[Any]  # the parameters of the tree
@@ -33,15 +34,34 @@ class TracedModel(PlantModel):
         """See PlantModel."""
         return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
 
+    def calc_jacobian(self, q: Any, frame: Any) -> Any:
+        """See PlantModel."""
+        return traced(frames.jacobian(self.tree, _known(frame), list(q)))
+
+    def calc_bias_acceleration(self, q: Any, v: Any, frame: Any) -> Any:
+        """See PlantModel."""
+        return traced(frames.bias_acceleration(self.tree, _known(frame), list(q), list(v)))
+
+    def calc_frame_pose(self, q: Any, frame: Any) -> Any:
+        """See PlantModel."""
+        rotation, origin = frames.pose(self.tree, _known(frame), list(q))
+        return traced([*quaternion_of(rotation), *origin])
+
     def _set_state(self, q: Any, v: Any = None) -> None:
-        raise NotTraceable("the law asks its model for more than mass matrix and bias")
+        raise NotTraceable("the law asks its model for more than its equations and frames")
+
+
+def _known(frame: Any) -> Place:
+    if not isinstance(frame, Place):
+        raise NotTraceable("the law takes a frame by its name; keep the frame in a field")
+    return frame
 
 
 class _Unknown:
     """In place of a plant and its context, whose numbers would be constants of the code."""
 
     def __getattr__(self, name: str) -> Any:
-        raise NotTraceable("the law asks its model's plant for more than mass matrix and bias")
+        raise NotTraceable("the law reads the plant of its model")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.runs.engine import NotCovered
@@ -23,7 +24,7 @@ from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import gains_of
 
-_CONSTANTS = (bool, int, float, str, type(None), np.generic)
+_CONSTANTS = (bool, int, float, str, slice, type(None), np.generic)
 
 
 def parameters_of(law: Any) -> tuple[np.ndarray, tuple[Any, ...]]:
@@ -103,6 +104,10 @@ def _replaced(
         reader = reader_of(value.plant)
         constant((type(value).__name__, value.coordinates.undriven, reader.tree))
         return model(value, number(reader.parameters(value.context)))
+    if isinstance(value, Frame):
+        placed = reader_of(value.GetParentPlant()).place_of(value)
+        constant(placed)
+        return placed
     if isinstance(value, np.ndarray) and value.dtype == float:
         return number(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "iub":

@@ -170,8 +170,8 @@ def _case_of(scenario: Scenario) -> _Case:
 
 def _code(run: _Run) -> Slopes:
     """The compiled sample of a run. Raises NotCovered."""
-    if run.blocks.num_planned:
-        raise NotCovered("a law with tables by sample")
+    if run.blocks.num_planned or getattr(run.law, "tracks_frame", False):
+        raise NotCovered("a law with tables by sample, or that tracks a frame")
     found = _codes.get(run.code)
     if found is None:
         try:

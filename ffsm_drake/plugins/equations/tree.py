@@ -3,6 +3,7 @@ code, and parameters of each copy.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -64,6 +65,14 @@ class Tree:
         """Rows of the joint that moves a body, among the parameters."""
         first = _INERTIA * (len(self.links) + 1) + _JOINT * (body - 1)
         return slice(first, first + _JOINT)
+
+
+class Place(NamedTuple):
+    """A frame that is fixed to a body of a tree."""
+
+    body: int  # 0: the base, i: link i - 1
+    rotation: tuple[tuple[float, ...], ...]  # (3, 3) in the body's frame
+    place: tuple[float, ...]  # (3) of its origin there, m
 
 
 class Reader:
@@ -129,6 +138,15 @@ class Reader:
         if plant.num_velocities() != 6 + len(links):
             raise NotCovered("parts of the model apart from the floating base")
         return links
+
+    def place_of(self, frame: Frame) -> Place:
+        """Where a frame of the plant is."""
+        index = frame.body().index()
+        body = next(i for i, group in enumerate(self._groups) if index in group)
+        context = self._plant.CreateDefaultContext()
+        X = self._plant.CalcRelativeTransform(context, self._frames[body], frame)
+        rotation = tuple(map(_exact, X.rotation().matrix()))
+        return Place(body, rotation, tuple(X.translation().tolist()))
 
     def parameters(self, context: Context) -> np.ndarray:
         """The parameters (``Tree.num_parameters``) in a context of the plant."""

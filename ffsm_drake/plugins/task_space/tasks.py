@@ -29,11 +29,7 @@ from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.products import applied
 from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
-from ffsm_drake.spacecraft.coordinates import (
-    NUM_BASE_POSITIONS,
-    NUM_BASE_VELOCITIES,
-    tracking_errors,
-)
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import (
@@ -91,7 +87,7 @@ class TaskSpace:
             desired = model.calc_frame_motion(sample.q_d, sample.v_d, sample.a_d, self.frame)
         twist = applied(jacobian, sample.v)
         actual = np.concatenate([model.calc_frame_pose(q, self.frame), twist], axis=-1)
-        e, e_dot = tracking_errors(desired[..., :13], actual, NUM_BASE_POSITIONS)
+        e, e_dot = model.calc_tracking_errors(desired[..., :13], actual, NUM_BASE_POSITIONS)
         return TaskPoint(
             task_space=self,
             sample=sample,
@@ -175,8 +171,9 @@ class TaskPoint:
         Directions in which the joints cannot move the frame do not count.
         """
         sizes = self._directions[1]
-        count = (sizes > _ROUNDING * sizes[..., :1]).sum(axis=-1, keepdims=True)
-        return np.take_along_axis(sizes, np.maximum(count, 1) - 1, axis=-1)
+        counts = sizes >= _ROUNDING * sizes[..., :1]
+        least: np.ndarray = np.where(counts, sizes, np.inf).min(axis=-1, keepdims=True)
+        return least
 
     def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """z + [0; J+ (wanted - J* z)] (..., na): motion z corrected for the frame's motion (m)."""
