@@ -264,12 +264,13 @@ def _sinc(x: Any) -> Any:
 
 
 @rule(np.cross)
-def _cross(a: Any, b: Any, **more: Any) -> Any:
-    if more or np.shape(a)[-1:] != (3,) or np.shape(b)[-1:] != (3,):
-        raise NotTraceable("np.cross of other than rows of three")
-    (ax, ay, az), (bx, by, bz) = (np.moveaxis(traced(_plain(each)), -1, 0) for each in (a, b))
+def _cross(a: Any, b: Any, *, axis: int = -1, **more: Any) -> Any:
+    a, b = (np.moveaxis(traced(_plain(each)), axis, 0) for each in (a, b))
+    if more or len(a) != 3 or len(b) != 3:
+        raise NotTraceable("np.cross of other than vectors of three")
+    (ax, ay, az), (bx, by, bz) = a, b
     parts = [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
-    return np.stack([_objects(each) for each in parts], axis=-1)
+    return np.stack([_objects(each) for each in parts], axis=axis)
 
 
 @rule(np.linalg.norm)

@@ -70,7 +70,7 @@ class Payload:
         w, w_r = R_WB.T @ (jacobian[:3] @ v), R_WB.T @ (jacobian[:3] @ v_r)
         alpha, a = R_WB.T @ acceleration[:3], R_WB.T @ acceleration[3:]
         turning, turning_r = skew(w), skew(w_r)
-        y = np.zeros((6, SIZE))
+        y = np.zeros_like(jacobian, shape=(6, SIZE))
         y[:3, 1:4] = -skew(a)
         y[:3, 4:] = _turned(alpha) + 0.5 * (turning @ _turned(w_r) + turning_r @ _turned(w))
         y[3:, 0] = a
@@ -83,7 +83,7 @@ class Payload:
         R_WB, twist = self._rotation(q), self.model.calc_jacobian(q, self.frame) @ v
         p_WB = self.model.calc_frame_pose(q, self.frame)[4:]
         w, velocity = R_WB.T @ twist[:3], R_WB.T @ twist[3:]
-        own = np.zeros((6, SIZE))  # about the frame's origin, its axes
+        own = np.zeros_like(twist, shape=(6, SIZE))  # about the frame's origin, its axes
         own[:3, 1:4] = -skew(velocity)
         own[:3, 4:] = _turned(w)
         own[3:, 0] = velocity
@@ -95,7 +95,7 @@ class Payload:
         """The share of theta (10) in the mass matrix (nv, nv)."""
         jacobian, R_WB = self.model.calc_jacobian(q, self.frame), self._rotation(q)
         own = np.concatenate([R_WB.T @ jacobian[:3], R_WB.T @ jacobian[3:]])
-        inertia = np.zeros((3, 3))
+        inertia = np.zeros_like(theta, shape=(3, 3))
         inertia[_I, _J] = inertia[_J, _I] = theta[4:]
         first = skew(theta[1:4])
         return own.T @ np.block([[inertia, first], [-first, theta[0] * np.eye(3)]]) @ own

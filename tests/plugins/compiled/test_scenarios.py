@@ -115,6 +115,16 @@ def undriven_bases(random):
     return name, [f"actuation.driven={driven}", *same], each
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["free_floating", "seven_joint"])
+@pytest.mark.parametrize(
+    "law", ["task_time_delay", "task_computed_torque", "resolved_rate", "slotine_li"]
+)
+def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
+    each = [[f"payload.truth.mass={mass}"] for mass in (80.0, 100.0)]
+    check(of_seeds(name, ["duration=0.2", f"controller={law}"], each))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("draw", [late_sensors, flexible_parts, captures, undriven_bases])
 @pytest.mark.parametrize("seed", range(DRAWS))
