@@ -49,6 +49,8 @@ class TracedSample:
             raise NotCovered("undriven coordinates")
         if run.blocks.num_planned:
             raise NotCovered("gains along the plan")
+        if getattr(run.law, "tracks_frame", False):
+            raise NotCovered("a law that tracks a frame")
         self._scenario, self.motion = scenario, run.case.motion
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.sample_time = scenario.sample_time  # s
@@ -170,8 +172,6 @@ def _case_of(scenario: Scenario) -> _Case:
 
 def _code(run: _Run) -> Slopes:
     """The compiled sample of a run. Raises NotCovered."""
-    if run.blocks.num_planned or getattr(run.law, "tracks_frame", False):
-        raise NotCovered("a law with tables by sample, or that tracks a frame")
     found = _codes.get(run.code)
     if found is None:
         try:

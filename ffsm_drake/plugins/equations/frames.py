@@ -1,6 +1,6 @@
 """Kinematics of a frame on a body of a joint tree, on numbers or symbols; world axes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from ffsm_drake.plugins.equations.equations import axis_rotation, quaternion_matrix
@@ -41,7 +41,7 @@ def quaternion_of(rotation: Matrix) -> Vector:
     of 1 + trace, 1 + xx - yy - zz, ..., the one with the largest.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    candidates = [
+    candidates: list[tuple[Any, Callable[[Any], Vector]]] = [
         (xx + yy + zz, lambda s: [s, zy - yz, xz - zx, yx - xy]),
         (xx - yy - zz, lambda s: [zy - yz, s, xy + yx, xz + zx]),
         (yy - xx - zz, lambda s: [xz - zx, xy + yx, s, yz + zy]),
