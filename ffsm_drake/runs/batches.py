@@ -126,7 +126,7 @@ def run_many(
     runs, most = _Runs(), batch or usual_batch(samples=samples)
     # a run that diverges costs least alone, where it ends at once
     alone = [index for index, engine in left.items() if engine == on_drake(None)]
-    others = [index for index in left if index not in alone]
+    others = [index for index, engine in left.items() if engine != on_drake(None)]
     parts = batches_of([scenarios[index] for index in others], most)
     try:
         for indices in (*([others[at] for at in part] for part in parts), *([i] for i in alone)):

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from compared_runs import check
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import GetIntegrationSchemes
 
 from ffsm_drake import RunRecord, ScenarioError, load_scenario, simulate, simulate_many
+from ffsm_drake.cli import main
 from ffsm_drake.plugins.compiled.loop import SCHEMES
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.integration import integration_remarks
@@ -54,6 +56,20 @@ def test_what_is_not_covered_is_refused_in_a_line_with_the_remedy(given, more, s
     assert re.fullmatch(
         rf"engine: not covered: .*{said}.*; use the engine drake", str(caught.value)
     )
+
+
+def test_the_command_refuses_in_a_line_and_repeats_with_the_engine_of_the_run(tmp_path):
+    words = ["--no-report", "--engine", "compiled", "--out", str(tmp_path / "run")]
+    refused = CliRunner().invoke(main, ["run", "thrusters_and_wheels", *words])
+    assert refused.exit_code == 2
+    line = "engine: not covered: actuation.thrusters, actuation.wheels; use the engine drake"
+    assert refused.stderr.splitlines()[-1] == f"error: {line}"
+    short = ["--set", "duration=0.1", "--set", "tolerance={joints: 1}"]
+    assert CliRunner().invoke(main, ["run", *short, *words]).exit_code == 0
+    again = ["--no-report", "--out", str(tmp_path / "again")]
+    result = CliRunner().invoke(main, ["run", str(tmp_path / "run"), *again])
+    assert "same record, bit for bit" in result.output
+    assert RunRecord.load(tmp_path / "again").engine == "compiled"
 
 
 @pytest.mark.parametrize("scheme", GetIntegrationSchemes())
