@@ -1,15 +1,18 @@
 """Campaigns on compiled runs: rows as with Drake but for rounding, and what computed them."""
 
+import numpy as np
 import pytest
 import yaml
 from campaign_tools import HERE, run_here, write_spec
 from click.testing import CliRunner
 
+from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError, FfsmError
-from ffsm_drake.plugins.campaign.cases import make_cases
+from ffsm_drake.plugins.campaign.cases import make_cases, with_controller
 from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
 from ffsm_drake.plugins.campaign.plan import plan_text, status_text
+from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.run import repeat_run, resume_campaign, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data, why_not_compiled
 from ffsm_drake.plugins.campaign.store import create_store, open_store
@@ -161,3 +164,19 @@ def test_a_database_written_before_the_key_is_read_and_goes_on_with_drake(tmp_pa
     )
     with open_store(path) as store, pytest.raises(CampaignError, match="into a new database"):
         repeat_run(store, store.case(0), "tdc")
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=pytest.mark.slow if k < 1 else pytest.mark.long) for k in range(8)],
+)
+def test_predictions_of_controllers_that_share_a_case_are_those_of_each_alone(seed):
+    random, scenarios = np.random.default_rng(seed), []
+    for mass in random.uniform(60.0, 140.0, 2).tolist():
+        case = load_scenario("postcapture", [f"payload.nominal.mass={mass}"])
+        laws = random.permutation(["tdc", "asmc", "aismc", "tde_aismc", "super_twisting"])[:3]
+        scenarios += [with_controller(case, law) for law in laws.tolist()]
+    random.shuffle(scenarios)
+    for scenario, found in zip(scenarios, predict_many(scenarios), strict=True):
+        (alone,) = predict_many([scenario])
+        assert repr(found) == repr(alone)

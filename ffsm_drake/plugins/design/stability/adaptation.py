@@ -105,7 +105,7 @@ def forecast_reaching_gain(
     if gain is None or gain.rate is None:
         return times, np.tile(np.zeros(size) if gain is None else gain.start, (points, 1))
     switching = law.initial_state().get("switching_gain", np.zeros(size))
-    drift = np.gradient(planned.perfect_tracking(times)[0], times, axis=0)
+    drift = planned.drift(times)
     grid = np.linspace(1.0, 2.0 / scenario.sample_time, 20)
     response = _interpolated(grid, np.stack(_sliding_response(law, planned, loop, grid)))
     k_s = np.empty((points, size))

@@ -56,6 +56,7 @@ class PlannedDynamics:
         self.true = driven_model(make_flexible_plant(scenario))  # with hidden coordinates
         self.coordinates = self.nominal.coordinates
         self.motion = make_motion(scenario, self.coordinates)
+        self._drifts = dict[bytes, np.ndarray]()
 
     @functools.cached_property
     def locked(self) -> PlantModel:
@@ -105,6 +106,12 @@ class PlannedDynamics:
             force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
         nominal = self.nominal.calc_mass_matrix(q)
         return np.linalg.solve(nominal, force[..., None])[..., 0] - a, force
+
+    def drift(self, times: np.ndarray) -> np.ndarray:
+        """The rate of -N (n, nv) at times (n,), s, under perfect tracking."""
+        if (key := times.tobytes()) not in self._drifts:
+            self._drifts[key] = np.gradient(self.perfect_tracking(times)[0], times, axis=0)
+        return self._drifts[key]
 
     def _disturbances(self, times: np.ndarray) -> np.ndarray:
         """The disturbance (n, nv) at times (n,), N m or N."""
