@@ -8,6 +8,7 @@ from compared_runs import check
 
 from ffsm_drake import FfsmError, load_scenario, simulate, simulate_many
 from ffsm_drake.plugins.campaign.cases import with_controller
+from ffsm_drake.plugins.compiled import dynamics
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.engine import NotCovered
@@ -167,3 +168,16 @@ def test_it_says_what_is_not_covered():
     for record, other in zip(left, simulate_many(others), strict=True):
         assert record.engine.startswith("drake (not covered: actuation.thrusters")
         assert record.dataset.identical(other.dataset)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_code_is_not_refused_for_a_run_that_amplifies_rounding(seed, monkeypatch):
+    """Next to its stability limit a loop amplifies rounding; another run then judges its code."""
+    sample_time = np.random.default_rng(seed).uniform(0.005, 0.006)  # code of its own
+    scenario = load_scenario("postcapture", ["duration=0.1", f"sample_time={sample_time:.6f}"])
+    with monkeypatch.context() as patch:
+        patch.setattr(dynamics, "LARGEST_DIFFERENCE", -1.0)
+        ((_, log),) = run_many([scenario], engine="compiled")
+    assert log.engine.startswith("drake")
+    ((_, log),) = run_many([scenario], engine="compiled")
+    assert log.engine == "compiled"
