@@ -11,7 +11,7 @@ KINDS = {
     "divide": lambda x, y: float(np.float64(x) / y), "negate": lambda x: -x,
     "abs": abs, "sqrt": math.sqrt,
     "sine": math.sin, "cosine": math.cos, "copysign": math.copysign, "floor": math.floor,
-    "rint": lambda x: float(np.rint(x)), "max": max, "min": min, "pow": math.pow,
+    "rint": lambda x: float(np.rint(x)), "max": max, "min": min, "pow": lambda x, y: float(np.float64(x) ** y),
     "lt": lambda x, y: x < y, "le": lambda x, y: x <= y, "eq": lambda x, y: x == y,
     "ne": lambda x, y: x != y, "and": lambda x, y: x and y, "or": lambda x, y: x or y,
     "not": lambda x: not x, "select": lambda c, x, y: x if c else y,

@@ -1,4 +1,8 @@
-"""Derivatives on a tape: along a direction of its inputs, operation by operation."""
+"""Derivatives on a tape: along a direction of its inputs, operation by operation.
+
+Roots and powers below one have no derivative at zero. It is zero here, as the mean from both sides
+of |x|^p.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +36,7 @@ _PARTIAL: Mapping[str, Callable[..., Sequence[Any]]] = {
     "divide": lambda y, a, b: (1.0 / b, -y / b),
     "negate": lambda y, a: (-1.0,),
     "abs": lambda y, a: (numbers.sign(a),),
-    "sqrt": lambda y, a: (0.5 / y,),
+    "sqrt": lambda y, a: (select(a == 0.0, 0.0, 0.5 / y),),
     "sine": lambda y, a: (numbers.cosine(a),),
     "cosine": lambda y, a: (-numbers.sine(a),),
     "copysign": lambda y, a, b: (_by_sign(a) * _by_sign(b), 0.0),
@@ -50,7 +54,7 @@ _PARTIAL: Mapping[str, Callable[..., Sequence[Any]]] = {
     "acos": lambda y, a: (-1.0 / numbers.square_root(1.0 - a * a),),
     "atan": lambda y, a: (1.0 / (1.0 + a * a),),
     "atan2": lambda y, a, b: (b / (a * a + b * b), -a / (a * a + b * b)),
-    "pow": lambda y, a, b: (b * a ** (b - 1.0), _of_exponent(y, a, b)),
+    "pow": lambda y, a, b: (_of_base(a, b), _of_exponent(y, a, b)),
 }
 
 
@@ -61,6 +65,11 @@ _CHOSEN: Mapping[str, Callable[..., Any]] = {
     "min": lambda a, b: a < b,
     "select": lambda condition, a, b: condition,
 }
+
+
+def _of_base(a: Any, b: Any) -> Any:
+    slope = b * a ** (b - 1.0)
+    return select(a == 0.0, select(b == 1.0, 1.0, 0.0), slope) if isinstance(a, Symbol) else 0.0
 
 
 def _of_exponent(y: Any, a: Any, b: Any) -> Any:

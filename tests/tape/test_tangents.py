@@ -44,3 +44,14 @@ def test_a_choice_needs_no_derivative_of_what_it_leaves():
     with np.errstate(all="ignore"):
         found = evaluated(tape, {"x": np.zeros(2), "d": np.ones(1)}, np.array(slopes, object))
     assert found.tolist() == [1.0, 0.0]
+
+
+def test_roots_and_powers_at_zero_have_the_slope_of_both_sides():
+    tape = Tape()
+    x = inputs(tape, "x", (2,))
+    results = [np.sqrt(x @ x), (np.abs(x[0]) ** 0.3) * x[1], np.abs(x[0]) ** 1.5]
+    ways = tape.inputs("d", 2)
+    slopes = tangents(tape, results, {x[k].index: ways[k] for k in range(2)})
+    with np.errstate(all="ignore"):
+        found = evaluated(tape, {"x": np.zeros(2), "d": np.ones(2)}, np.array(slopes, object))
+    assert found.tolist() == [0.0, 0.0, 0.0]
