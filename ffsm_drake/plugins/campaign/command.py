@@ -112,7 +112,9 @@ def plan(spec: str, cases: int | None, engine: str | None, workers: int | None) 
     """
     from ffsm_drake.plugins.campaign.plan import plan_text
 
-    click.echo(plan_text(_load(spec, cases, engine), workers=workers or processors()))
+    loaded = _load(spec, cases, engine)
+    click.echo(plan_text(loaded, workers=workers or processors()))
+    _note_engine(loaded, engine)
 
 
 @campaign.command()
@@ -151,8 +153,10 @@ def run(
 
     part = Shard.parse(shard)
     path = database or _default_database(spec, "" if part == Shard() else f"-{shard}")
-    start = partial(start_campaign, _load(spec, cases, engine), shard=part)
+    loaded = _load(spec, cases, engine)
+    start = partial(start_campaign, loaded, shard=part)
     _drive(start, path, workers, scheduler, slurm=slurm)
+    _note_engine(loaded, engine)
 
 
 @campaign.command()
@@ -332,15 +336,21 @@ def report(
 
 
 def _load(spec: str, cases: int | None, engine: str | None) -> "Spec":
-    from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data, why_not_compiled
-    from ffsm_drake.runs.engine import DRAKE
+    from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 
     loaded = load_spec(spec)
-    if engine is None and loaded.engine == DRAKE and (why := why_not_compiled()):
-        click.echo(f"{why}; this campaign runs on Drake, several times as slowly", err=True)
     given = {"cases": cases, "engine": engine}
     changed = {name: value for name, value in given.items() if value is not None}
     return spec_from_data({**loaded.data, **changed}) if changed else loaded
+
+
+def _note_engine(spec: "Spec", engine: str | None) -> None:
+    """Print what compiled runs would bring, if they are the default but cannot be used."""
+    from ffsm_drake.plugins.campaign.spec import why_not_compiled
+    from ffsm_drake.runs.engine import DRAKE
+
+    if engine is None and spec.engine == DRAKE and (why := why_not_compiled()):
+        click.echo(f"{why}; this campaign runs on Drake, several times as slowly", err=True)
 
 
 def _default_database(spec: str, suffix: str = "") -> Path:
