@@ -54,7 +54,9 @@ _OF_ONE_KIND = (
 )
 # All other sections are equal: clock, integrator, plant and controller. With fixed steps, these
 # integrators compute each copy of the spacecraft separately.
-_EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
+_EXPLICIT = (
+    "explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3", "runge_kutta5",
+)  # fmt: skip
 _FAILURES = (Exception, SystemExit)  # Drake's refusals may be the latter
 _CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
 _FEWEST, _USUAL, _MOST = 4, 16, 24

@@ -266,7 +266,9 @@ def test_batches_of_one_have_their_bits():
     check_side_by_side(load_scenario("flight_sensors", ["duration=4"]), 4, batches=(1,))
 
 
-@pytest.mark.parametrize("scheme", ["explicit_euler", "semi_explicit_euler", "runge_kutta2"])
+@pytest.mark.parametrize(
+    "scheme", ["explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta5"]
+)
 def test_every_explicit_scheme_has_its_bits(scheme):
     scenario = load_scenario(
         "postcapture",
