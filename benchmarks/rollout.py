@@ -21,6 +21,7 @@ of a
 (w) our closed loop of as many runs side by side, each with a seed of its own, per run.
 (k) the same runs compiled, with their preparation, noise and log, where llvmlite is installed (pip
     install 'ffsm-drake[compiled]').
+(n) as (k), prepared before: noise, machine code and log.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -43,6 +44,7 @@ import numpy as np
 from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
+from ffsm_drake.plugins.compiled.dynamics import _results, _Run
 from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout
@@ -57,7 +59,7 @@ except ImportError as error:
     on_basilisk, WITHOUT_BASILISK = None, str(error)
 
 JOINTS = (5, 7, 14)
-AT_ONCE = (16, 64)  # runs
+AT_ONCE = (1, 16, 64)  # runs
 COMPILED = "compiled"
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
@@ -223,12 +225,22 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     if compiled is not None:
         found["k"] = np.stack([log.error for log in compiled.run_all(seeds)], axis=1)
         contestants["k"] = lambda: timed(lambda: compiled.run_all(seeds)) / runs
+        prepared = [_Run(seed) for seed in seeds]
+        contestants["n"] = lambda: timed(lambda: run_prepared(prepared)) / runs
+        found["n"] = np.stack([log.error for log in run_prepared(prepared)], axis=1)
     return AtOnce(
         contestants={f"{name}{runs}": work for name, work in contestants.items()},
         differences={
             f"{name}{runs}": float(np.abs(errors - own).max()) for name, own in found.items()
         },
     )
+
+
+def run_prepared(runs: Sequence[_Run]) -> list[RunLog]:
+    """The logs of prepared runs with the same code, with their noise drawn anew."""
+    for run in runs:
+        vars(run.case).pop("noise", None)
+    return [log for log in _results(runs, {}) if isinstance(log, RunLog)]
 
 
 def logs_of(rollout: Rollout) -> list[RunLog]:
@@ -286,7 +298,7 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
 
 
 def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> None:
-    labels = {"e": "MuJoCo", "w": "ours", "k": f"ours, {COMPILED}"}
+    labels = {"e": "MuJoCo", "w": "ours", "k": f"ours, {COMPILED}", "n": "prepared before"}
     for each in together:
         for name, difference in each.differences.items():
             letter, runs = name[0], name[1:]

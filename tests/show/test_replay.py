@@ -331,7 +331,9 @@ def test_a_live_run_shows_the_target_apart(meshcat, captured):
     rollout.run(
         progress=lambda time, _: seen.append((time, transform(meshcat, "visualizer/debris/debris")))
     )
-    assert [time for time, _ in seen] == pytest.approx([0.0, 1.0, 2.0, 2.0, 2.5], abs=0.5)
+    times = [time for time, _ in seen]
+    assert times == sorted(times)
+    assert (times[0], times[-1]) == pytest.approx((0.0, 2.5))
     for time, matrix in seen[:2]:
         sample = captured.dataset.isel(time=round(time / 0.01))
         assert matrix[:3, 3] == pytest.approx(sample["target_position"].values, abs=1e-6)

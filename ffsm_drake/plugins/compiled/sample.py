@@ -17,11 +17,11 @@ from ffsm_drake.plugins.compiled.kernel import Slopes
 from ffsm_drake.plugins.compiled.measuring import phases
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.plant import model_files
+from ffsm_drake.spacecraft.plant import files_read
 
 _KEPT = 32  # codes
 _codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
-_case = dict[Any, _Case]()  # the last one
+_case = list[tuple[Any, _Case]]()  # the last one
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
@@ -163,11 +163,10 @@ def traced_sample(scenario: Scenario) -> TracedSample | None:
 def _case_of(scenario: Scenario) -> _Case:
     """What it shares with the scenario before it, if they differ in the controller at most."""
     shared = dataclasses.replace(scenario, controller="")
-    key = content_of((shared, model_files(scenario.model)))
-    if key not in _case:
-        _case.clear()
-        _case[key] = _Case(scenario)
-    return _case[key]
+    key = shared, content_of(files_read(scenario))
+    if not _case or _case[0][0] != key:
+        _case[:] = [(key, _Case(scenario))]
+    return _case[0][1]
 
 
 def _code(run: _Run) -> Slopes:
