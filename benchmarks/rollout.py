@@ -44,7 +44,8 @@ import numpy as np
 from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from ffsm_drake.plugins.compiled.dynamics import _results, _Run
+from ffsm_drake.plugins.compiled.engine import results_of
+from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout
@@ -225,7 +226,7 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     if compiled is not None:
         found["k"] = np.stack([log.error for log in compiled.run_all(seeds)], axis=1)
         contestants["k"] = lambda: timed(lambda: compiled.run_all(seeds)) / runs
-        prepared = [_Run(seed) for seed in seeds]
+        prepared = [Run(seed) for seed in seeds]
         contestants["n"] = lambda: timed(lambda: run_prepared(prepared)) / runs
         found["n"] = np.stack([log.error for log in run_prepared(prepared)], axis=1)
     return AtOnce(
@@ -236,11 +237,11 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     )
 
 
-def run_prepared(runs: Sequence[_Run]) -> list[RunLog]:
+def run_prepared(runs: Sequence[Run]) -> list[RunLog]:
     """The logs of prepared runs with the same code, with their noise drawn anew."""
     for run in runs:
         vars(run.case).pop("noise", None)
-    return [log for log in _results(runs, {}) if isinstance(log, RunLog)]
+    return [log for log in results_of(runs, {}) if isinstance(log, RunLog)]
 
 
 def logs_of(rollout: Rollout) -> list[RunLog]:

@@ -162,7 +162,7 @@ class Rollout:
 
         Args:
           scenario: the scenario to run; None for the built one.
-          progress: called with (simulated time, duration) in s, once per simulated second.
+          progress: called with (simulated time, duration) in s, every 0.25 simulated seconds.
           leg: the part of the run; None for all of it.
 
         Raises:

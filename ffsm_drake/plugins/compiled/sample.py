@@ -12,16 +12,17 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.apart import reason_of
-from ffsm_drake.plugins.compiled.dynamics import Compiled, _Case, _Run
+from ffsm_drake.plugins.compiled.engine import Compiled
 from ffsm_drake.plugins.compiled.kernel import Slopes
 from ffsm_drake.plugins.compiled.measuring import phases
+from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.plant import files_read
 
 _KEPT = 32  # codes
 _codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
-_case = list[tuple[Any, _Case]]()  # the last one
+_case = list[tuple[Any, Case]]()  # the last one
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
@@ -44,7 +45,7 @@ class TracedSample:
     def __init__(self, scenario: Scenario) -> None:
         """Raises NotCovered."""
         Compiled().check(scenario)
-        run = _Run(scenario, _case_of(scenario))
+        run = Run(scenario, _case_of(scenario))
         if not run.coordinates.is_driven.all():
             raise NotCovered("undriven coordinates")
         if run.blocks.num_planned:
@@ -118,7 +119,7 @@ class TracedSample:
         start, width = self._cells.copy(), self._code.width
         if truth is not None:
             payload = dataclasses.replace(self._scenario.payload, truth=truth)
-            run = _Run(dataclasses.replace(self._scenario, payload=payload))
+            run = Run(dataclasses.replace(self._scenario, payload=payload))
             self._of(start, "own")[:] = run.parameters["own"][:, None]
         self._state(start)[:] = state[:, None]
         count = self.size + self.num_noise
@@ -160,16 +161,16 @@ def traced_sample(scenario: Scenario) -> TracedSample | None:
         return None
 
 
-def _case_of(scenario: Scenario) -> _Case:
+def _case_of(scenario: Scenario) -> Case:
     """What it shares with the scenario before it, if they differ in the controller at most."""
     shared = dataclasses.replace(scenario, controller="")
     key = shared, content_of(files_read(scenario))
     if not _case or _case[0][0] != key:
-        _case[:] = [(key, _Case(scenario))]
+        _case[:] = [(key, Case(scenario))]
     return _case[0][1]
 
 
-def _code(run: _Run) -> Slopes:
+def _code(run: Run) -> Slopes:
     """The compiled sample of a run. Raises NotCovered."""
     found = _codes.get(run.code)
     if found is None:

@@ -108,7 +108,7 @@ def test_without_llvmlite_drake_runs_with_a_line_that_says_so(tmp_path, monkeypa
     def refuse():
         raise FfsmError("engine: compiled: no llvmlite; pip install it")
 
-    monkeypatch.setattr("ffsm_drake.plugins.compiled.dynamics.llvm", refuse)
+    monkeypatch.setattr("ffsm_drake.plugins.compiled.engine.llvm", refuse)
     file = write_spec(tmp_path / "s.yaml", **NOT_COVERED)
     assert load_spec(file).engine == "drake"
     result = CliRunner().invoke(main, ["campaign", "plan", str(file)])

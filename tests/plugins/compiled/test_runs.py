@@ -8,7 +8,7 @@ from compared_runs import check
 
 from ffsm_drake import FfsmError, load_scenario, simulate, simulate_many
 from ffsm_drake.plugins.campaign.cases import with_controller
-from ffsm_drake.plugins.compiled import dynamics
+from ffsm_drake.plugins.compiled import engine
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.engine import NotCovered
@@ -176,7 +176,7 @@ def test_code_is_not_refused_for_a_run_that_amplifies_rounding(seed, monkeypatch
     sample_time = np.random.default_rng(seed).uniform(0.005, 0.006)  # code of its own
     scenario = load_scenario("postcapture", ["duration=0.1", f"sample_time={sample_time:.6f}"])
     with monkeypatch.context() as patch:
-        patch.setattr(dynamics, "LARGEST_DIFFERENCE", -1.0)
+        patch.setattr(engine, "LARGEST_DIFFERENCE", -1.0)
         ((_, log),) = run_many([scenario], engine="compiled")
     assert log.engine.startswith("drake")
     ((_, log),) = run_many([scenario], engine="compiled")

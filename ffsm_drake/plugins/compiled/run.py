@@ -1,0 +1,177 @@
+"""What a compiled run depends on: its code, and its numbers."""
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.plugins.compiled.loop import Blocks, steps_of
+from ffsm_drake.plugins.compiled.measuring import phases
+from ffsm_drake.plugins.compiled.noise import Noise, noise_of
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
+from ffsm_drake.runs.batches import group_of
+from ffsm_drake.runs.engine import NotCovered
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.start import state_at_start
+from ffsm_drake.systems.controllers import SampledController, make_controller
+from ffsm_drake.systems.controllers.law import is_shipped
+from ffsm_drake.systems.disturbance import sines_of
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
+from ffsm_drake.systems.sensing import SensorErrors, late_sensors
+
+
+class Case:
+    """What runs share that differ in their controllers at most."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
+        self.coordinates: Coordinates = self.nominal.coordinates
+        self.samples = scenario.num_control_periods + 1
+        own = reader_of(self.true.plant)
+        errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
+        drift = errors.drift()
+        late = tuple(
+            each._replace(entries=tuple(each.entries.tolist()))
+            for each in late_sensors(*errors.times())
+        )
+        disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
+        limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
+        resolution = self.coordinates.vector(
+            force.quantization, key="actuation.quantization", default=0.0
+        )
+        config = scenario.simulator_config
+        self.steps = steps_of(scenario.sample_time, config.max_step_size)
+        self.parameters = {
+            "own": own.parameters(self.true.context),
+            "turn": errors.turn.ravel(),
+            "bias": errors.bias,
+            "deviation": errors.deviation,
+            "resolution": errors.resolution,
+            "limit": limit,
+            "force_resolution": resolution,
+            "sines": disturbance.ravel(),
+            "share": drift.kept,
+            "added": drift.added,
+            "sample_time": np.array([scenario.sample_time]),
+            "step": np.array([scenario.sample_time / self.steps]),
+        }
+        self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
+        start = state_at_start(scenario, self.true)
+        known = self.true.split.known_part(np.arange(start.size))
+        before = [np.tile(start[known][list(each.entries)], each.kept) for each in late]
+        self.states = {
+            "x": start,
+            "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
+            "past": np.concatenate([np.zeros(0), *before]),
+        }
+        self.fixed = {
+            "nq": len(self.coordinates.position_names),
+            "nv": len(self.coordinates.names),
+            "tree": own.tree,
+            "known": tuple(known.tolist()),
+            "hidden": tuple(self.true.split.hidden_state.tolist()),
+            "forced": tuple(
+                self.true.split.known_velocities(np.arange(own.tree.num_velocities)).tolist()
+            ),
+            "undriven": tuple(np.flatnonzero(~self.coordinates.is_driven).tolist()),
+            "turned": tuple(errors.axes_matter().tolist()),
+            "drifting": tuple(drift.entries.tolist()),
+            "biased": bool(errors.bias.any() or (errors.turn != np.eye(4)).any()),
+            "noisy": bool(errors.deviation.any()),
+            "rounded": bool(errors.resolution.any()),
+            "late": late,
+            "framed": prescribes_frame(scenario),
+            "limited": bool(np.isfinite(limit).any()),
+            "quantized": bool(resolution.any()),
+            "waits": force.delay,
+            "scheme": config.integration_scheme,
+        }
+
+    @functools.cached_property
+    def group(self) -> str:
+        """Equal for runs with the same diagram on Drake, but for the controller. Raises
+        NotCovered.
+        """
+        group = group_of(dataclasses.replace(self.scenario, controller=""))
+        if group is None:
+            raise NotCovered("a run that cannot go side by side with others")
+        return group
+
+    @functools.cached_property
+    def noise(self) -> Noise:
+        """The samples of its sensors' noise."""
+        return noise_of(self.scenario.random_seed, self.samples, **self._sizes_of_noise)
+
+    @functools.cached_property
+    def motion(self) -> PlannedMotion:
+        """The reference."""
+        return make_motion(self.scenario, self.coordinates)
+
+    @functools.cached_property
+    def times(self) -> np.ndarray:
+        """The control samples (samples), s."""
+        return self.scenario.sample_time * np.arange(self.samples)
+
+    @functools.cached_property
+    def reference(self) -> np.ndarray:
+        """Rows of the motion (samples, nq + 2 nv)."""
+        return self.motion.rows(self.times)
+
+    @functools.cached_property
+    def frame(self) -> list[np.ndarray]:
+        """Rows of the path of a frame (samples, 19), if it is prescribed."""
+        path = make_frame_motion(self.scenario, self.motion)
+        return [] if path is None else [path.rows(self.times)]
+
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """What all of them read at each sample, side by side (samples, n)."""
+        white = [self.noise.white] if self.fixed["noisy"] else []
+        late = phases(self.fixed["late"], self.samples)
+        return [self.reference, *white, self.noise.drift, late, *self.frame]
+
+
+class Run:
+    """One run: what its code depends on, and its numbers."""
+
+    def __init__(self, scenario: Scenario, case: Case | None = None) -> None:
+        """Args: the scenario, and what it shares with other runs."""
+        self.scenario, self.case = scenario, Case(scenario) if case is None else case
+        controller = make_controller(scenario, self.case.nominal)
+        if not isinstance(controller, SampledController):
+            raise NotCovered("a controller that is a Drake system")
+        self.law: Any = controller.law
+        if getattr(self.law, "contacts_read", 0):
+            raise NotCovered("a law that reads contacts")
+        self.coordinates, self.samples = self.case.coordinates, self.case.samples
+        self.motion, self.steps = self.case.motion, self.case.steps
+        law, constants = parameters_of(self.law)
+        memory = self.law.initial_state()
+        self.parameters = self.case.parameters | {"law": law}
+        self.states = self.case.states | {
+            "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
+        }
+        known = self.case.states["x"][None, list(self.case.fixed["known"])]
+        planned = rows_of(self.law, known[:, : self.case.fixed["nq"]])
+        fixed = {"num_parameters": law.size, "num_planned": planned.size, **self.case.fixed}
+        # of equal code; and, with the same diagram on Drake
+        self.code = (*fixed.values(), constants, self.steps)
+        self.key = (self.case.group, scenario.controller, *self.code)
+        self.blocks = Blocks(law=self.law, **fixed)
+
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """What it reads at each sample, side by side (samples, n)."""
+        if not self.blocks.num_planned:
+            return self.case.rows
+        return [*self.case.rows, rows_of(self.law, self.case.reference[:, : self.blocks.nq])]
+
+    @property
+    def key_on_disk(self) -> str | None:
+        """What the code is made from, besides this package; None for a user's law."""
+        return repr(self.code) if is_shipped(self.law) else None
