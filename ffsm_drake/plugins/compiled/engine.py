@@ -82,7 +82,8 @@ class Compiled(Engine):
                 pass
         rows = dict[Any, np.ndarray]()
         for group in groups.values():
-            found = results_of([run for _, run in group], rows)
+            runs = [run for _, run in group]
+            found = results_of(runs, rows, alone=len(scenarios) == 1)
             for (index, _), result in zip(group, found, strict=True):
                 results[index] = result
         return results
@@ -92,39 +93,45 @@ _kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.Ordere
 _judged = set[Any]()  # keys of kernels that were compared with Drake
 
 
-def _kernel(run: Run) -> Kernel:
+def _kernel(run: Run, *, alone: bool) -> Kernel:
     """The compiled code of a run, compared with Drake once in a process. Raises NotCovered."""
-    found = _kernels.get(run.key)
+    key = run.key, alone
+    found = _kernels.get(key)
     try:
         if found is None:
-            found = _compiled(run)
-        if isinstance(found, Kernel) and run.key not in _judged:
-            _kernels[run.key] = found  # a run that diverges leaves it there
+            found = _compiled(run, alone=alone)
+        if isinstance(found, Kernel) and key not in _judged:
+            _kernels[key] = found  # a run that diverges leaves it there
             _judge(run, found)
-            _judged.add(run.key)
+            _judged.add(key)
     except Diverges:
         raise
     except NotCovered as error:
         found = error
     except FfsmError as error:  # Drake's run, or llvmlite, refuses it
         found = NotCovered(one_line(error))
-    _kernels[run.key] = found
+    _kernels[key] = found
     if len(_kernels) > _KEPT:
-        key, _ = _kernels.popitem(last=False)
-        _judged.discard(key)
+        oldest, _ = _kernels.popitem(last=False)
+        _judged.discard(oldest)
     if isinstance(found, NotCovered):
         raise found
     return found
 
 
 def results_of(
-    runs: Sequence[Run], rows: dict[Any, np.ndarray]
+    runs: Sequence[Run], rows: dict[Any, np.ndarray], *, alone: bool = False
 ) -> list[RunLog | NotCovered | None]:
-    """The results of runs with the same code; ``rows``: see ``logs_of``."""
+    """The results of runs with the same code.
+
+    Args:
+      rows: see ``logs_of``.
+      alone: see ``Kernel``.
+    """
     kernel = None
     for run in runs[:_TRIED]:
         try:
-            kernel = _kernel(run)
+            kernel = _kernel(run, alone=alone)
             break
         except Diverges:  # the next one may tell more of the code
             continue
@@ -136,11 +143,11 @@ def results_of(
     return [log for part in parts for log in logs_of(kernel, part, rows)]
 
 
-def _compiled(run: Run) -> Kernel:
+def _compiled(run: Run, *, alone: bool) -> Kernel:
     """Trace and compile. Raises NotCovered."""
     held_to_drake(run.blocks.tree, plant=run.case.true.plant)
     try:
-        kernel = Kernel(run.blocks, steps=run.steps, key=run.key_on_disk)
+        kernel = Kernel(run.blocks, steps=run.steps, key=run.key_on_disk, alone=alone)
     except (FfsmError, MemoryError):
         raise
     except Exception as error:  # the law may raise anything on symbols

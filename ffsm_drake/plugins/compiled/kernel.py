@@ -24,18 +24,20 @@ _BLOCK = 64  # samples whose numbers the cache holds
 class Kernel:
     """The compiled simulations of a loop."""
 
-    def __init__(self, blocks: Blocks, *, steps: int, key: str | None) -> None:
+    def __init__(self, blocks: Blocks, *, steps: int, key: str | None, alone: bool) -> None:
         """Args:
           blocks: the loop.
           steps: of the integrator in a control sample.
           key: of the code on disk; None: it may depend on a user's files.
+          alone: for one run, without a register's other lanes; it has the same bits.
 
         Raises what tracing raises.
         """
-        self.blocks, self.width = blocks, registers().width
+        lanes = Registers(1) if alone else registers()
+        self.blocks, self.width = blocks, lanes.width
         self.parts: Parts = {}  # whose signals follow from the log
-        self._text = _Runs(blocks, registers(), steps=steps)
-        self._code = self._text.code("runs", key)
+        self._text = _Runs(blocks, lanes, steps=steps)
+        self._code = self._text.code(f"runs of {self.width}", key)
         self._run = self._code.function("run", 3)
 
     def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> "Signals":
