@@ -31,6 +31,8 @@ coordinates cost.
 
 import argparse
 import dataclasses
+import functools
+import os
 import statistics
 import tempfile
 import time
@@ -45,6 +47,7 @@ from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake.plugins.compiled.engine import results_of
+from ffsm_drake.plugins.compiled.kernel import Kernel, Slopes
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.log import RunLog
@@ -244,6 +247,19 @@ def run_prepared(runs: Sequence[Run]) -> list[RunLog]:
     return [log for log in results_of(runs, {}, alone=len(runs) == 1) if isinstance(log, RunLog)]
 
 
+def compile_times(scenario: Scenario) -> list[str]:
+    """What code of runs costs that is not kept yet, and code with derivatives."""
+    run, told = Run(scenario), list[str]()
+    how = {"steps": run.steps, "key": run.key_on_disk}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.dict(os.environ, XDG_CACHE_HOME=folder),
+    ):
+        told.append(f"{timed(lambda: Kernel(run.blocks, **how, alone=False)):.2f} s")
+        told.append(f"{timed(lambda: Slopes(run.blocks, **how)):.2f} s")
+    return told
+
+
 def logs_of(rollout: Rollout) -> list[RunLog]:
     """The logs of runs side by side."""
     logs = [log for log in rollout.run_all() if log is not None]
@@ -399,6 +415,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     print(f"cost against joints, generated arms, medians of {fewer} (minima)")
     print_arms(times, arms)
+    if find_spec("llvmlite"):
+        for joints, arm in arms.items():
+            runs, slopes = compile_times(arm.rollout.loop.scenario)
+            print(f"  {joints:2d} joints, traced and compiled: runs {runs}, derivatives {slopes}")
 
 
 if __name__ == "__main__":
