@@ -31,7 +31,6 @@ coordinates cost.
 
 import argparse
 import dataclasses
-import functools
 import os
 import statistics
 import tempfile
@@ -250,7 +249,7 @@ def run_prepared(runs: Sequence[Run]) -> list[RunLog]:
 def compile_times(scenario: Scenario) -> list[str]:
     """What code of runs costs that is not kept yet, and code with derivatives."""
     run, told = Run(scenario), list[str]()
-    how = {"steps": run.steps, "key": run.key_on_disk}
+    how: dict[str, Any] = {"steps": run.steps, "key": run.key_on_disk}
     with (
         tempfile.TemporaryDirectory() as folder,
         mock.patch.dict(os.environ, XDG_CACHE_HOME=folder),
