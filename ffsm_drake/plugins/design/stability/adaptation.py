@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.special import erf
 
 from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
@@ -143,8 +142,12 @@ def _mean_signed_magnitude(
     """E[|s| sgn(|s| - threshold)] for Gaussian s; arrays (n)."""
     spread = np.where(sigma > 0.0, sigma, 1.0)
     z = (np.stack([-threshold, 0.0 * threshold, threshold]) - mean) / (spread * math.sqrt(2.0))
+    # without SciPy, which a first run does not load
+    error_function = np.array([math.erf(each) for each in z.ravel().tolist()]).reshape(z.shape)
     # integral of s times its density, up to a constant
-    below, zero, above = 0.5 * mean * erf(z) - spread / math.sqrt(2.0 * math.pi) * np.exp(-z * z)
+    below, zero, above = 0.5 * mean * error_function - spread / math.sqrt(2.0 * math.pi) * np.exp(
+        -z * z
+    )
     fixed = np.abs(mean) * np.copysign(1.0, np.abs(mean) - threshold)
     return np.where(sigma > 0.0, 2.0 * (zero - below - above), fixed)
 
