@@ -243,7 +243,7 @@ def run_prepared(runs: Sequence[Run]) -> list[RunLog]:
     """The logs of prepared runs with the same code, with their noise drawn anew."""
     for run in runs:
         vars(run.case).pop("noise", None)
-    return [log for log in results_of(runs, {}, alone=len(runs) == 1) if isinstance(log, RunLog)]
+    return [log for log in results_of(runs, alone=len(runs) == 1) if isinstance(log, RunLog)]
 
 
 def compile_times(scenario: Scenario) -> list[str]:

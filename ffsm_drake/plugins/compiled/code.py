@@ -1,10 +1,10 @@
 """LLVM code of traced operations, on as many copies at a time as a register holds.
 
-An array of ``function`` has a row for each copy, one of ``of_lanes`` a register for each entry. The
-operations stand in parts of bounded size, which hand values over in memory, as compiling one long
-piece takes more than proportionally long. No operation is fused or reordered: a copy has the same
-bits whatever the others hold. Only exponentials, logarithms, powers and the inverse and hyperbolic
-functions call the C library; without them the bits are those of every processor.
+An array has a register for each entry. The operations stand in parts of bounded size, which hand
+values over in memory, as compiling one long piece takes more than proportionally long. No operation
+is fused or reordered: a copy has the same bits whatever the others hold. Only exponentials,
+logarithms, powers and the inverse and hyperbolic functions call the C library; without them the
+bits are those of every processor.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,25 +36,6 @@ def declarations(registers: Registers) -> Iterator[str]:
         yield f"declare {registers.reals} @llvm.{name}.v{registers.width}f64({operands})"
     for name, count in _LIBRARY.items():
         yield f"declare double @{name}({', '.join(['double'] * count)})"
-
-
-def function(
-    registers: Registers,
-    name: str,
-    tape: Tape,
-    inputs: Mapping[str, int],
-    results: Mapping[str, Sequence[Any]],
-) -> str:
-    """A function of pointers to arrays (copies, n), of inputs and of results, and of the number of
-    copies; see ``of_lanes`` for the arguments.
-    """
-    arrays = {**inputs, **{array: len(row) for array, row in results.items()}}
-    given = ", ".join(f"ptr %{each}.b" for each in arrays)
-    call = f"  call void @{name}.lanes({given})"
-    return "\n".join((
-        of_lanes(registers, f"{name}.lanes", tape, inputs, results),
-        _loop(registers, name, arrays, len(inputs), [call]),
-    ))  # fmt: skip
 
 
 def of_lanes(
@@ -103,88 +84,6 @@ def of_lanes(
         f"define internal void @{name}({pointers}) {{\n  {room}\n{lines}\n  ret void\n}}\n"
     )
     return "\n".join(texts)
-
-
-def _loop(
-    registers: Registers,
-    name: str,
-    arrays: Mapping[str, int],
-    num_inputs: int,
-    body: Sequence[str],
-) -> str:
-    """Over as many copies at a time as a register holds, with pointers %ARRAY.b to their entries,
-    side by side in memory of its own. Lanes beyond the last copy do what this one does.
-    """
-    pointers = ", ".join(f"ptr noalias %{each}" for each in arrays)
-    rooms = "\n".join(
-        f"  %{each}.b = alloca [{max(count, 1)} x {registers.reals}], align 64"
-        for each, count in arrays.items()
-    )
-    lines, before = list[str](), "loop"
-    for lane in range(registers.width):
-        lines += [
-            f"  %at.{lane} = add i64 %first, {lane}",
-            f"  %inside.{lane} = icmp slt i64 %at.{lane}, %copies",
-            f"  %copy.{lane} = select i1 %inside.{lane}, i64 %at.{lane}, i64 %last",
-        ]
-        for each, count in arrays.items():
-            lines += [
-                f"  %{each}.o{lane} = mul i64 %copy.{lane}, {count}",
-                f"  %{each}.l{lane} = getelementptr double, ptr %{each}, i64 %{each}.o{lane}",
-            ]
-    for number, (each, count) in enumerate(arrays.items()):
-        if number == num_inputs:
-            lines += body
-        back = number >= num_inputs
-        lines += _moved(registers, each, count, before, back=back)
-        before = f"{each}.moved"
-    text = "\n".join(lines)
-    return f"""define void @{name}({pointers}, i64 %copies) {{
-entry:
-{rooms}
-  %last = sub i64 %copies, 1
-  br label %loop
-loop:
-  %first = phi i64 [0, %entry], [%next, %{before}]
-{text}
-  %next = add i64 %first, {registers.width}
-  %more = icmp slt i64 %next, %copies
-  br i1 %more, label %loop, label %end
-end:
-  ret void
-}}
-"""
-
-
-def _moved(
-    registers: Registers, array: str, count: int, before: str, *, back: bool
-) -> Iterator[str]:
-    """Move the rows of the lanes' copies into the memory of their own, or ``back``; ``before`` is
-    the label up to here.
-    """
-    reals, value = registers.reals, "zeroinitializer"
-    yield f"  br label %{array}.move"
-    yield f"{array}.move:"
-    yield f"  %{array}.i = phi i64 [0, %{before}], [%{array}.n, %{array}.move]"
-    yield f"  %{array}.r = getelementptr {reals}, ptr %{array}.b, i64 %{array}.i"
-    if back:
-        yield f"  %{array}.v = load {reals}, ptr %{array}.r, align 8"
-    for lane in range(registers.width):
-        pointer, one = f"%{array}.p{lane}", f"%{array}.x{lane}"
-        yield f"  {pointer} = getelementptr double, ptr %{array}.l{lane}, i64 %{array}.i"
-        if back:
-            yield f"  {one} = extractelement {reals} %{array}.v, i64 {lane}"
-            yield f"  store double {one}, ptr {pointer}, align 8"
-        else:
-            yield f"  {one} = load double, ptr {pointer}, align 8"
-            yield f"  {one}.v = insertelement {reals} {value}, double {one}, i64 {lane}"
-            value = f"{one}.v"
-    if not back:
-        yield f"  store {reals} {value}, ptr %{array}.r, align 8"
-    yield f"  %{array}.n = add i64 %{array}.i, 1"
-    yield f"  %{array}.m = icmp slt i64 %{array}.n, {count}"
-    yield f"  br i1 %{array}.m, label %{array}.move, label %{array}.moved"
-    yield f"{array}.moved:"
 
 
 def _used(operation: Operation) -> list[int]:

@@ -77,10 +77,9 @@ class Compiled(Engine):
                 results[index] = error
             except FfsmError:  # Drake's run shows it
                 pass
-        rows = dict[Any, np.ndarray]()
         for group in groups.values():
             runs = [run for _, run in group]
-            found = results_of(runs, rows, alone=len(scenarios) == 1)
+            found = results_of(runs, alone=len(scenarios) == 1)
             for (index, _), result in zip(group, found, strict=True):
                 results[index] = result
         return results
@@ -90,14 +89,9 @@ _kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.Ordere
 _judged = set[Any]()  # keys of kernels that were compared with Drake
 
 
-def results_of(
-    runs: Sequence[Run], rows: dict[Any, np.ndarray], *, alone: bool = False
-) -> list[RunLog | NotCovered | None]:
-    """The results of runs with the same code, which is compared with Drake once in a process.
-
-    Args:
-      rows: see ``logs_of``.
-      alone: see ``Kernel``.
+def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | NotCovered | None]:
+    """The results of runs with the same code, which is compared with Drake once in a process;
+    ``alone``: see ``Kernel``.
     """
     key = runs[0].key, alone
     found = _kernels.get(key)
@@ -107,7 +101,7 @@ def results_of(
         if isinstance(found, Kernel):
             width = found.width
             parts = [runs[at : at + width] for at in range(0, len(runs), width)]
-            logs = [log for part in parts for log in logs_of(found, part, rows)]
+            logs = [log for part in parts for log in logs_of(found, part)]
             if key not in _judged and _is_judged(found, runs, logs):
                 _judged.add(key)
     except NotCovered as error:
@@ -172,7 +166,7 @@ def _compare(kernel: Kernel, run: Run, log: RunLog, expected: RunLog) -> None:
         if of_rounding is None:
             nudged = copy.copy(run)
             nudged.states = run.states | {"x": run.states["x"] * (1.0 + np.finfo(float).eps)}
-            (other,) = logs_of(kernel, [nudged], {})
+            (other,) = logs_of(kernel, [nudged])
             of_rounding = {} if other is None else _differences(other, log)
         if not difference <= _OF_LAST_BITS * of_rounding.get(name, np.inf):
             raise NotCovered(

@@ -1,12 +1,12 @@
 """One function of machine code that runs simulations, as many at once as a register holds.
 
 All numbers of its runs stand in one array of cells, each a register wide. At every control sample
-it reads a row (reference, noise) and writes a row of the log.
+it reads rows of each run (reference, noise) and writes a row of the log.
 """
 
 import ctypes
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -38,15 +38,18 @@ class Kernel:
         self.parts: Parts = {}  # whose signals follow from the log
         self._text = _Runs(blocks, lanes, steps=steps)
         self._code = self._text.code(f"runs of {self.width}", key)
-        self._run = self._code.function("run", 3)
+        self._run = self._code.function("run", 3, ctypes.c_int64)
 
-    def run(self, runs: Mapping[str, np.ndarray], rows: np.ndarray) -> "Signals":
+    def run(
+        self, runs: Mapping[str, np.ndarray], rows: Sequence[Mapping[str, np.ndarray]]
+    ) -> "Signals":
         """Run a lane for each simulation.
 
         Args:
           runs: what each begins with, by the names of ``Blocks.parameters`` and ``states``:
             (width, n).
-          rows: of each sample (samples, n, width), see ``Blocks.row``.
+          rows: what each reads at the samples, by the names of ``Blocks.row``: (samples, n), one
+            row after the other in memory.
 
         Returns: the signals of ``Blocks.log``.
         """
@@ -54,9 +57,12 @@ class Kernel:
         for name, values in runs.items():
             first = self._text.places[name]
             cells[first : first + values.shape[1]] = values.T
-        samples = len(rows)
+        samples = len(rows[0]["reference"])
         log = np.empty((samples, sum(n for *_, n in self.blocks.log.values()), self.width))
-        self._run(cells.ctypes.data, rows.ctypes.data, log.ctypes.data, samples - 1)
+        read = np.array(
+            [[own[name].ctypes.data for own in rows] for name in self._text.read], dtype=np.uint64
+        )
+        self._run(cells.ctypes.data, read.ctypes.data, log.ctypes.data, samples - 1)
         places, first = dict[str, slice](), 0
         for name, (*_, size) in self.blocks.log.items():
             places[name] = slice(first, first + size)
@@ -234,16 +240,21 @@ class _Runs(_Text):
 
     _arguments = "ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last"
 
+    def __init__(self, blocks: Blocks, registers: Registers, *, steps: int) -> None:
+        super().__init__(blocks, registers, steps=steps)
+        self.read = [name for name, size in blocks.row.items() if size]
+        for name, size in blocks.row.items():
+            self.places[name] = self.size
+            self.size += size
+
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
         reals, blocks = self._registers.reals, self._blocks
-        row = sum(blocks.row.values())
         logged = sum(size for *_, size in blocks.log.values())
         yield "  br label %begin"
         yield "begin:"
         yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
-        yield f"  %row = mul i64 %k, {row}"
-        yield f"  %first_of_row = getelementptr {reals}, ptr %rows, i64 %row"
-        yield from self._row("%first_of_row")
+        for number, name in enumerate(self.read):
+            yield from self._read(name, number * self._registers.width)
         yield "  %sample = uitofp i64 %k to double"
         yield "  %time = fmul double %sample, %the_sample_time"
         yield from self._spread("%time", "%t0")
@@ -274,6 +285,34 @@ class _Runs(_Text):
         yield "  br label %begin"
         yield "end:"
         yield "  ret void"
+
+    def _read(self, name: str, place: int) -> Iterator[str]:
+        """Copy a row of each lane, whose address is at a place among ``rows``, into the cells."""
+        size, reals = self._blocks.row[name], self._registers.reals
+        at, value, before = f"%{name}.i", "poison", self._new()
+        yield f"  {before} = mul i64 %k, {size}"
+        for lane in range(self._registers.width):
+            address = self._new()
+            yield f"  {address} = getelementptr ptr, ptr %rows, i64 {place + lane}"
+            yield f"  %{name}.r{lane} = load ptr, ptr {address}, align 8"
+        yield f"  br label %{name}.from"
+        yield f"{name}.from:"
+        yield f"  br label %{name}.move"
+        yield f"{name}.move:"
+        yield f"  {at} = phi i64 [0, %{name}.from], [{at}.next, %{name}.move]"
+        yield f"  {at}.row = add i64 {before}, {at}"
+        for lane in range(self._registers.width):
+            one, entry, more = self._new(), self._new(), self._new()
+            yield f"  {entry} = getelementptr double, ptr %{name}.r{lane}, i64 {at}.row"
+            yield f"  {one} = load double, ptr {entry}, align 8"
+            yield f"  {more} = insertelement {reals} {value}, double {one}, i64 {lane}"
+            value = more
+        yield f"  {at}.cell = getelementptr {reals}, ptr %{name}, i64 {at}"
+        yield f"  store {reals} {value}, ptr {at}.cell, align 8"
+        yield f"  {at}.next = add i64 {at}, 1"
+        yield f"  {at}.more = icmp ult i64 {at}.next, {size}"
+        yield f"  br i1 {at}.more, label %{name}.move, label %{name}.end"
+        yield f"{name}.end:"
 
 
 class _Sample(_Text):

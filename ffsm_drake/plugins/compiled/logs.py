@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,22 +15,15 @@ from ffsm_drake.systems.part import Parts
 COMPILED = "compiled"  # name of the engine
 
 
-def logs_of(
-    kernel: Kernel, runs: Sequence[Run], rows: dict[Any, np.ndarray]
-) -> list[RunLog | None]:
-    """The logs of at most as many runs as a register holds; None: a run diverges.
-
-    ``rows`` keeps what some cases read, for their runs with other controllers.
-    """
+def logs_of(kernel: Kernel, runs: Sequence[Run]) -> list[RunLog | None]:
+    """The logs of at most as many runs as a register holds; None: a run diverges."""
     start = time.perf_counter()
     lanes = [*runs, *[runs[-1]] * (kernel.width - len(runs))]
     given = {name: np.array([run.parameters[name] for run in lanes]) for name in runs[0].parameters}
     given |= {name: np.array([run.states[name] for run in lanes]) for name in runs[0].states}
-    own = runs[0].key if runs[0].blocks.num_planned else None
-    if (read := (own, *(id(run.case) for run in runs))) not in rows:
-        rows[read] = _side_by_side([run.rows for run in lanes])
+    rows = [run.rows for run in lanes]
     began = time.perf_counter()
-    signals = kernel.run(given, rows[read])
+    signals = kernel.run(given, rows)
     ended = time.perf_counter()
     wall_time = {"build": began - start, "advance_to": ended - began, "total": ended - start}
     finite, state = signals.are_finite(), signals["state"]
@@ -41,16 +33,6 @@ def logs_of(
         else None
         for lane, run in enumerate(runs)
     ]
-
-
-def _side_by_side(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """The rows of runs in parts (samples, n), as one array (samples, all n, runs)."""
-    samples, width = len(rows[0][0]), sum(part.shape[1] for part in rows[0])
-    made, first = np.empty((samples, width, len(rows))), 0
-    for parts in zip(*rows, strict=True):
-        made[:, first : first + parts[0].shape[1]] = np.stack(parts, axis=-1)
-        first += parts[0].shape[1]
-    return made
 
 
 def _is_within(run: Run, state: np.ndarray) -> bool:
@@ -80,8 +62,10 @@ class _Series(Mapping[str, np.ndarray]):
             raise KeyError(name)
         case, nv = self._case, self._case.fixed["nv"]
         if name == "desired_frame":
-            return case.frame[0].copy()
-        return np.split(case.reference, [-nv], axis=1)[name == "desired_acceleration"].copy()
+            return case.planned["frame"].copy()
+        return np.split(case.planned["reference"], [-nv], axis=1)[
+            name == "desired_acceleration"
+        ].copy()
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)

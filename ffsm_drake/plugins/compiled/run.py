@@ -118,22 +118,22 @@ class Case:
         return self.scenario.sample_time * np.arange(self.samples)
 
     @functools.cached_property
-    def reference(self) -> np.ndarray:
-        """Rows of the motion (samples, nq + 2 nv)."""
-        return self.motion.rows(self.times)
-
-    @functools.cached_property
-    def frame(self) -> list[np.ndarray]:
-        """Rows of the path of a frame (samples, 19), if it is prescribed."""
-        path = make_frame_motion(self.scenario, self.motion)
-        return [] if path is None else [path.rows(self.times)]
+    def planned(self) -> dict[str, np.ndarray]:
+        """What they read at each sample, without noise (samples, n), by the names of
+        ``Blocks.row``.
+        """
+        made = {
+            "reference": self.motion.rows(self.times),
+            "phases": phases(self.fixed["late"], self.samples),
+        }
+        if (path := make_frame_motion(self.scenario, self.motion)) is not None:
+            made["frame"] = path.rows(self.times)
+        return {name: np.ascontiguousarray(values) for name, values in made.items()}
 
     @property
-    def rows(self) -> list[np.ndarray]:
-        """What all of them read at each sample, side by side (samples, n)."""
-        white = [self.noise.white] if self.fixed["noisy"] else []
-        late = phases(self.fixed["late"], self.samples)
-        return [self.reference, *white, self.noise.drift, late, *self.frame]
+    def rows(self) -> dict[str, np.ndarray]:
+        """What they read at each sample (samples, n), by the names of ``Blocks.row``."""
+        return self.planned | {"noise": self.noise.white, "drift_noise": self.noise.drift}
 
 
 class Run:
@@ -165,11 +165,12 @@ class Run:
         self.blocks = Blocks(law=self.law, **fixed)
 
     @property
-    def rows(self) -> list[np.ndarray]:
-        """What it reads at each sample, side by side (samples, n)."""
+    def rows(self) -> dict[str, np.ndarray]:
+        """What it reads at each sample (samples, n), by the names of ``Blocks.row``."""
         if not self.blocks.num_planned:
             return self.case.rows
-        return [*self.case.rows, rows_of(self.law, self.case.reference[:, : self.blocks.nq])]
+        planned = rows_of(self.law, self.case.planned["reference"][:, : self.blocks.nq])
+        return self.case.rows | {"planned": planned}
 
     @property
     def key_on_disk(self) -> str | None:

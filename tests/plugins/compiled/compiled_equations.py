@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from ffsm_drake.plugins.compiled.code import declarations, function
+from ffsm_drake.plugins.compiled.code import declarations, of_lanes
 from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
@@ -21,21 +21,39 @@ def text_of(name, of, tree):
     given = {each: sizes.get(each, tree.num_velocities) for each in INPUTS[name]}
     found = getattr(equations, name)(tree, *(tape.inputs(*each) for each in given.items()))
     row = [*itertools.chain(*found)] if name == "mass_matrix" else found
-    return "\n".join((*declarations(of), function(of, name, tape, given, {"row": row})))
+    return text_of_traced(of, tape, given, row)
+
+
+def text_of_traced(of, tape, given, row):
+    """The LLVM text of a function ``run`` of arrays of lanes, of inputs and of a row."""
+    pointers = ", ".join(f"ptr %{each}" for each in (*given, "row"))
+    run = f"define void @run({pointers}) {{\n  call void @traced({pointers})\n  ret void\n}}\n"
+    return "\n".join((*declarations(of), of_lanes(of, "traced", tape, given, {"row": row}), run))
+
+
+def of_copies(text, of, count, size):
+    """A function ``run`` of so many inputs as a function of arrays (copies, n), which returns rows
+    (copies, size).
+    """
+    code = Code(lambda: text)
+    run = code.function("run", count + 1)
+
+    def calculated(*inputs, _held=code):
+        copies = len(inputs[0])
+        result = np.zeros((copies, size))
+        for first in range(0, copies, of.width):  # lanes beyond the last copy do what it does
+            some = np.minimum(np.arange(first, first + of.width), copies - 1)
+            lanes = [np.ascontiguousarray(each[some].T) for each in inputs]
+            found = np.zeros((size, of.width))
+            run(*(each.ctypes.data for each in (*lanes, found)))
+            result[some] = found.T
+        return result
+
+    return calculated
 
 
 def compiled(name, tree, width=0):
     """An equation as a function of arrays (copies, n), which returns rows (copies, m)."""
-    of = Registers(width) if width else registers()
-    text, nv = text_of(name, of, tree), tree.num_velocities
-    code = Code(lambda: text)
+    of, nv = Registers(width) if width else registers(), tree.num_velocities
     size = {"derivative": tree.num_positions + nv, "bias": nv, "mass_matrix": nv * nv}[name]
-    call = code.function(name, len(INPUTS[name]) + 1)
-
-    def calculated(*inputs, _held=code):
-        rows = [np.ascontiguousarray(each) for each in inputs]
-        result = np.zeros((len(rows[0]), size))
-        call(*(each.ctypes.data for each in (*rows, result)), len(result))
-        return result
-
-    return calculated
+    return of_copies(text_of(name, of, tree), of, len(INPUTS[name]), size)

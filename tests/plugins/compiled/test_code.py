@@ -5,11 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from compiled_equations import compiled, text_of
+from compiled_equations import compiled, of_copies, text_of, text_of_traced
 from drawn_trees import drawn_tree
 
-from ffsm_drake.plugins.compiled.code import function
-from ffsm_drake.plugins.compiled.compiling import Code, registers
+from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations.equations import mass_matrix
 from ffsm_drake.plugins.equations.tree import Reader
@@ -35,9 +34,8 @@ def test_the_code_of_thirty_joints_is_no_longer_than_it_must():
 def test_angles_are_within_an_ulp():
     tape = Tape()
     (angle,) = tape.inputs("q", 1)
-    results = {"out": [sine(angle), cosine(angle)]}
-    text = function(registers(), "turn", tape, {"q": 1}, results)
-    code = Code(lambda: text)
+    text = text_of_traced(registers(), tape, {"q": 1}, [sine(angle), cosine(angle)])
+    turn = of_copies(text, registers(), 1, 2)
     random = np.random.default_rng(1)
     angles = np.concatenate(
         [
@@ -47,14 +45,11 @@ def test_angles_are_within_an_ulp():
             [0.0, -0.0, 1e-300, 1e-9, 5e-324],
         ]
     )
-    found = np.zeros((angles.size, 2))
-    turn, size = code.function("turn", 2), angles.size
-    turn(angles.ctypes.data, found.ctypes.data, size)
+    found = turn(angles[:, None])
     expected = np.array([[math.sin(x), math.cos(x)] for x in angles])
     assert (np.abs(found - expected) <= np.spacing(np.abs(expected))).all()
     angles[:] = np.resize([np.nan, np.inf, -np.inf, 1e6, 2e9, 1e308], angles.shape)
-    turn(angles.ctypes.data, found.ctypes.data, size)
-    assert np.isnan(found).all()
+    assert np.isnan(turn(angles[:, None])).all()
 
 
 @pytest.mark.smoke

@@ -14,6 +14,7 @@ from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.sensing import SensorErrors
 
 
@@ -76,14 +77,35 @@ def test_drawn_scenarios_have_the_runs_of_drake(seed):
         check(scenarios)
 
 
-@pytest.mark.smoke
-@pytest.mark.parametrize("seed", [0, 7, 2**31 - 1])
-def test_noise_is_that_of_drake(seed):
-    scenario = load_scenario("postcapture", ["duration=0.3", f"random_seed={seed}"])
-    log = Rollout(scenario).run(scenario)
-    errors = SensorErrors(scenario.sensing, log.coordinates, scenario.sample_time)
-    drawn = noise_of(seed, len(log.time), size=errors.deviation.size, drifting=0).white
-    assert (log.series["state"] + errors.deviation * drawn == log.series["measurement"]).all()
+DRIFTING = [  # along no axis that turns
+    "sensing.velocity_bias_walk={joints: 0.001}",
+    "sensing.position_correlated_noise={joints: 0.001}",
+]
+
+
+@pytest.mark.parametrize("given", [(), DRIFTING])
+@pytest.mark.parametrize(
+    "seeds",
+    [pytest.param(2, marks=pytest.mark.smoke), pytest.param(1000, marks=pytest.mark.long)],
+)
+def test_noise_is_that_of_drake(seeds, given):
+    """The least and the largest seed, and drawn ones: white noise after what drifts."""
+    random = np.random.default_rng(1)
+    scenario = load_scenario("postcapture", ["duration=0.3", *given])
+    rollout, coordinates = Rollout(scenario), make_nominal_plant(scenario).coordinates
+    errors = SensorErrors(scenario.sensing, coordinates, scenario.sample_time)
+    drift = errors.drift()
+    for seed in (0, 2**31 - 1, *random.integers(2**31, size=seeds).tolist()):
+        log = rollout.run(dataclasses.replace(scenario, random_seed=seed))
+        size, count = errors.deviation.size, len(log.time)
+        drawn = noise_of(seed, count, size=size, drifting=drift.entries.size)
+        expected = log.series["state"] + errors.deviation * drawn.white
+        x = drift.start * drawn.start
+        for k in range(count):
+            expected[k, drift.entries] += x
+            x = drift.kept * x + drift.added * drawn.drift[k]
+        np.testing.assert_array_equal(expected, log.series["measurement"])
+    rollout.release()
 
 
 @pytest.mark.slow
