@@ -40,6 +40,7 @@ from ffsm_drake.systems.registry import (
     section_kinds,
     section_parts,
 )
+from ffsm_drake.systems.sampled import Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
@@ -253,7 +254,7 @@ class _Making:
             for each, choice in zip(self._setups, choices, strict=True)
         ]
         fills = [factory_of(name, scenario, factory) for scenario in self._scenarios]
-        made = _make_block(fills, setups, self._fed, place=place)
+        made = _make_block(fills, setups, self._fed, kind=kind_of(name), place=place)
         if made is None and name not in self._choices[0] and name not in self._given:
             return
         self._add(name, made, place=place)
@@ -302,7 +303,12 @@ def _place_sections(
 
 
 def _make_block(
-    factories: Sequence[Factory], setups: Sequence[BlockSetup], fed: Collection[str], *, place: str
+    factories: Sequence[Factory],
+    setups: Sequence[BlockSetup],
+    fed: Collection[str],
+    *,
+    kind: str,
+    place: str,
 ) -> Any:
     """Return the system of all copies; None of an ideal actuator."""
     if len(setups) > 1 and all(setup.settings == setups[0].settings for setup in setups):
@@ -313,6 +319,15 @@ def _make_block(
         call_factory(factory, setup, place=place)
         for factory, setup in zip(factories, setups, strict=True)
     ]
+    if all(isinstance(each, Sampled) for each in made):
+        setup = setups[0]
+        return SampledSystem(
+            made,
+            name=setup.name,
+            sample_time=setup.sample_time,
+            usual=usual_sizes(kind, setup.coordinates),
+            place=place,
+        )
     if len(made) == 1:
         return made[0]
     if None in made:
@@ -444,6 +459,22 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
     return sources
 
 
+def _sizes(coordinates: Coordinates) -> dict[str, int]:
+    """Numbers in the ports of one spacecraft, by their size in words, where it is known."""
+    nv = len(coordinates.names)
+    stored = FROM_ACTUATORS["stored_momentum"]
+    return {STATE: 2 * nv + 1, VELOCITY: nv, FRAME: FRAME_SIZE, NUMBER: 1, stored: 3}
+
+
+def usual_sizes(block: str, coordinates: Coordinates) -> dict[str, int]:
+    """Return the numbers in the ports of a block of BLOCKS, by name, where they are known."""
+    ports, sizes = BLOCKS[kind_of(block)], _sizes(coordinates)
+    words = {
+        **ports.inputs, **ports.outputs, **ports.optional_inputs, **ports.optional_outputs,
+    }  # fmt: skip
+    return {name: sizes[size] for name, size in words.items() if size in sizes}
+
+
 def check_ports(
     system: Any, block: str, coordinates: Coordinates, *, place: str, copies: int = 1
 ) -> None:
@@ -465,13 +496,7 @@ def check_ports(
     except TypeError:
         cause = "TypeError: its __init__ must call super().__init__() first"
         raise BlockError(f"{place} cannot be built: {cause}") from None
-    size = {
-        STATE: copies * (2 * len(coordinates.names) + 1),
-        VELOCITY: copies * len(coordinates.names),
-        FRAME: copies * FRAME_SIZE,
-        NUMBER: copies,
-        FROM_ACTUATORS["stored_momentum"]: 3 * copies,
-    }
+    size = {meaning: copies * number for meaning, number in _sizes(coordinates).items()}
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),
         ("output", ports.outputs, ports.optional_outputs),

@@ -55,7 +55,7 @@ from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import EFFORT, Parts, Signal
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.selection import make_selector
-from ffsm_drake.systems.sensing import wire_stages
+from ffsm_drake.systems.sensing.stages import wire_stages
 from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 # Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'

@@ -1,6 +1,7 @@
 """The external disturbance: a harmonic and a constant per coordinate (Table 1), in C++ systems."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
@@ -63,6 +64,12 @@ def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) 
     diagram = builder.Build()
     diagram.set_name("disturbance")
     return diagram
+
+
+def force_at(time: Any, sines: Any) -> Any:
+    """Return the force (nv) of ``sines_of`` at a time, s, both of which may be symbols."""
+    amplitude, frequency, phase, bias = sines
+    return amplitude * np.sin(frequency * time + phase) + bias
 
 
 def _vectors(settings: Disturbance, coordinates: Coordinates) -> list[np.ndarray]:

@@ -43,7 +43,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     },
     "section": {
         "reference": "ffsm_drake.systems.reference:PlannedReference",
-        "sensing": "ffsm_drake.systems.sensing:Sensors",
+        "sensing": "ffsm_drake.systems.sensing.part:Sensors",
         "forces.disturbance": "ffsm_drake.systems.disturbance:HarmonicDisturbance",
     },
 }

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.systems.sensing import make_sensing, quantize
+from ffsm_drake.systems.quantization import quantize
+from ffsm_drake.systems.sensing.part import make_sensing
 
 # Of the shipped scenario.
 NOISE = (
@@ -54,12 +55,12 @@ def test_quantize():
 @pytest.mark.parametrize("name", ["paper", "postcapture"])
 def test_by_default_there_is_noise_and_nothing_else(name):
     sensing = make_closed_loop(load_scenario(name)).blocks["sensing"]
-    assert [stage.get_name() for stage in sensing.GetSystems()] == ["white_noise"]
+    assert [stage.get_name() for stage in sensing.GetSystems()] == ["white_noise", "noisy"]
     every = ["position_bias=1e-3", "velocity_quantization=1e-3", "delay=1"]
     sensing = make_closed_loop(load_scenario(name, [f"sensing.{one}" for one in every])).blocks[
         "sensing"
     ]
-    stages = ["white_noise", "to_sensors", "bias", "quantizer", "to_world", "sampling"]
+    stages = ["white_noise", "sensors"]
     assert [stage.get_name() for stage in sensing.GetSystems()] == stages
 
 
@@ -250,6 +251,7 @@ def test_a_measurement_says_whether_it_is_new():
     scenario = load_scenario("postcapture", slow_sensors())
     loop = make_closed_loop(scenario)
     sensing, context = loop.blocks["sensing"], loop.blocks["sensing"].CreateDefaultContext()
+    sensing.GetInputPort("state").FixValue(context, np.eye(2 * len(loop.coordinates.names) + 1)[0])
     port, groups = sensing.GetOutputPort("measurement_is_new"), loop.coordinates.groups
     for sample in range(45):
         context.SetTime(sample * scenario.sample_time)

@@ -20,7 +20,7 @@ from ffsm_drake.scenario import Actuation
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.faults import detects, first_sample, hits
 from ffsm_drake.systems.part import Part
-from ffsm_drake.systems.sensing import Quantizer
+from ffsm_drake.systems.quantization import Quantizer
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 

@@ -44,7 +44,8 @@ class Compiled(Engine):
         """See Engine."""
         config = scenario.simulator_config
         steps = steps_of(scenario.sample_time, config.max_step_size)
-        own = set(scenario.blocks.choices()) | {name for name, is_there in (
+        replaced = {each for each in scenario.blocks.choices() if not each.startswith("sensing.")}
+        own = replaced | {name for name, is_there in (
             ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
             ("supervisor", scenario.supervisor is not None),
@@ -121,7 +122,8 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     rollout = make_rollout(run.scenario)
     try:
         parts = rollout.loop.parts
-        others = (set(rollout.loop.blocks) - _BLOCKS) | (set(parts) - _PARTS)
+        blocks = set(rollout.loop.blocks) - set(run.scenario.blocks.choices())
+        others = (blocks - _BLOCKS) | (set(parts) - _PARTS)
     finally:
         rollout.release()
     if others:

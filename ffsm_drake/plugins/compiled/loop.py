@@ -13,18 +13,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ffsm_drake.common.guard import calling
+from ffsm_drake.loop.blocks import usual_sizes
 from ffsm_drake.plugins.compiled.code import of_lanes
-from ffsm_drake.plugins.compiled.measuring import measured
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Tree
-from ffsm_drake.systems.controllers.law import Sample
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.controllers.sampled import SIGNALS
+from ffsm_drake.systems.disturbance import force_at
 from ffsm_drake.systems.frame_path import FRAME_SIZE
-from ffsm_drake.systems.sensing import Sensor, quantize
+from ffsm_drake.systems.quantization import quantize
+from ffsm_drake.systems.sampled import Now, Sampled, sized
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, none_caught, number
 from ffsm_drake.tape.tangents import tangents
@@ -69,20 +73,20 @@ _SAMPLED = {
 CARRIED = {
     "memory": "memory_after",
     "drift": "drift_after",
-    "past": "past_after",
+    "stored": "stored_after",
     "waiting": "waiting_after",
     "applied": "applied_force",
 }
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
-    "x", "t0", "law", "turn", "bias", "deviation", "resolution", "drift", "share", "added",
-    "reference", "noise", "drift_noise", "phases", "frame", "planned", "past", "memory",
-    "applied", "waiting", "limit", "force_resolution", "sines",
+    "x", "t0", "law", "sensors", "deviation", "drift", "share", "added", "reference", "noise",
+    "drift_noise", "phases", "frame", "planned", "stored", "memory", "applied", "waiting", "limit",
+    "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
-    "t0", "law", "turn", "bias", "deviation", "resolution", "share", "added", "reference", "phases",
-    "frame", "planned", "limit", "force_resolution", "sines", "t", "own", "step",
+    "t0", "law", "sensors", "deviation", "share", "added", "reference", "phases", "frame",
+    "planned", "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
 
@@ -108,13 +112,11 @@ class Blocks:
     known: tuple[int, ...]
     hidden: tuple[int, ...]
     forced: tuple[int, ...]
-    undriven: tuple[int, ...]
-    turned: tuple[bool, bool]  # white noise, and other errors, are along the base's axes
-    biased: bool  # the measurement has a constant error, or a turned attitude
-    drifting: tuple[int, ...]  # entries of the measurement with errors that drift
+    coordinates: Coordinates
+    sensors: tuple[Sampled, ...]  # stages in a row
+    num_errors: int  # parameters of the sensors
     noisy: bool
-    rounded: bool  # the measurement is quantised
-    late: tuple[Sensor, ...]  # with a period or delay; entries are tuples
+    num_drifts: int  # errors of the sensors that drift
     framed: bool  # the path of a frame is prescribed
     limited: bool
     quantized: bool  # the force
@@ -126,14 +128,23 @@ class Blocks:
         """The law's memory at its start."""
         return {name: np.asarray(v, float) for name, v in self.law.initial_state().items()}
 
+    @functools.cached_property
+    def kept(self) -> list[dict[str, np.ndarray]]:
+        """The memory of each stage of sensing at its start."""
+        return [
+            {name: np.asarray(value, float) for name, value in stage.start().items()}
+            for stage in self.sensors
+        ]
+
     @property
     def parameters(self) -> dict[str, int]:
         """Numbers that a run begins with and keeps."""
         nx, nv = self.nq + self.nv, self.nv
         return {
-            "own": self.tree.num_parameters, "law": self.num_parameters, "turn": 16, "bias": nx,
-            "deviation": nx, "resolution": nx, "limit": nv, "force_resolution": nv, "sines": 4 * nv,
-            "share": len(self.drifting), "added": len(self.drifting), "sample_time": 1, "step": 1,
+            "own": self.tree.num_parameters, "law": self.num_parameters,
+            "sensors": self.num_errors, "deviation": nx, "limit": nv, "force_resolution": nv,
+            "sines": 4 * nv, "share": self.num_drifts, "added": self.num_drifts, "sample_time": 1,
+            "step": 1,
         }  # fmt: skip
 
     @property
@@ -142,8 +153,8 @@ class Blocks:
         memory = sum(each.size for each in self.memory.values())
         return {
             "x": len(self.known) + len(self.hidden), "memory": memory, "applied": self.nv,
-            "drift": len(self.drifting), "waiting": self.waits * self.nv,
-            "past": sum(each.kept * len(each.entries) for each in self.late),
+            "drift": self.num_drifts, "waiting": self.waits * self.nv,
+            "stored": sum(each.size for of in self.kept for each in of.values()),
         }  # fmt: skip
 
     @property
@@ -164,7 +175,7 @@ class Blocks:
         noise = self.nq + self.nv if self.noisy else 0
         return {
             "reference": self.nq + 2 * self.nv, "noise": noise,
-            "drift_noise": len(self.drifting), "phases": 3 * len(self.late),
+            "drift_noise": self.num_drifts, "phases": phases_of(self.sensors, 1).size,
             "frame": FRAME_SIZE if self.framed else 0, "planned": self.num_planned,
         }  # fmt: skip
 
@@ -246,8 +257,12 @@ class Blocks:
 
     def _sample(self, cells: Any, *, is_first: bool) -> dict[str, Any]:
         known = cells.x[list(self.known)]
-        measurement, is_new, past = measured(self, cells, known)
-        force, after = self._law(cells, measurement, is_new, is_first=is_first)
+        now = Now(cells.t0[0], (), is_first)
+        signals = {"state": known, "true_state": known, "drift": cells.drift}
+        if self.noisy:
+            signals["white"] = cells.deviation * cells.noise
+        kept = self._measure(cells, signals, now)
+        force, memory = self._control(cells, signals, now)
         given = force
         if self.limited:
             given = np.minimum(np.maximum(given, -cells.limit), cells.limit)
@@ -257,54 +272,56 @@ class Blocks:
         return {
             "known": known,
             "hidden": cells.x[list(self.hidden)],
-            "measurement": measurement,
+            "measurement": signals["estimated_state"],
             "generalized_force": force,
             "applied_force": waiting[-self.nv :],
-            "disturbance_force": self._disturbance(cells.t0[0], cells.sines),
-            "memory_after": after,
+            "disturbance_force": force_at(now.time, cells.sines.reshape(4, -1)),
+            "memory_after": memory,
             "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
-            "past_after": past,
+            "stored_after": kept,
             "waiting_after": waiting[: -self.nv],
         }
 
-    def _law(self, cells: Any, measured: Any, is_new: Any, *, is_first: bool) -> tuple[Any, Any]:
-        """The force and the law's memory after a sample, see ``SampledController.step``."""
-        law = with_symbols(self.law, cells.law, cells.planned, traced_model)
-        nq, nx = self.nq, self.nq + self.nv
-        memory, taken = dict[str, Any](), 0
-        for name, value in self.memory.items():
-            memory[name] = cells.memory[taken : taken + value.size].reshape(value.shape)
-            taken += value.size
-        reference = cells.reference
-        desired = reference[:nx]
-        e, e_dot = map(traced, tracking_errors(list(desired), list(measured), nq))
-        e[list(self.undriven)] = e_dot[list(self.undriven)] = 0.0
-        sample = Sample(
-            measured[:nq], measured[nq:], desired[:nq], desired[nq:], reference[nx:],
-            e, e_dot, cells.applied, is_first, is_new,
-            cells.frame if self.framed and getattr(law, "tracks_frame", False) else None,
-        )  # fmt: skip
-        for each in (sample.q, sample.v, e, e_dot):
-            each.setflags(write=False)
-        with none_caught():
-            force, after = law.step(sample, memory)
-        shapes = {name: value.shape for name, value in self.memory.items()}
-        if np.shape(force) != (self.nv,) or {n: np.shape(v) for n, v in after.items()} != shapes:
-            raise NotTraceable("the law returns other names or shapes than it should")
-        force = traced(force).copy()
-        force[list(self.undriven)] = 0.0
-        return force, np.concatenate(
-            [traced([]), *(traced(after[name]).ravel() for name in shapes)]
-        )
+    def _measure(self, cells: Any, signals: dict[str, Any], now: Now) -> Any:
+        """Add what the sensors show to the signals; return their memory after the sample."""
+        phases, kept, after = list(cells.phases), cells.stored, [traced([])]
+        stages = with_symbols(self.sensors, cells.sensors, traced([]), traced_model)
+        for stage, memory in zip(stages, self.kept, strict=True):
+            own, kept = _parts(kept, memory)
+            count = len(stage.phase(0))
+            phase, phases = phases[:count], phases[count:]
+            inputs = {name: signals[name] for name in stage.inputs if name in signals}
+            if unknown := set(stage.inputs) - set(inputs):
+                raise NotTraceable(f"sensing with an input {min(unknown)}")
+            ports = sized(stage.outputs, usual_sizes("sensing", self.coordinates), "sensing")
+            outputs, own = _stepped(stage, ports, inputs, own, now._replace(phase=phase))
+            signals |= outputs | {"state": outputs["estimated_state"]}
+            after += [traced(own[name]).ravel() for name in memory]
+        return np.concatenate(after)
 
-    def _disturbance(self, t: Any, sines: Any) -> Any:
-        amplitude, frequency, phase, bias = sines.reshape(4, self.nv)
-        return amplitude * np.sin(frequency * t + phase) + bias
+    def _control(self, cells: Any, signals: dict[str, Any], now: Now) -> tuple[Any, Any]:
+        """The force and the law's memory after a sample."""
+        law = with_symbols(self.law, cells.law, cells.planned, traced_model)
+        block = LawBlock(law, self.coordinates, errors=_tracking_errors)
+        nx = self.nq + self.nv
+        signals = signals | {
+            "desired_state": cells.reference[:nx],
+            "desired_acceleration": cells.reference[nx:],
+            "applied_force": cells.applied,
+            "desired_frame": cells.frame if self.framed else None,
+        }
+        inputs = {name: signals[name] for name in block.inputs if signals.get(name) is not None}
+        memory, _ = _parts(cells.memory, self.memory)
+        outputs, after = _stepped(block, block.outputs, inputs, memory, now)
+        return outputs["generalized_force"], np.concatenate(
+            [traced([]), *(traced(after[name]).ravel() for name in memory)]
+        )
 
     def _derivative(self, cells: Any) -> dict[str, Any]:
         q, v = np.split(cells.state, [self.tree.num_positions])
+        disturbance = force_at(cells.t[0], cells.sines.reshape(4, -1))
         force = traced(np.zeros(v.size))
-        force[list(self.forced)] = cells.applied_force + self._disturbance(cells.t[0], cells.sines)
+        force[list(self.forced)] = cells.applied_force + disturbance
         given = list(q), list(v), list(force), list(cells.own)
         return {"rates": equations.derivative(self.tree, *given)}
 
@@ -312,6 +329,50 @@ class Blocks:
         step = cells.step[0]
         parts = [step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
         return {"y": cells.x + functools.reduce(np.add, parts)}
+
+
+def _parts(values: Any, shapes: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], Any]:
+    """The first of some numbers by name, in the shapes of others, and the rest."""
+    found = dict[str, Any]()
+    for name, like in shapes.items():
+        found[name], values = values[: like.size].reshape(like.shape), values[like.size :]
+    return found, values
+
+
+def _stepped(
+    block: Sampled, ports: Mapping[str, int], inputs: Any, memory: Any, now: Now
+) -> tuple[Any, Any]:
+    """What a block's step returns on symbols, with numbers in its output ports by name. Raises
+    NotTraceable: other names or shapes.
+    """
+    for each in (*inputs.values(), *memory.values()):
+        each.setflags(write=False)
+    with none_caught():
+        outputs, after = block.step(inputs, memory, now)
+    shapes = {name: value.shape for name, value in memory.items()}
+    sizes = {name: (size,) for name, size in ports.items()}
+    for found, wanted in ((outputs, sizes), (after, shapes)):
+        if {name: np.shape(value) for name, value in found.items()} != wanted:
+            kind = "law" if isinstance(block, LawBlock) else type(block).__name__
+            raise NotTraceable(f"the {kind} returns other names or shapes than it should")
+    return {name: traced(value) for name, value in outputs.items()}, after
+
+
+def _tracking_errors(desired: Any, actual: Any, num_positions: int) -> Any:
+    """``coordinates.tracking_errors`` on symbols."""
+    return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
+
+
+def phases_of(sensors: Sequence[Sampled], samples: int) -> np.ndarray:
+    """The phases of sensors at each of so many samples (samples, n)."""
+    columns = [each for stage in sensors for each in stage.phase(np.arange(samples))]
+    return np.array(columns, dtype=float).reshape(len(columns), samples).T
+
+
+def kept_at(sensors: Sequence[Sampled], state: np.ndarray) -> np.ndarray:
+    """The memory of sensors that measured a state before (n)."""
+    kept = [calling("sensing", stage.start, state) for stage in sensors]
+    return np.concatenate([np.zeros(0), *(np.ravel(each) for of in kept for each in of.values())])
 
 
 def steps_of(sample_time: float, longest: float) -> int:

@@ -27,8 +27,9 @@ from ffsm_drake.systems.controllers.law import gains_of
 _CONSTANTS = (bool, int, float, str, slice, type(None), np.generic)
 
 
-def parameters_of(law: Any) -> tuple[np.ndarray, tuple[Any, ...]]:
-    """Return the parameters of a law (n), and its constants, which are equal for equal code.
+def parameters_of(law: Any, place: str = "the law") -> tuple[np.ndarray, tuple[Any, ...]]:
+    """Return the parameters of a law, or of other blocks (n), and its constants, which are equal
+    for equal code.
 
     Raises NotCovered: a field is of an unknown kind.
     """
@@ -43,7 +44,7 @@ def parameters_of(law: Any) -> tuple[np.ndarray, tuple[Any, ...]]:
         constants.append(getattr(part, name).shape[1:])
         return getattr(part, name)
 
-    _replaced(law, "the law", note, constants.append, lambda model, own: model, shape)
+    _replaced(law, place, note, constants.append, lambda model, own: model, shape)
     return np.concatenate(rows), tuple(constants)
 
 
@@ -118,7 +119,8 @@ def _replaced(
         return value
     if isinstance(value, tuple):
         constant(len(value))
-        return tuple(_replaced(each, place, number, constant, model, row) for each in value)
+        each = (_replaced(one, place, number, constant, model, row) for one in value)
+        return type(value)._make(each) if hasattr(value, "_make") else tuple(each)
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         raise NotCovered(f"{place}: {type(value).__name__}")
     kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()

@@ -2,12 +2,13 @@
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.compiled.loop import Blocks, steps_of
-from ffsm_drake.plugins.compiled.measuring import phases
+from ffsm_drake.loop.blocks import factory_of
+from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
 from ffsm_drake.runs.batches import group_of
@@ -21,7 +22,11 @@ from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
-from ffsm_drake.systems.sensing import SensorErrors, late_sensors
+from ffsm_drake.systems.registry import call_factory
+from ffsm_drake.systems.sampled import Sampled
+from ffsm_drake.systems.sensing.block import measurement_of
+from ffsm_drake.systems.sensing.errors import SensorErrors
+from ffsm_drake.systems.setup import BlockSetup
 
 
 class Case:
@@ -35,10 +40,8 @@ class Case:
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
-        late = tuple(
-            each._replace(entries=tuple(each.entries.tolist()))
-            for each in late_sensors(*errors.times())
-        )
+        self.sensors = sensors = (measurement_of(errors), *self._own_stages())
+        of_sensors, self.constants = parameters_of(sensors, "the sensors")
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
@@ -48,10 +51,8 @@ class Case:
         self.steps = steps_of(scenario.sample_time, config.max_step_size)
         self.parameters = {
             "own": own.parameters(self.true.context),
-            "turn": errors.turn.ravel(),
-            "bias": errors.bias,
+            "sensors": of_sensors,
             "deviation": errors.deviation,
-            "resolution": errors.resolution,
             "limit": limit,
             "force_resolution": resolution,
             "sines": disturbance.ravel(),
@@ -63,11 +64,10 @@ class Case:
         self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
         start = state_at_start(scenario, self.true)
         known = self.true.split.known_part(np.arange(start.size))
-        before = [np.tile(start[known][list(each.entries)], each.kept) for each in late]
         self.states = {
             "x": start,
             "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
-            "past": np.concatenate([np.zeros(0), *before]),
+            "stored": kept_at(sensors, start[known]),
         }
         self.fixed = {
             "nq": len(self.coordinates.position_names),
@@ -78,19 +78,32 @@ class Case:
             "forced": tuple(
                 self.true.split.known_velocities(np.arange(own.tree.num_velocities)).tolist()
             ),
-            "undriven": tuple(np.flatnonzero(~self.coordinates.is_driven).tolist()),
-            "turned": tuple(errors.axes_matter().tolist()),
-            "drifting": tuple(drift.entries.tolist()),
-            "biased": bool(errors.bias.any() or (errors.turn != np.eye(4)).any()),
+            "coordinates": self.coordinates,
+            "num_errors": of_sensors.size,
             "noisy": bool(errors.deviation.any()),
-            "rounded": bool(errors.resolution.any()),
-            "late": late,
+            "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
             "limited": bool(np.isfinite(limit).any()),
             "quantized": bool(resolution.any()),
             "waits": force.delay,
             "scheme": config.integration_scheme,
         }
+
+    def _own_stages(self) -> Iterator[Sampled]:
+        """Further stages of sensing. Raises NotCovered: one is a Drake system."""
+        for name, choice in self.scenario.blocks.choices().items():
+            place = f"blocks.{name} '{choice.system}'"
+            setup = BlockSetup(
+                name=name.rpartition(".")[2],
+                scenario=self.scenario,
+                nominal=self.nominal,
+                settings=choice.settings,
+                split=self.true.split,
+            )
+            stage = call_factory(factory_of(name, self.scenario), setup, place=place)
+            if not isinstance(stage, Sampled):
+                raise NotCovered(name)
+            yield stage
 
     @functools.cached_property
     def group(self) -> str:
@@ -124,7 +137,7 @@ class Case:
         """
         made = {
             "reference": self.motion.rows(self.times),
-            "phases": phases(self.fixed["late"], self.samples),
+            "phases": phases_of(self.sensors, self.samples),
         }
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
             made["frame"] = path.rows(self.times)
@@ -160,9 +173,9 @@ class Run:
         planned = rows_of(self.law, known[:, : self.case.fixed["nq"]])
         fixed = {"num_parameters": law.size, "num_planned": planned.size, **self.case.fixed}
         # of equal code; and, with the same diagram on Drake
-        self.code = (*fixed.values(), constants, self.steps)
+        self.code = (*fixed.values(), self.case.constants, constants, self.steps)
         self.key = (self.case.group, scenario.controller, *self.code)
-        self.blocks = Blocks(law=self.law, **fixed)
+        self.blocks = Blocks(law=self.law, sensors=self.case.sensors, **fixed)
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
@@ -175,4 +188,5 @@ class Run:
     @property
     def key_on_disk(self) -> str | None:
         """What the code is made from, besides this package; None for a user's law."""
-        return repr(self.code) if is_shipped(self.law) else None
+        own = is_shipped(self.law) and len(self.case.sensors) == 1
+        return repr(self.code) if own else None

@@ -14,7 +14,7 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.engine import Compiled
 from ffsm_drake.plugins.compiled.kernel import Slopes
-from ffsm_drake.plugins.compiled.measuring import phases
+from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
@@ -48,6 +48,8 @@ class TracedSample:
         run = Run(scenario, _case_of(scenario))
         if not run.coordinates.is_driven.all():
             raise NotCovered("undriven coordinates")
+        if len(run.blocks.sensors) > 1:
+            raise NotCovered("further stages of sensing")
         if run.blocks.num_planned:
             raise NotCovered("gains along the plan")
         if getattr(run.law, "tracks_frame", False):
@@ -63,11 +65,11 @@ class TracedSample:
         self._sizes = blocks.parameters | blocks.states | blocks.results
         self.known, self.hidden = list(blocks.known), list(blocks.hidden)
         self.hidden_names = run.case.true.split.names
-        self._late = blocks.late
-        period = math.lcm(*(sensor.period for sensor in blocks.late))
+        self._sensors = blocks.sensors
+        period = math.lcm(*(stage.phase_period for stage in blocks.sensors))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
-        self.phases = phases(blocks.late, period)  # kind of each sample of a common period
+        self.phases = phases_of(blocks.sensors, period)  # kind of each sample of a common period
         self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
         places = self._code.places
         end = places["memory"] - places["x"]
@@ -90,9 +92,8 @@ class TracedSample:
         """The state of the run's start with another [q; v], which was measured before too (n)."""
         state = self.start.copy()
         state[self.known] = known
-        past = [np.tile(known[list(each.entries)], each.kept) for each in self._late]
-        first = self._code.places["past"] - self._code.places["x"]
-        state[first : first + self._sizes["past"]] = np.concatenate([np.zeros(0), *past])
+        first = self._code.places["stored"] - self._code.places["x"]
+        state[first : first + self._sizes["stored"]] = kept_at(self._sensors, known)
         return state
 
     def after(self, index: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

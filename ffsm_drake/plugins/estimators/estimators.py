@@ -59,7 +59,7 @@ from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
 from ffsm_drake.systems.controllers.law import Sample, State, of_each
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.sensing import measurement_times
+from ffsm_drake.systems.sensing.errors import measurement_times
 
 # Largest eigenvalue of the inertia of a posture with a gain of its own relative to its neighbour's.
 _NEIGHBOURS = 1.15

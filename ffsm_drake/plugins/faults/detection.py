@@ -47,7 +47,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_p
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.faults import detects, hits
 from ffsm_drake.systems.part import Figure, Metric, Part, Signal, View
-from ffsm_drake.systems.sensing import measurement_times
+from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
 KINDS = (

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
+from ffsm_drake.common.returned import MOST_MEMORY, described, mapping, numbers
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
 
 OWN_STATE = ("generalized_force", "has_previous")  # names that a law's memory cannot have
-MOST_MEMORY = 100_000  # numbers in a law's memory; every sample copies them
-_NUMBERS = "fiu"  # kinds of arrays that count as numbers
 _MEMORY = "fiub"  # kinds of arrays that a memory may hold
 _REAL = np.dtype(float)
 Step = Callable[[Sample, State, Callable[[], float]], tuple[np.ndarray, State]]
@@ -225,57 +224,3 @@ def _converted(
     force = numbers(returned[0], shape, f"{what} returned 'generalized_force'")
     shapes = {name: np.shape(value) for name, value in state.items()}
     return force, checked_memory(returned[1], what, shapes)
-
-
-def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str = _NUMBERS) -> Any:
-    """Return a value as an array of floats.
-
-    Args:
-      value: result of user-supplied code.
-      shape: its shape; None: any vector of at most MOST_MEMORY numbers.
-      what: its name in the error.
-      kinds: the allowed kinds of arrays.
-
-    Raises:
-      BlockError: it is something else.
-    """
-    wanted = "a vector of numbers" if shape is None else f"numbers of shape {shape}"
-    try:
-        array = value if isinstance(value, np.ndarray) else np.asarray(value)
-        size, found, kind = array.size, array.shape, array.dtype.kind
-    except BaseException as error:
-        if passes(error):
-            raise
-        reason = f"{type(error).__name__}: {one_line(error)}"
-        raise BlockError(f"{what}, no array ({reason}); it must be {wanted}") from error
-    if kind not in kinds:
-        raise BlockError(f"{what}, {described(array)}; it must be {wanted}")
-    if shape is None and (len(found) != 1 or size > MOST_MEMORY):
-        raise BlockError(
-            f"{what} of shape {found}; it must be a vector, all of at most {MOST_MEMORY} numbers"
-        )
-    if shape is not None and found != shape:
-        raise BlockError(f"{what} of shape {found}; it must be {shape}")
-    return np.asarray(array, dtype=float)
-
-
-def described(value: Any) -> str:
-    """Return the type of a value, in words."""
-    if isinstance(value, np.ndarray):
-        return f"an array of {value.dtype}"
-    if isinstance(value, tuple):
-        return f"a tuple of {', '.join(type(part).__name__ for part in value) or 'nothing'}"
-    return type(value).__name__
-
-
-def mapping(value: Any, what: str) -> dict[str, Any]:
-    """Return a mapping with names as keys, as a dict. Raises BlockError for anything else."""
-    try:
-        found = dict(value) if isinstance(value, Mapping) else None
-    except BaseException as error:
-        if passes(error):
-            raise
-        raise failure(error, what) from error
-    if found is None or not all(isinstance(key, str) for key in found):
-        raise BlockError(f"{what} must return a mapping of names to arrays, not {described(value)}")
-    return found

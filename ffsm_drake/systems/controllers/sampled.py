@@ -9,17 +9,16 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
-from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.common.returned import mapping
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import (
     check_law,
     checked_memory,
     checked_step,
-    mapping,
     memory_of,
 )
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
-from ffsm_drake.systems.frame_path import FRAME_SIZE
+from ffsm_drake.systems.controllers.law import ControlLaw, State
+from ffsm_drake.systems.controllers.law_block import REQUIRED, LawBlock
 from ffsm_drake.systems.part import UNIT, Signal
 
 SMALLEST = "smallest_singular_value"
@@ -108,15 +107,10 @@ class SampledController(LeafSystem):
             "restarts": restarts,
         }
         self._copies = len(self._laws)
-        self._num_positions = len(coordinates.position_names)
-        model = getattr(law, "model", None)
-        self._tracking_errors = (
-            model.calc_tracking_errors if isinstance(model, PlantModel) else tracking_errors
-        )
-        self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
+        self._block = LawBlock(law, coordinates)
         self._restart = self.DeclareVectorInputPort("restart", self._copies) if restarts else None
         memory = self._first_memory(len(coordinates.names))  # checks the law
-        self._declare_inputs(len(coordinates.names))
+        self._declare_inputs()
         self._declare_state(len(coordinates.names), memory)
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (each.name for each in SIGNALS):
@@ -125,24 +119,13 @@ class SampledController(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
-    def _declare_inputs(self, num_velocities: int) -> None:
-        velocities = self._copies * num_velocities
-        states = self._copies * self._num_positions + velocities
-        self._estimated_state = self.DeclareVectorInputPort("estimated_state", states)
-        self._desired_state = self.DeclareVectorInputPort("desired_state", states)
-        self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", velocities)
-        self._applied_force = self.DeclareVectorInputPort("applied_force", velocities)
-        self._is_new = self.DeclareVectorInputPort("measurement_is_new", states)
-        self._desired_frame = (
-            self.DeclareVectorInputPort("desired_frame", self._copies * FRAME_SIZE)
-            if getattr(self.law, "tracks_frame", False)
-            else None
-        )
-
-        contacts = getattr(self.law, "contacts_read", 0)
-        self._wrench = (
-            self.DeclareVectorInputPort("measured_wrench", 6 * contacts) if contacts else None
-        )
+    def _declare_inputs(self) -> None:
+        ports = {
+            name: self.DeclareVectorInputPort(name, self._copies * size)
+            for name, size in self._block.inputs.items()
+        }
+        self._required = {name: ports.pop(name) for name in REQUIRED}
+        self._optional = ports
 
     def _first_memory(self, num_velocities: int) -> State:
         """Return the law's memory at the start, of several copies with a row for each."""
@@ -255,20 +238,11 @@ class SampledController(LeafSystem):
         row for each of several copies.
         """
         value = context.get_discrete_state().value
-        inputs = {
-            "estimated_state": self._estimated_state.Eval(context),
-            "desired_state": self._desired_state.Eval(context),
-            "desired_acceleration": self._desired_acceleration.Eval(context),
-            "applied_force": self._applied_force.Eval(context)
-            if self._applied_force.HasValue(context)
-            else value(self._force),
-        }
-        if self._is_new.HasValue(context):
-            inputs["measurement_is_new"] = self._is_new.Eval(context)
-        if self._desired_frame is not None and self._desired_frame.HasValue(context):
-            inputs["desired_frame"] = self._desired_frame.Eval(context)
-        if self._wrench is not None and self._wrench.HasValue(context):
-            inputs["contact_wrench"] = self._wrench.Eval(context)
+        inputs = {name: port.Eval(context) for name, port in self._required.items()}
+        for name, port in self._optional.items():
+            if port.HasValue(context):
+                inputs[name] = port.Eval(context)
+        inputs.setdefault("applied_force", value(self._force))
         memory = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if self._copies > 1:
             inputs = {name: each.reshape(self._copies, -1) for name, each in inputs.items()}
@@ -286,36 +260,9 @@ class SampledController(LeafSystem):
         """Return the force, and the law's memory after it, from what ``read`` gives: of one update,
         or of several at once, (m, ...) each; ``time`` gives its time (s), for errors.
         """
-        split, estimated, desired = (
-            self._num_positions, inputs["estimated_state"], inputs["desired_state"],
-        )  # fmt: skip
-        is_new = inputs.get("measurement_is_new")
-        sample = Sample(
-            estimated[..., :split],
-            estimated[..., split:],
-            desired[..., :split],
-            desired[..., split:],
-            inputs["desired_acceleration"],
-            *self._errors(estimated, desired),
-            inputs["applied_force"],
-            is_first,
-            # The quaternion has one entry more than the rotation vector.
-            None if is_new is None else is_new[..., 1:] != 0.0,
-            inputs.get("desired_frame"),
-            inputs.get("contact_wrench"),
-        )
+        sample = self._block.sample(inputs, is_first=is_first)
         force, memory = self._step(sample, memory, time)
-        if self._undriven is not None:
-            force = np.array(force)
-            force[..., self._undriven] = 0.0
-        return force, memory
-
-    def _errors(self, estimated: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``tracking_errors`` that the law sees: of driven coordinates."""
-        e, e_dot = self._tracking_errors(desired, estimated, self._num_positions)
-        if self._undriven is not None:
-            e[..., self._undriven] = e_dot[..., self._undriven] = 0.0
-        return e, e_dot
+        return self._block.driven(force), memory
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, before = self.read(context)

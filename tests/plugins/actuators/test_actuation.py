@@ -15,7 +15,7 @@ from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.systems.controllers import Sample, SampledController, gain_vectors
 from ffsm_drake.systems.controllers.estimation import make_estimator
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
-from ffsm_drake.systems.sensing import quantize
+from ffsm_drake.systems.quantization import quantize
 
 FLIGHT = (
     *flight_settings.FLIGHT,

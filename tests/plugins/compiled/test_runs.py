@@ -15,7 +15,7 @@ from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.sensing import SensorErrors
+from ffsm_drake.systems.sensing.errors import SensorErrors
 
 
 def varied(given, count):

@@ -18,7 +18,7 @@ from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.show.results import results_of
-from ffsm_drake.systems.sensing import make_sensing
+from ffsm_drake.systems.sensing.part import make_sensing
 
 
 def rms_after(record, seconds=5.0):

@@ -38,8 +38,8 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.quantization import quantize
 from ffsm_drake.systems.registry import section_parts
-from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 
 SEEDS, MANY = 16, 64  # noises, under actuators of the base; where they cost little

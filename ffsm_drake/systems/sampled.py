@@ -1,0 +1,250 @@
+"""A block as pure functions on arrays, and the Drake system around it.
+
+The functions of a ``Sampled`` block are written once. ``SampledSystem`` calls them with numbers in
+a Drake diagram. The plug-in ``compiled`` calls them with symbols (``ffsm_drake.tape``).
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.errors import BlockError, choices
+from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.returned import mapping, numbers
+
+Arrays = Mapping[str, np.ndarray]  # by name
+Ports = Mapping[str, int] | tuple[str, ...]
+
+
+class Now(NamedTuple):
+    """The control sample at which a block steps."""
+
+    time: Any  # s
+    phase: Sequence[Any] = ()  # what ``Sampled.phase`` returns for it
+    is_first: bool = False  # for a control law: no sample before, or a grasp since
+
+
+class Sampled:
+    """A block that steps once in a control sample.
+
+    A subclass is a frozen dataclass. Its arrays of floats may hold symbols in ``step``; all else is
+    constant. ``step`` must depend on its arguments and fields alone, and change neither.
+
+    Example:
+      >>> from dataclasses import dataclass
+      >>> import numpy as np
+      >>> from ffsm_drake import Sampled, load_scenario, make_closed_loop
+      >>> @dataclass(frozen=True, kw_only=True)
+      ... class Offset(Sampled):
+      ...     inputs, outputs = ("state",), ("estimated_state",)
+      ...     offset: np.ndarray
+      ...     @classmethod
+      ...     def from_setup(cls, setup):
+      ...         return cls(offset=np.full(2 * len(setup.coordinates.names) + 1, 1e-4))
+      ...     def step(self, inputs, memory, now):
+      ...         return {"estimated_state": inputs["state"] + self.offset}, memory
+      >>> loop = make_closed_loop(load_scenario("postcapture"), blocks={"sensing.offset": Offset})
+      >>> loop.blocks["sensing.offset"].get_name()
+      'offset'
+    """
+
+    @property
+    def inputs(self) -> Ports:
+        """Its input ports: their names, which are those of the loop; or numbers in each by name."""
+        return ()
+
+    @property
+    def outputs(self) -> Ports:
+        """Its output ports, likewise."""
+        return ()
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """Its memory before the first sample, by name: vectors.
+
+        Args: [q; v] (nq + nv) that the spacecraft had before, if it is known.
+        """
+        return {}
+
+    def phase(self, sample: Any) -> Sequence[Any]:
+        """Numbers that depend on the number of the control sample alone, such as whether a slow
+        sensor measures; of an array of samples, arrays.
+        """
+        return ()
+
+    @property
+    def phase_period(self) -> int:
+        """Control samples after which ``phase`` repeats."""
+        return 1
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """Return the outputs at a sample, and the memory after it."""
+        raise NotImplementedError(f"{type(self).__name__} has no step")
+
+
+def sized(ports: Ports, usual: Mapping[str, int], place: str) -> dict[str, int]:
+    """Return the numbers in each port by name.
+
+    Args: ports; numbers in the ports of the loop; the block's name in errors.
+    """
+    found = dict(ports) if isinstance(ports, Mapping) else dict.fromkeys(ports)
+    for name in found:
+        if found[name] is None and name not in usual:
+            raise BlockError(f"{place}: unknown port '{name}'; known: {choices(name, usual)}")
+    return {name: usual[name] if size is None else int(size) for name, size in found.items()}
+
+
+class SampledSystem(LeafSystem):
+    """The Drake system of a ``Sampled`` block, or of one for each of several copies of the
+    spacecraft; ports then hold copy after copy.
+
+    Ports: the block's, and an output ``result`` with all outputs and the memory after the sample.
+    Discrete state, updated every ``sample_time``: the block's memory, a group for each name.
+    """
+
+    def __init__(
+        self,
+        blocks: Sequence[Sampled],
+        *,
+        name: str,
+        sample_time: float,
+        usual: Mapping[str, int] = {},
+        place: str = "",
+    ) -> None:
+        """Args:
+          blocks: the block of each copy.
+          name: of the system.
+          sample_time: the control period, s.
+          usual: numbers in the ports of the loop.
+          place: name of the block in errors; default: the system's name.
+
+        Raises BlockError: a user-supplied block fails, or returns what it should not.
+        """
+        super().__init__()
+        self.set_name(name)
+        self._blocks, self._sample_time, self._place = tuple(blocks), sample_time, place or name
+        first = blocks[0]
+        self._is_checked = is_user_supplied(type(first))
+        memory, phase = calling(self._place, _at_start, first)
+        inputs, outputs = (sized(of, usual, self._place) for of in (first.inputs, first.outputs))
+        self._copies, self._is_phased = len(self._blocks), bool(phase)
+        self._inputs = {
+            each: self.DeclareVectorInputPort(each, self._copies * size)
+            for each, size in inputs.items()
+        }
+        self._memory = {
+            each: self.DeclareDiscreteState(np.zeros(self._copies * value.size))
+            for each, value in memory.items()
+        }
+        reads = {self.input_port_ticket(port.get_index()) for port in self._inputs.values()}
+        if memory:
+            reads.add(self.xd_ticket())
+        if self._is_phased:
+            reads.add(self.time_ticket())
+        self._sizes = [*outputs.items(), *((each, value.size) for each, value in memory.items())]
+        ends = self._copies * np.cumsum([0, *(size for _, size in self._sizes)])
+        places = [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
+        self._outputs = dict(zip(outputs, places, strict=False))
+        self._kept = dict(zip(memory, places[len(outputs) :], strict=True))
+        for each, part in self._outputs.items():
+            calc = functools.partial(weak_callback(self._calc), part)
+            self.DeclareVectorOutputPort(each, self._copies * outputs[each], calc, reads)
+        self._result = self.DeclareVectorOutputPort(
+            "result", int(ends[-1]), weak_callback(self._calc_result), reads
+        )
+        if memory:
+            self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+        untie(self)
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
+        rows = np.reshape(state, (self._copies, -1))
+        own = [
+            calling(self._place, block.start, row)
+            for block, row in zip(self._blocks, rows, strict=True)
+        ]
+        for name, group in self._memory.items():
+            context.SetDiscreteState(group, np.concatenate([np.ravel(each[name]) for each in own]))
+
+    @property
+    def phase_period(self) -> int:
+        """Control samples after which ``phase`` repeats."""
+        return math.lcm(*(block.phase_period for block in self._blocks))
+
+    def phase(self, sample: int) -> tuple[tuple[Any, ...], ...]:
+        """Phase of each block at a control sample."""
+        return tuple(tuple(block.phase(sample)) for block in self._blocks)
+
+    def _calc(self, place: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._result.Eval(context)[place])
+
+    def _calc_result(self, context: Context, output: BasicVector) -> None:
+        time, phase, rows = context.get_time(), list[Any](), list[Any]()
+        inputs = {name: port.Eval(context) for name, port in self._inputs.items()}
+        memory = {
+            name: context.get_discrete_state(group).value() for name, group in self._memory.items()
+        }
+        for copy, block in enumerate(self._blocks):
+            if self._is_phased:
+                phase = list(block.phase(round(time / self._sample_time)))
+            own = inputs, memory
+            if self._copies > 1:
+                own = self._of_copy(copy, inputs), self._of_copy(copy, memory)
+            rows.append(self._stepped(block, *own, Now(time, phase)))
+        parts = rows[0] if len(rows) == 1 else itertools.chain(*zip(*rows, strict=True))
+        output.SetFromVector(np.concatenate(list(parts)))
+
+    def _of_copy(self, copy: int, values: Arrays) -> dict[str, Any]:
+        return {name: each.reshape(self._copies, -1)[copy] for name, each in values.items()}
+
+    def _stepped(self, block: Sampled, inputs: Arrays, memory: Arrays, now: Now) -> list[Any]:
+        """The outputs of one copy, then its memory, in the order of ``_sizes``."""
+        if not self._is_checked:
+            outputs, memory = block.step(inputs, memory, now)
+            return [*(outputs[name] for name in self._outputs), *map(memory.get, self._kept)]
+        for each in (*inputs.values(), *memory.values()):
+            each.setflags(write=False)
+        try:
+            returned = block.step(inputs, memory, now)
+        except BaseException as error:
+            if passes(error):
+                raise
+            raise failure(error, self._place, now.time) from error
+        return _checked(returned, self._sizes, len(self._outputs), self._place, now.time)
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        result = self._result.Eval(context)
+        for name, place in self._kept.items():
+            values.set_value(self._memory[name], result[place])
+
+
+def _at_start(block: Sampled) -> tuple[Arrays, Sequence[Any]]:
+    """Memory and phase of a block."""
+    memory = {name: np.asarray(value, dtype=float) for name, value in block.start().items()}
+    return memory, tuple(block.phase(0))
+
+
+def _checked(
+    returned: Any, sizes: Sequence[tuple[str, int]], count: int, place: str, time: float
+) -> list[np.ndarray]:
+    """The results of a user-supplied ``step``: so many outputs, then the memory. Raises BlockError
+    for other names or sizes.
+    """
+    at = f"{place}: step at t = {time:.2f} s"
+    if not (isinstance(returned, tuple) and len(returned) == 2):
+        raise BlockError(f"{at} must return (outputs, memory), two mappings from names to vectors")
+    made = []
+    for given, wanted, what in (
+        (returned[0], sizes[:count], "outputs"), (returned[1], sizes[count:], "memory"),
+    ):  # fmt: skip
+        found = mapping(given, f"{at}: its {what}")
+        if set(found) != {name for name, _ in wanted}:
+            names = ", ".join(name for name, _ in wanted) or "none"
+            raise BlockError(f"{at} returned {what} {', '.join(found) or 'none'}, not {names}")
+        made += [numbers(found[name], (size,), f"{at} returned '{name}'") for name, size in wanted]
+    return made

@@ -1,0 +1,1 @@
+"""Sensors: from the true state to the controller's measurement."""

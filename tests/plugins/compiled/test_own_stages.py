@@ -1,0 +1,85 @@
+"""Users' stages of sensing in compiled runs."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from compared_runs import check
+from own_stage import Mean
+
+from ffsm_drake import load_scenario, simulate_many
+
+
+def scenarios(system, given=()):
+    stage = "blocks.sensing.own.system=" + system
+    return [
+        load_scenario("postcapture", ["duration=0.3", f"random_seed={k}", stage, *given])
+        for k in range(2)
+    ]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        (),
+        pytest.param(
+            ("controller=pd_plus", "sensing.velocity_bias=1e-4", "sensing.velocity_period=2"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(("controller=tdc", "estimator.kind=kalman"), marks=pytest.mark.slow),
+    ],
+)
+def test_a_stage_of_a_user_joins_by_itself(given):
+    for record in check(scenarios("own_stage:Mean", given)):
+        assert record.engine == "compiled"
+
+
+class _Hostile(Mean):
+    """``Mean`` with a fault."""
+
+
+class Branch(_Hostile):
+    def step(self, inputs, memory, now):
+        if inputs["state"][4] > 1e-3:
+            return super().step(inputs, memory, now)
+        return {"estimated_state": inputs["state"]}, memory
+
+
+class Random(_Hostile):
+    def step(self, inputs, memory, now):
+        outputs, memory = super().step(inputs, memory, now)
+        shown = outputs["estimated_state"] + 1e-6 * np.random.default_rng().random()
+        return {"estimated_state": shown}, memory
+
+
+class Counts(_Hostile):
+    count: ClassVar = [0]
+
+    def step(self, inputs, memory, now):
+        self.count[0] += 1
+        outputs, memory = super().step(inputs, memory, now)
+        return {"estimated_state": outputs["estimated_state"] + 1e-6 * self.count[0]}, memory
+
+
+class Unknown(_Hostile):
+    inputs = ("state", "told_force")
+
+
+class Converts(_Hostile):
+    def step(self, inputs, memory, now):
+        return {"estimated_state": np.array(inputs["state"], dtype=float)}, memory
+
+
+HOSTILE = (Branch, Random, Counts, Unknown, Converts)
+HOSTILE = {each.__name__: dataclass(frozen=True, kw_only=True)(each) for each in HOSTILE}
+globals().update(HOSTILE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_stage_that_is_no_pure_function_is_not_compiled(name):
+    found = simulate_many(scenarios(f"test_own_stages:{name}"), engine="compiled", keep_errors=True)
+    for record in found:
+        assert record.engine.startswith("drake (not covered: "), record.engine
+        assert "object" not in record.engine

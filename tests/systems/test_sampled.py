@@ -1,0 +1,68 @@
+"""Blocks as pure functions, in Drake diagrams."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from own_stage import Mean
+
+from ffsm_drake import BlockError, Sampled, load_scenario, simulate
+
+SHORT = ("duration=0.3", "sensing.position_noise=0", "sensing.velocity_noise=0")
+
+
+def test_a_block_steps_at_each_sample():
+    data = simulate(load_scenario("postcapture", SHORT), blocks={"sensing.mean": Mean}).dataset
+    true = np.hstack([data["position"].values, data["velocity"].values])
+    measured = np.hstack([data["measured_position"].values, data["measured_velocity"].values])
+    before = np.vstack([true[:1], true[:-1]])
+    offset = np.outer(np.arange(len(true)) >= 10, 1e-7 * np.arange(true.shape[1]))
+    # the measurement of a sample is that of the last step
+    assert np.array_equal(measured, 0.98 * true + 0.02 * before + offset)
+
+
+def made(**methods):
+    kind = type("Odd", (Mean,), methods)
+    return dataclass(frozen=True, kw_only=True)(kind)
+
+
+def raising(self, inputs, memory, now):
+    raise ValueError("no")
+
+
+def writing(self, inputs, memory, now):
+    inputs["state"][0] = 0.0
+    return {"estimated_state": inputs["state"]}, memory
+
+
+ODD = {
+    "an unknown port": ({"inputs": ("stat",)}, "unknown port 'stat'; known: .*state"),
+    "no step": ({"step": Sampled.step}, "NotImplementedError: Odd has no step"),
+    "an error": ({"step": raising}, "failed at t = 0.00 s: ValueError: no"),
+    "a change of its inputs": ({"step": writing}, "read-only"),
+    "no pair": ({"step": lambda *_: {}}, r"must return \(outputs, memory\)"),
+    "no outputs": ({"step": lambda *_: ({}, {})}, "returned outputs none, not estimated_state"),
+    "other memory": (
+        {"step": lambda s, i, m, n: ({"estimated_state": i["state"]}, {})},
+        "returned memory none, not before",
+    ),
+    "another shape": (
+        {"step": lambda s, i, m, n: ({"estimated_state": i["state"][1:]}, m)},
+        r"returned 'estimated_state' of shape \(22,\); it must be \(23,\)",
+    ),
+    "text": (
+        {"step": lambda s, i, m, n: ({"estimated_state": "1"}, m)},
+        "returned 'estimated_state'",
+    ),
+    "memory that cannot be": ({"start": lambda s, state=None: 1}, "failed: AttributeError"),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_a_block_that_breaks_the_contract_is_one_line(case):
+    methods, said = ODD[case]
+    with pytest.raises(BlockError) as error:
+        simulate(load_scenario("postcapture", SHORT), blocks={"sensing.odd": made(**methods)})
+    assert re.search(said, str(error.value)), str(error.value)
+    assert "\n" not in str(error.value)
