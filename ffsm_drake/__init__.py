@@ -24,7 +24,7 @@ _HOMES = {
     "spacecraft.nominal": ("PlantModel", "make_nominal_plant", "make_true_plant"),
     "systems.controllers": ("ControlLaw", "InjectedDynamics", "Sample", "gain"),
     "systems.part": ("Metric", "Part", "Signal"),
-    "systems.sampled": ("Now", "Sampled"),
+    "systems.sampled": ("Sampled",),
     "systems.setup": ("BlockSetup",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -25,7 +25,7 @@ from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
 from ffsm_drake.systems.part import Metric, Part, Signal
-from ffsm_drake.systems.sampled import Now, Sampled
+from ffsm_drake.systems.sampled import Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 __all__ = [
@@ -39,7 +39,6 @@ __all__ = [
     "InjectedDynamics",
     "Metric",
     "ModelError",
-    "Now",
     "Outcome",
     "Part",
     "Phase",
