@@ -1,5 +1,6 @@
 """The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py
-[NAME...]`` rewrites it. The plug-in of baselines is left out.
+[NAME...]`` rewrites it; with ``--moves [FOLDER]`` it prints how far each part is from the one in
+another ``tests/golden``, and exits with 1 if one has moved. The plug-in of baselines is left out.
 
 ``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with
 every law), the record's variables at every 20th sample, its metrics, names, dimensions and units,
@@ -51,7 +52,7 @@ _SHORT_APPROACH = (
     "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: "
     "0.58, joint_5: -0.69}",
 )
-_SHORTENED = dict.fromkeys(("tumbling_capture", "capture_on_thrusters"), _SHORT_APPROACH)
+SHORTENED = dict.fromkeys(("tumbling_capture", "capture_on_thrusters"), _SHORT_APPROACH)
 _SMALLEST_CAMPAIGN = {
     "controllers": ["tdc"],
     "cases": 1,
@@ -130,7 +131,7 @@ def schema() -> Any:
 
 def run(scenario: str, controller: str | None = None, *, seed: int | None = None) -> RunRecord:
     """A run of the golden record; with a seed, one whose last bits are changed."""
-    overrides = [*_SHORTENED.get(scenario, ()), DURATION]
+    overrides = [*SHORTENED.get(scenario, ()), DURATION]
     if controller is not None:
         overrides.append(f"controller={controller}")
     given = load_scenario(scenario, overrides)
@@ -278,6 +279,8 @@ def further_moves(one: Any, other: Any) -> Any:
 
 
 def _largest(move: Any) -> float | str | None:
+    if isinstance(move, dict):
+        move = list(move.values())
     if isinstance(move, list):
         known = [each for each in map(_largest, move) if each is not None]
         return ANY if ANY in known else max(known, default=None)
@@ -347,6 +350,18 @@ def changes(path: Path, found: Any) -> list[str]:
     return list(differences(found, read(path), read(moved) if moved.is_file() else None))
 
 
+def moves(folder: Path) -> int:
+    """Print the largest difference of each part from the golden record in a folder; 0: equal."""
+    has_moved = False
+    for path, compute in files().items():
+        before = folder / path.relative_to(FOLDER)
+        known = read(before) if before.is_file() else None
+        move = _largest(moves_between(plain(compute()), known))
+        print(f"{path.stem}: {move or 0}", flush=True)
+        has_moved |= bool(move)
+    return int(has_moved)
+
+
 def main(names_given: Sequence[str] = ()) -> None:
     wanted = {
         path: compute
@@ -365,4 +380,6 @@ def main(names_given: Sequence[str] = ()) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["--moves"]:
+        sys.exit(moves(Path(sys.argv[2]) if sys.argv[2:] else FOLDER))
     main(sys.argv[1:])
