@@ -46,7 +46,7 @@ from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake.plugins.compiled.engine import results_of
-from ffsm_drake.plugins.compiled.kernel import Kernel, Slopes
+from ffsm_drake.plugins.compiled.kernel import Kernel, Step
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.log import RunLog
@@ -255,7 +255,7 @@ def compile_times(scenario: Scenario) -> list[str]:
         mock.patch.dict(os.environ, XDG_CACHE_HOME=folder),
     ):
         told.append(f"{timed(lambda: Kernel(run.blocks, **how, alone=False)):.2f} s")
-        told.append(f"{timed(lambda: Slopes(run.blocks, **how)):.2f} s")
+        told.append(f"{timed(lambda: Step(run.blocks, **how, slopes=True)):.2f} s")
     return told
 
 

@@ -99,17 +99,18 @@ class Signals:
         return found
 
 
-class Slopes:
-    """One control sample, the first excepted, with its derivatives along a direction in each
-    lane.
-    """
+class Step:
+    """One control sample, the first excepted."""
 
-    def __init__(self, blocks: Blocks, *, steps: int, key: str | None) -> None:
-        """Arguments and errors as of ``Kernel``."""
-        self.width = registers().width
-        self._text = _Sample(blocks, registers(), steps=steps, slopes=True)
+    def __init__(self, blocks: Blocks, *, steps: int, key: str | None, slopes: bool) -> None:
+        """Arguments and errors as of ``Kernel``; with ``slopes`` the sample has its derivatives
+        along a direction in each lane, else it has one lane.
+        """
+        lanes = registers() if slopes else Registers(1)
+        self.width = lanes.width
+        self._text = _Sample(blocks, lanes, steps=steps, slopes=slopes)
         self.places = self._text.places
-        self._code = self._text.code("slopes", key)
+        self._code = self._text.code("slopes" if slopes else "sample", key)
         self._run = self._code.function("run", 2, ctypes.c_double)
 
     def cells(self) -> np.ndarray:
@@ -133,6 +134,7 @@ class _Text:
     """The LLVM text of a module."""
 
     _arguments: str  # of its function ``run``
+    _begins = False  # with the first sample of a run
 
     def __init__(
         self, blocks: Blocks, registers: Registers, *, steps: int, slopes: bool = False
@@ -154,7 +156,9 @@ class _Text:
         return Code(make, key and f"{what} {key}")
 
     def _module(self) -> str:
-        functions = self._blocks.functions(self._registers, slopes=self._slopes)
+        functions = self._blocks.functions(
+            self._registers, begins=self._begins, slopes=self._slopes
+        )
         lines = "\n".join((*self._entry(), *self._lines(functions)))
         return "\n".join((
             *declarations(self._registers),
@@ -239,6 +243,7 @@ class _Runs(_Text):
     """Whole runs with their logs."""
 
     _arguments = "ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last"
+    _begins = True
 
     def __init__(self, blocks: Blocks, registers: Registers, *, steps: int) -> None:
         super().__init__(blocks, registers, steps=steps)

@@ -192,9 +192,10 @@ class Blocks:
             first += value.size
         return made
 
-    def functions(self, registers: Registers, *, slopes: bool = False) -> dict[str, Function]:
-        """The functions of a sample and of the integrator, with ``slopes`` also their derivatives
-        along a direction (cells ``d_...``). Raises NotTraceable, or what the law raises on symbols.
+    def functions(self, registers: Registers, *, begins: bool, slopes: bool) -> dict[str, Function]:
+        """The functions of a sample and of the integrator: with ``begins`` also a run's first
+        sample, with ``slopes`` also derivatives along a direction (cells ``d_...``). Raises
+        NotTraceable, or what the law raises on symbols.
         """
         first = functools.partial(self._sample, is_first=True)
         sample = functools.partial(self._sample, is_first=False)
@@ -206,7 +207,7 @@ class Blocks:
         for i, weights in enumerate(SCHEMES[self.scheme].points):
             name, reads = f"point{i}", ("x", "step", *(f"k{j}" for j in range(len(weights))))
             given[name] = (reads, functools.partial(self._point, weights))
-        if slopes:  # every sample has one before it
+        if not begins:
             del given["first"]
         return {
             name: self._function(registers, name, reads, made, slopes=slopes)

@@ -8,20 +8,25 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.engine import Compiled
-from ffsm_drake.plugins.compiled.kernel import Slopes
+from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
+from ffsm_drake.plugins.compiled.parameters import reader_of, rows_of
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes
-_codes: collections.OrderedDict[Any, Slopes | NotCovered] = collections.OrderedDict()
+_Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
+_codes: collections.OrderedDict[Any, _Codes | NotCovered] = collections.OrderedDict()
 _case = list[tuple[Any, Case]]()  # the last one
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
@@ -46,22 +51,17 @@ class TracedSample:
         """Raises NotCovered."""
         Compiled().check(scenario)
         run = Run(scenario, _case_of(scenario))
-        if not run.coordinates.is_driven.all():
-            raise NotCovered("undriven coordinates")
         if len(run.blocks.sensors) > 1:
             raise NotCovered("further stages of sensing")
-        if run.blocks.num_planned:
-            raise NotCovered("gains along the plan")
-        if getattr(run.law, "tracks_frame", False):
-            raise NotCovered("a law that tracks a frame")
         self._scenario, self.motion = scenario, run.case.motion
+        self._frame = make_frame_motion(scenario, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.sample_time = scenario.sample_time  # s
         blocks = run.blocks
         self.size = sum(blocks.states.values())
         if self.size > _MOST:
             raise NotCovered("so long delays")
-        self._code = _code(run)
+        self._plain, self._slopes = _code(run)
         self._sizes = blocks.parameters | blocks.states | blocks.results
         self.known, self.hidden = list(blocks.known), list(blocks.hidden)
         self.hidden_names = run.case.true.split.names
@@ -71,7 +71,7 @@ class TracedSample:
             raise NotCovered("sensors with a long common period")
         self.phases = phases_of(blocks.sensors, period)  # kind of each sample of a common period
         self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
-        places = self._code.places
+        places = self._plain.places
         end = places["memory"] - places["x"]
         first = places["applied"] - places["x"]
         self.applied = slice(first, first + blocks.nv)
@@ -83,16 +83,20 @@ class TracedSample:
         for name in set(run.states) - {"drift"}:
             first = places[name] - places["x"]
             self.start[first : first + self._sizes[name]] = run.states[name]
-        self._cells = self._code.cells()
-        for name, values in run.parameters.items():
-            self._of(self._cells, name)[:] = values[:, None]
-        self._row = np.zeros((sum(blocks.row.values()), self._code.width))  # without noise
+        self._parameters = run.parameters
+        self._cells = self._filled(self._plain)
+        self._row = np.zeros(sum(blocks.row.values()))  # without noise
+        self._in_row, first = dict[str, slice](), 0
+        for name, size in blocks.row.items():
+            self._in_row[name] = slice(first, first + size)
+            first += size
+        self._planned = np.zeros((0, blocks.num_planned))  # of the first samples
 
     def placed(self, known: np.ndarray) -> np.ndarray:
         """The state of the run's start with another [q; v], which was measured before too (n)."""
         state = self.start.copy()
         state[self.known] = known
-        first = self._code.places["stored"] - self._code.places["x"]
+        first = self._plain.places["stored"] - self._plain.places["x"]
         state[first : first + self._sizes["stored"]] = kept_at(self._sensors, known)
         return state
 
@@ -102,10 +106,12 @@ class TracedSample:
 
         Args: the control sample, and the state before it.
         """
-        self._state(self._cells)[:] = state[:, None]
-        self._go(self._cells, index)
-        force = self._of(self._cells, "generalized_force")
-        return self._state(self._cells)[:, 0].copy(), force[:, 0].copy()
+        code, cells = self._plain, self._cells
+        first, force = code.places["x"], code.places["generalized_force"]
+        cells[first : first + self.size, 0] = state
+        code.run(cells, self._read(index), index * self.sample_time)
+        found = cells[first : first + self.size, 0].copy()
+        return found, cells[force : force + self._sizes["generalized_force"], 0].copy()
 
     def derivative(
         self, index: int, state: np.ndarray, truth: MassProperties | None = None
@@ -117,41 +123,74 @@ class TracedSample:
           state: before it.
           truth: true mass properties of the payload, in place of the scenario's.
         """
-        start, width = self._cells.copy(), self._code.width
+        code, count = self._slopes, self.size + self.num_noise
+        start, width, row = self._filled(code), code.width, self._read(index)
         if truth is not None:
-            payload = dataclasses.replace(self._scenario.payload, truth=truth)
-            run = Run(dataclasses.replace(self._scenario, payload=payload))
-            self._of(start, "own")[:] = run.parameters["own"][:, None]
-        self._state(start)[:] = state[:, None]
-        count = self.size + self.num_noise
+            true = self._true(truth)
+            self._of(code, start, "own")[:] = reader_of(true.plant).parameters(true.context)[:, None]
+        self._of(code, start, "x", self.size)[:] = state[:, None]
         directions = np.eye(count, -(-count // width) * width)
         of_state = np.empty((self.size, directions.shape[1]))
         of_force = np.empty((self._sizes["generalized_force"], directions.shape[1]))
-        noise = self._code.places["d_noise"]
+        rows = np.repeat(row[:, None], width, axis=1)
         for first in range(0, count, width):
             part, cells = slice(first, first + width), start.copy()
-            self._state(cells, "d_")[:] = directions[: self.size, part]
-            cells[noise : noise + self.num_noise] = directions[self.size :, part]
-            self._go(cells, index)
-            of_state[:, part] = self._state(cells, "d_")
-            of_force[:, part] = self._of(cells, "d_generalized_force")
+            self._of(code, cells, "d_x", self.size)[:] = directions[: self.size, part]
+            self._of(code, cells, "d_noise", self.num_noise)[:] = directions[self.size :, part]
+            code.run(cells, rows, index * self.sample_time)
+            of_state[:, part] = self._of(code, cells, "d_x", self.size)
+            of_force[:, part] = self._of(code, cells, "d_generalized_force", len(of_force))
         found = Derivative(of_state[:, :count], of_force[:, :count])
-        return self._state(cells)[:, 0].copy(), found
+        return self._of(code, cells, "x", self.size)[:, 0].copy(), found
 
-    def _go(self, cells: np.ndarray, index: int) -> None:
-        time = index * self.sample_time
-        row, phase = self.motion.row(time), self.phases[index % len(self.phases)]
-        self._row[: row.size] = row[:, None]
-        self._row[len(self._row) - phase.size :] = phase[:, None]
-        self._code.run(cells, self._row, time)
+    def momentum_slope(self, state: np.ndarray, truth: MassProperties | None = None) -> np.ndarray:
+        """Derivative of the momentum (6) about the world's origin by the plant's state (6, n).
 
-    def _state(self, cells: np.ndarray, prefix: str = "") -> np.ndarray:
-        first = self._code.places[f"{prefix}x"]
-        return cells[first : first + self.size]
+        Args: the state, and the payload as of ``derivative``.
+        """
+        true = self._true(truth)
+        plant = true.plant.ToAutoDiffXd()
+        context = plant.CreateDefaultContext()
+        context.SetTimeStateAndParametersFrom(true.context)
+        x = state[: plant.num_multibody_states()]
+        plant.SetPositionsAndVelocities(context, InitializeAutoDiff(x)[:, 0])
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
+        found: np.ndarray = ExtractGradient(momentum.get_coeffs())
+        return found
 
-    def _of(self, cells: np.ndarray, name: str) -> np.ndarray:
-        first = self._code.places[name]
-        return cells[first : first + self._sizes[name.removeprefix("d_")]]
+    def _true(self, truth: MassProperties | None) -> PlantModel:
+        """The plant with the payload of the scenario, or another."""
+        payload = self._scenario.payload
+        if truth is not None:
+            payload = dataclasses.replace(payload, truth=truth)
+        return make_flexible_plant(dataclasses.replace(self._scenario, payload=payload))
+
+    def _filled(self, code: Step) -> np.ndarray:
+        """Cells with the parameters of the run."""
+        cells = code.cells()
+        for name, values in self._parameters.items():
+            self._of(code, cells, name, values.size)[:] = values[:, None]
+        return cells
+
+    def _read(self, index: int) -> np.ndarray:
+        """What a sample reads (n), see ``Blocks.row``."""
+        time, row, places = index * self.sample_time, self._row, self._in_row
+        row[places["reference"]] = self.motion.row(time)
+        row[places["phases"]] = self.phases[index % len(self.phases)]
+        if self._frame is not None:
+            row[places["frame"]] = self._frame.row(time)
+        if self._planned.shape[1]:
+            if index >= len(self._planned):
+                times = self.sample_time * np.arange(2 * index + 1)
+                q_d = self.motion.rows(times)[:, : len(self.coordinates.position_names)]
+                self._planned = rows_of(self.law, q_d)
+            row[places["planned"]] = self._planned[index]
+        return row
+
+    @staticmethod
+    def _of(code: Step, cells: np.ndarray, name: str, size: int) -> np.ndarray:
+        first = code.places[name]
+        return cells[first : first + size]
 
 
 def traced_sample(scenario: Scenario) -> TracedSample | None:
@@ -171,12 +210,13 @@ def _case_of(scenario: Scenario) -> Case:
     return _case[0][1]
 
 
-def _code(run: Run) -> Slopes:
+def _code(run: Run) -> _Codes:
     """The compiled sample of a run. Raises NotCovered."""
     found = _codes.get(run.code)
     if found is None:
         try:
-            found = Slopes(run.blocks, steps=run.steps, key=run.key_on_disk)
+            how: Any = {"steps": run.steps, "key": run.key_on_disk}
+            found = Step(run.blocks, slopes=False, **how), Step(run.blocks, slopes=True, **how)
         except (FfsmError, MemoryError):
             raise
         except Exception as error:  # the law may raise anything on symbols

@@ -156,6 +156,8 @@ class DifferencedLoop:
         }
         self._check_cost()
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
+        # of a law that counts its samples
+        self._count = groups.get("samples") if self.law and is_shipped(self.law) else None
         self.parts_of_memory = {
             name: slice(self._width + part.start, self._width + part.stop)
             for name, group in groups.items()
@@ -185,6 +187,8 @@ class DifferencedLoop:
         self._context.SetTimeStateAndParametersFrom(self._start)
         self._context.SetTime(time)
         self.loop.set_state(self._context, np.concatenate(self.motion.evaluate(time)[:2]))
+        if self._count is not None:
+            self._controller_context.SetDiscreteState(self._count, np.array([float(index)]))
         self._quiet(held)
 
     def save(self) -> Context:

@@ -23,20 +23,22 @@ class TracedLoop:
     those of ``DifferencedLoop``.
     """
 
-    tracks_frame = False
     user_supplied: Sequence[Any] = ()
 
     def __init__(self, sample: Any) -> None:
         """Args: the traced sample, of a scenario without what has no derivative."""
         self._sample, self.motion, self.key = sample, sample.motion, sample.key
         self.law, self.coordinates = sample.law, sample.coordinates
+        self.tracks_frame = bool(getattr(self.law, "tracks_frame", False))
+        self._undriven = np.flatnonzero(~self.coordinates.is_driven)
         self.hidden: tuple[str, ...] = sample.hidden_names
         held = {name: sample.memory[name] for name in self.law.held()}
         plant = [*sample.known, *sample.hidden]
         places = [np.arange(part.start, part.stop) for part in held.values()]
         places.append(np.arange(sample.size)[sample.applied])
         rest = np.setdiff1d(np.arange(sample.size), np.concatenate([plant, *places]))
-        self._attitude = plant[:4]
+        self._attitude, nq = plant[:4], len(self.coordinates.position_names)
+        self._following = np.array(sample.known)[nq + self._undriven]  # rates at constant momentum
         # entries of the state that are the linear loop's from its fourth on
         self._kept = np.concatenate([plant[4:], places[-1], rest]).astype(int)
         self.parts_of_memory = {}
@@ -117,10 +119,12 @@ class TracedLoop:
     def _map(self, index: int, state: np.ndarray, truth: MassProperties | None) -> SampleMap:
         after, found = self._sample.derivative(index, state, truth)
         enter = np.zeros((found.state.shape[1], self.size + self.num_noise))
-        enter[: len(state), : self.size] = self._from_small_change(state)
+        enter[: len(state), : self.size] = self._from_small_change(state, truth)
         enter[len(state) :, self.size :] = np.eye(self.num_noise)
         both = self._small_change(after) @ (found.state @ enter)
         force, n = found.force @ enter, self.size
+        if not self.tracks_frame:
+            both[self._undriven, self._undriven] = 1.0  # their drift adds up
         return SampleMap(a=both[:, :n], b=both[:, n:], c=force[:, :n], d=force[:, n:])
 
     def _holding(self, state: np.ndarray, held: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -133,14 +137,21 @@ class TracedLoop:
                 state[part] = np.ravel(held[name])
         return state
 
-    def _from_small_change(self, state: np.ndarray) -> np.ndarray:
+    def _from_small_change(self, state: np.ndarray, truth: MassProperties | None) -> np.ndarray:
         """Derivative of a state by its small change, which turns the attitude about axes of the
-        world.
+        world. Undriven rates change so that the momentum stays. Undriven positions change only if a
+        frame is tracked.
         """
         found = np.zeros((len(state), self.size))
         turns = [quaternion_rate(state[self._attitude], axis) for axis in np.eye(3)]
         found[self._attitude, :3] = np.transpose(turns)
         found[self._kept, np.arange(3, self.size)] = 1.0
+        if self._undriven.size:
+            if not self.tracks_frame:
+                found[:, self._undriven] = 0.0
+            slope = self._sample.momentum_slope(state, truth)[self._undriven]
+            change = slope @ found[: slope.shape[1]]
+            found[self._following] -= np.linalg.solve(slope[:, self._following], change)
         return found
 
     def _small_change(self, state: np.ndarray) -> np.ndarray:
