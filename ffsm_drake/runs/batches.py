@@ -13,7 +13,7 @@ clock; runs with flexible joints; runs with a measured target.
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -96,7 +96,11 @@ def runs_alone(scenario: Scenario) -> bool:
 
 
 def run_many(
-    scenarios: Sequence[Scenario], *, batch: int | None = None, engine: str = DRAKE
+    scenarios: Sequence[Scenario],
+    *,
+    batch: int | None = None,
+    engine: str = DRAKE,
+    signals: Collection[str] | None = None,
 ) -> Iterator[tuple[int, RunLog | Exception]]:
     """Run scenarios side by side if possible, in no fixed order.
 
@@ -105,6 +109,7 @@ def run_many(
       batch: largest number of runs side by side; default: ``usual_batch``.
       engine: what computes the runs (``find_engine``). A run that it does not cover, or that fails
         or diverges, is computed by Drake, and its log has the reason.
+      signals: see ``Engine.run_all``.
 
     Yields: the index of a scenario and its log, or the exception of a separate run. With Drake, a
     log has the same bits as ``Rollout.run``.
@@ -119,7 +124,7 @@ def run_many(
     if own is not None:
         most, left = batch or usual_batch(own, samples=samples), {}
         for first in range(0, len(scenarios), most):
-            found = own.run_all(scenarios[first : first + most])
+            found = own.run_all(scenarios[first : first + most], signals)
             for index, log in enumerate(found, start=first):
                 if isinstance(log, RunLog):
                     yield index, log

@@ -1,6 +1,6 @@
 """Choice of what computes a run: Drake, or a plug-in's engine by name."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, choices
@@ -28,9 +28,13 @@ class Engine:
     def check(self, scenario: Scenario) -> None:
         """Raise NotCovered for a scenario whose settings show that it is not covered."""
 
-    def run_all(self, scenarios: Sequence[Scenario]) -> Sequence[Any]:
+    def run_all(
+        self, scenarios: Sequence[Scenario], signals: Collection[str] | None = None
+    ) -> Sequence[Any]:
         """Return the log (``RunLog``) of each run. In its place, NotCovered: it is not computed;
         None: it fails or diverges, so that Drake's run shows how.
+
+        ``signals``: those of the plant and of the blocks that the logs need; None: all.
         """
         raise NotImplementedError
 

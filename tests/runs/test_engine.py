@@ -35,7 +35,7 @@ def test_a_record_names_its_engine_also_one_written_before(tmp_path, name, told)
 class Partial(Engine):
     """An engine that covers, and computes, some seeds."""
 
-    def run_all(self, scenarios):
+    def run_all(self, scenarios, signals=None):
         given = [scenario.random_seed for scenario in scenarios]
         return [None if seed == 1 else NotCovered("odd seeds") for seed in given]
 

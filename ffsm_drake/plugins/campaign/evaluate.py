@@ -205,6 +205,15 @@ def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
     return (*section_parts(spec.scenario).values(), *parts_of(spec.scenario).values())
 
 
+def signals_of(spec: Spec) -> tuple[str, ...] | None:
+    """Return the signals of the plant and of the blocks that the metrics of a campaign's runs read;
+    None: any.
+    """
+    if texts_of(spec) or any(part.metrics() for part in parts_of_campaign(spec)):
+        return None
+    return ("state", "hidden_state", "generalized_force")
+
+
 def _frame_parts(spec: Spec) -> tuple[str, ...]:
     """Prescribed parts of a frame's pose: ``rotation``, ``position``, both or none."""
     frame = spec.scenario.reference.frame
@@ -278,6 +287,7 @@ class Evaluator:
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
         self._metrics, self._predictions = metrics_of(spec), predictions_of(spec)
+        self._signals = signals_of(spec)
         self._rollouts: dict[str, Kept] = {}  # by controller
         self._software = " ".join(
             f"{name} {version}" for name, version in software_versions().items()
@@ -327,7 +337,7 @@ class Evaluator:
         # alone each has its own, and reports an error
         with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
             given = [scenarios[place] for place in places]
-            for at, result in run_many(given, engine=self._spec.engine):
+            for at, result in run_many(given, engine=self._spec.engine, signals=self._signals):
                 if isinstance(result, RunLog):
                     logs[places[at]] = result
         return logs
@@ -394,7 +404,7 @@ class Evaluator:
     def _run(self, scenario: Scenario) -> RunLog:
         if (engine := find_engine(self._spec.engine)) is None:
             return self._run_with_drake(scenario)
-        (found,) = engine.run_all([scenario])
+        (found,) = engine.run_all([scenario], self._signals)
         if isinstance(found, RunLog):
             return found
         return dataclasses.replace(self._run_with_drake(scenario), engine=on_drake(found))

@@ -2,7 +2,7 @@
 
 import collections
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,9 @@ class Compiled(Engine):
         if own:
             raise NotCovered(", ".join(sorted(own)))
 
-    def run_all(self, scenarios: Sequence[Scenario]) -> list[RunLog | NotCovered | None]:
+    def run_all(
+        self, scenarios: Sequence[Scenario], signals: Collection[str] | None = None
+    ) -> list[RunLog | NotCovered | None]:
         """See Engine."""
         results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
         groups: dict[Any, list[tuple[int, Run]]] = {}
@@ -80,7 +82,7 @@ class Compiled(Engine):
                 pass
         for group in groups.values():
             runs = [run for _, run in group]
-            found = results_of(runs, alone=len(scenarios) == 1)
+            found = results_of(runs, signals, alone=len(scenarios) == 1)
             for (index, _), result in zip(group, found, strict=True):
                 results[index] = result
         return results
@@ -90,9 +92,14 @@ _kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.Ordere
 _judged = set[Any]()  # keys of kernels that were compared with Drake
 
 
-def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | NotCovered | None]:
-    """The results of runs with the same code, which is compared with Drake once in a process;
-    ``alone``: see ``Kernel``.
+def results_of(
+    runs: Sequence[Run], signals: Collection[str] | None = None, *, alone: bool = False
+) -> list[RunLog | NotCovered | None]:
+    """The results of runs with the same code, which is compared with Drake once in a process.
+
+    Args:
+      signals: see ``logs_of``.
+      alone: see ``Kernel``.
     """
     key = runs[0].key, alone
     found = _kernels.get(key)
@@ -102,7 +109,8 @@ def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | Not
         if isinstance(found, Kernel):
             width = found.width
             parts = [runs[at : at + width] for at in range(0, len(runs), width)]
-            logs = [log for part in parts for log in logs_of(found, part)]
+            needed = signals if key in _judged else None
+            logs = [log for part in parts for log in logs_of(found, part, needed)]
             if key not in _judged and _is_judged(found, runs, logs):
                 _judged.add(key)
     except NotCovered as error:

@@ -1,12 +1,12 @@
 """One function of machine code that runs simulations, as many at once as a register holds.
 
 All numbers of its runs stand in one array of cells, each a register wide. At every control sample
-it reads rows of each run (reference, noise) and writes a row of the log.
+it reads rows of each run (reference, noise) and writes rows of its signals.
 """
 
 import ctypes
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.systems.part import Parts
 
 _BYTES = 8  # of a number
-_BLOCK = 64  # samples whose numbers the cache holds
+_ROWS = 32  # of the log, which the second-level cache holds
 
 
 class Kernel:
@@ -38,65 +38,54 @@ class Kernel:
         self.parts: Parts = {}  # whose signals follow from the log
         self._text = _Runs(blocks, lanes, steps=steps)
         self._code = self._text.code(f"runs of {self.width}", key)
-        self._run = self._code.function("run", 3, ctypes.c_int64)
+        self._run = self._code.function("run", 2, ctypes.c_int64)
 
     def run(
-        self, runs: Mapping[str, np.ndarray], rows: Sequence[Mapping[str, np.ndarray]]
-    ) -> "Signals":
+        self,
+        runs: Mapping[str, np.ndarray],
+        rows: Sequence[Mapping[str, np.ndarray]],
+        signals: Collection[str] | None = None,
+    ) -> list[dict[str, np.ndarray] | None]:
         """Run a lane for each simulation.
 
         Args:
           runs: what each begins with, by the names of ``Blocks.parameters`` and ``states``:
-            (width, n).
+            (width, n); and the ``bound`` of the size of its known velocities, rad/s and m/s.
           rows: what each reads at the samples, by the names of ``Blocks.row``: (samples, n), one
             row after the other in memory.
+          signals: those that are kept; None: all.
 
-        Returns: the signals of ``Blocks.log``.
+        Returns: the signals of each by the names of ``Blocks.log`` (samples, size); None: it leaves
+        its bound, or a number is not finite.
         """
-        cells = np.zeros((self._text.size, self.width))
+        text, samples = self._text, len(rows[0]["reference"])
+        cells = np.zeros((text.size, self.width))
         for name, values in runs.items():
-            first = self._text.places[name]
+            first = text.places[name]
             cells[first : first + values.shape[1]] = values.T
-        samples = len(rows[0]["reference"])
-        log = np.empty((samples, sum(n for *_, n in self.blocks.log.values()), self.width))
-        read = np.array(
-            [[own[name].ctypes.data for own in rows] for name in self._text.read], dtype=np.uint64
-        )
-        self._run(cells.ctypes.data, read.ctypes.data, log.ctypes.data, samples - 1)
-        places, first = dict[str, slice](), 0
-        for name, (*_, size) in self.blocks.log.items():
-            places[name] = slice(first, first + size)
-            first += size
-        return Signals(log, places)
+        sizes = {
+            name: size
+            for name, (*_, size) in self.blocks.log.items()
+            if signals is None or name in signals
+        }
+        kept = [_arrays(sizes, samples) for _ in rows]
+        places = [[own[name].ctypes.data for own in rows] for name in text.read]
+        places += [
+            [own[name].ctypes.data if name in own else 0 for own in kept]
+            for name in self.blocks.log
+        ]
+        given = np.array(places, dtype=np.uint64)
+        self._run(cells.ctypes.data, given.ctypes.data, samples - 1)
+        lost = cells[text.places["lost"]].view(np.int64)
+        return [None if is_lost else own for own, is_lost in zip(kept, lost.tolist(), strict=True)]
 
 
-class Signals:
-    """The signals of all lanes."""
-
-    def __init__(self, log: np.ndarray, places: Mapping[str, slice]) -> None:
-        """Args: numbers (samples, n, width), and the place of each signal among the n."""
-        self.places, self._log = places, log
-        self._found = dict[str, np.ndarray]()
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """A signal (width, samples, its size)."""
-        if name not in self._found:
-            part = self._log[:, self.places[name]]
-            found = np.empty((part.shape[2], *part.shape[:2]))
-            for first in range(0, len(part), _BLOCK):
-                block = slice(first, first + _BLOCK)
-                found[:, block] = part[block].transpose(2, 0, 1)
-            self._found[name] = found
-        return self._found[name]
-
-    def are_finite(self) -> np.ndarray:
-        """Of each lane (width), whether all of its numbers are."""
-        flat = self._log.reshape(-1, self._log.shape[2])
-        with np.errstate(over="ignore", invalid="ignore"):
-            found: np.ndarray = np.isfinite(np.ones(len(flat)) @ flat)
-        for lane in np.flatnonzero(~found):  # a sum may exceed the largest number
-            found[lane] = np.isfinite(flat[:, lane]).all()
-        return found
+def _arrays(sizes: Mapping[str, int], samples: int) -> dict[str, np.ndarray]:
+    """Arrays (samples, size) by name, in one piece of memory."""
+    whole, found = np.empty(samples * sum(sizes.values())), dict[str, np.ndarray]()
+    for name, size in sizes.items():
+        found[name], whole = whole[: samples * size].reshape(samples, size), whole[samples * size :]
+    return found
 
 
 class Step:
@@ -240,26 +229,35 @@ class _Text:
 
 
 class _Runs(_Text):
-    """Whole runs with their logs."""
+    """Whole runs with their logs.
 
-    _arguments = "ptr noalias %cells, ptr noalias %rows, ptr noalias %log, i64 %last"
+    The addresses in ``places`` are those of each lane's arrays: rows that it reads, and signals
+    that it writes, unless the address is 0.
+    """
+
+    _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last"
     _begins = True
 
     def __init__(self, blocks: Blocks, registers: Registers, *, steps: int) -> None:
         super().__init__(blocks, registers, steps=steps)
         self.read = [name for name, size in blocks.row.items() if size]
-        for name, size in blocks.row.items():
+        logged = _ROWS * sum(size for *_, size in blocks.log.values())
+        # ``lost`` has bits as soon as a lane is
+        for name, size in (blocks.row | {"bound": 1, "lost": 1, "log": logged}).items():
             self.places[name] = self.size
             self.size += size
 
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
-        reals, blocks = self._registers.reals, self._blocks
-        logged = sum(size for *_, size in blocks.log.values())
+        blocks, width, place = self._blocks, self._registers.width, 0
         yield "  br label %begin"
         yield "begin:"
         yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
-        for number, name in enumerate(self.read):
-            yield from self._read(name, number * self._registers.width)
+        for name in self.read:
+            size = blocks.row[name]
+            yield f"  %{name}.count = add i64 0, {size}"
+            yield f"  %{name}.first = mul i64 %k, {size}"
+            yield from self._lanes(name, f"%{name}", place)
+            place += width
         yield "  %sample = uitofp i64 %k to double"
         yield "  %time = fmul double %sample, %the_sample_time"
         yield from self._spread("%time", "%t0")
@@ -272,51 +270,102 @@ class _Runs(_Text):
         yield self._call(functions, "sample")
         yield "  br label %sampled"
         yield "sampled:"
-        yield f"  %entry_of_log = mul i64 %k, {logged}"
-        yield f"  %logged = getelementptr {reals}, ptr %log, i64 %entry_of_log"
-        first = 0
-        for cell, start, size in blocks.log.values():
-            source, target = self._new(), self._new()
-            yield f"  {source} = getelementptr {reals}, ptr %{cell}, i64 {start}"
-            yield f"  {target} = getelementptr {reals}, ptr %logged, i64 {first}"
-            yield self._copy(source, target, size)
-            first += size
+        yield f"  %row = urem i64 %k, {_ROWS}"
+        yield from self._logged()
+        yield from self._lost()
         yield from self._kept()
-        yield "  %ends = icmp eq i64 %k, %last"
-        yield "  br i1 %ends, label %end, label %move"
-        yield from self._moved(functions, "sampled", "stepped")
+        yield "  %is_last = icmp eq i64 %k, %last"
+        yield "  %ends = or i1 %is_last, %no_lane"
+        yield f"  %is_full = icmp eq i64 %row, {_ROWS - 1}"
+        yield "  %is_due = or i1 %ends, %is_full"
+        yield "  br i1 %is_due, label %write, label %onward"
+        yield "write:"
+        yield "  %rows = add i64 %row, 1"
+        yield "  %first_row = sub i64 %k, %row"
+        for name, (*_, size) in blocks.log.items():
+            yield f"  %log.{name}.count = mul i64 %rows, {size}"
+            yield f"  %log.{name}.first = mul i64 %first_row, {size}"
+            yield from self._lanes(f"log.{name}", f"%log.{name}.cells", place, back=True)
+            place += width
+        yield "  br i1 %ends, label %end, label %onward"
+        yield "onward:"
+        yield "  br label %move"
+        yield from self._moved(functions, "onward", "stepped")
         yield "stepped:"
         yield "  %next = add i64 %k, 1"
         yield "  br label %begin"
         yield "end:"
         yield "  ret void"
 
-    def _read(self, name: str, place: int) -> Iterator[str]:
-        """Copy a row of each lane, whose address is at a place among ``rows``, into the cells."""
-        size, reals = self._blocks.row[name], self._registers.reals
-        at, value, before = f"%{name}.i", "poison", self._new()
-        yield f"  {before} = mul i64 %k, {size}"
-        for lane in range(self._registers.width):
-            address = self._new()
-            yield f"  {address} = getelementptr ptr, ptr %rows, i64 {place + lane}"
-            yield f"  %{name}.r{lane} = load ptr, ptr {address}, align 8"
-        yield f"  br label %{name}.from"
-        yield f"{name}.from:"
-        yield f"  br label %{name}.move"
-        yield f"{name}.move:"
-        yield f"  {at} = phi i64 [0, %{name}.from], [{at}.next, %{name}.move]"
-        yield f"  {at}.row = add i64 {before}, {at}"
-        for lane in range(self._registers.width):
-            one, entry, more = self._new(), self._new(), self._new()
-            yield f"  {entry} = getelementptr double, ptr %{name}.r{lane}, i64 {at}.row"
-            yield f"  {one} = load double, ptr {entry}, align 8"
-            yield f"  {more} = insertelement {reals} {value}, double {one}, i64 {lane}"
-            value = more
-        yield f"  {at}.cell = getelementptr {reals}, ptr %{name}, i64 {at}"
-        yield f"  store {reals} {value}, ptr {at}.cell, align 8"
-        yield f"  {at}.next = add i64 {at}, 1"
-        yield f"  {at}.more = icmp ult i64 {at}.next, {size}"
-        yield f"  br i1 {at}.more, label %{name}.move, label %{name}.end"
+    def _logged(self) -> Iterator[str]:
+        """Copies of the signals, which are written to the lanes' arrays some samples at a time."""
+        reals, place = self._registers.reals, 0
+        for name, (cell, first, size) in self._blocks.log.items():
+            source, offset, target = self._new(), self._new(), self._new()
+            yield f"  %log.{name}.cells = getelementptr {reals}, ptr %log, i64 {place}"
+            yield f"  {source} = getelementptr {reals}, ptr %{cell}, i64 {first}"
+            yield f"  {offset} = mul i64 %row, {size}"
+            yield f"  {target} = getelementptr {reals}, ptr %log.{name}.cells, i64 {offset}"
+            yield self._copy(source, target, size)
+            place += _ROWS * size
+
+    def _lost(self) -> Iterator[str]:
+        """The lanes with a velocity beyond the bound, or a number that is not finite: it minus
+        itself is not zero.
+        """
+        reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
+        yield f"  %bounds = load {reals}, ptr %bound, align 8"
+        yield f"  %lost.before = load {wholes}, ptr %lost, align 8"
+        lost = "%lost.before"
+        for cell, first, size in self._blocks.log.values():
+            for entry in range(first, first + size):
+                at, value, rest, bits, more = (self._new() for _ in range(5))
+                yield f"  {at} = getelementptr {reals}, ptr %{cell}, i64 {entry}"
+                yield f"  {value} = load {reals}, ptr {at}, align 8"
+                yield f"  {rest} = fsub {reals} {value}, {value}"
+                yield f"  {bits} = bitcast {reals} {rest} to {wholes}"
+                yield f"  {more} = or {wholes} {lost}, {bits}"
+                lost = more
+                if cell == "known" and entry >= self._blocks.nq:
+                    speed, beyond, mask, more = (self._new() for _ in range(4))
+                    yield f"  {speed} = call {reals} @llvm.fabs.v{width}f64({reals} {value})"
+                    yield f"  {beyond} = fcmp ogt {reals} {speed}, %bounds"
+                    yield f"  {mask} = sext {self._registers.truths} {beyond} to {wholes}"
+                    yield f"  {more} = or {wholes} {lost}, {mask}"
+                    lost = more
+        yield f"  store {wholes} {lost}, ptr %lost, align 8"
+        yield f"  %are_lost = icmp ne {wholes} {lost}, zeroinitializer"
+        yield f"  %lanes = bitcast {self._registers.truths} %are_lost to i{width}"
+        yield f"  %no_lane = icmp eq i{width} %lanes, -1"
+
+    def _lanes(self, name: str, cells: str, place: int, *, back: bool = False) -> Iterator[str]:
+        """Copy so many numbers (NAME.count) of each lane's array, from NAME.first on, into cells,
+        or ``back`` unless it has the address 0; the addresses begin at a place.
+        """
+        width = self._registers.width
+        for lane in range(width):
+            yield f"  %{name}.place{lane} = getelementptr ptr, ptr %places, i64 {place + lane}"
+            yield f"  %{name}.all{lane} = load ptr, ptr %{name}.place{lane}, align 8"
+            array = f"ptr %{name}.all{lane}, i64 %{name}.first"
+            yield f"  %{name}.array{lane} = getelementptr double, {array}"
+        yield f"  %{name}.is_there = icmp ne ptr %{name}.all0, null"
+        yield f"  br i1 %{name}.is_there, label %{name}.begin, label %{name}.end"
+        yield f"{name}.begin:"
+        yield f"  br label %{name}.each"
+        yield f"{name}.each:"
+        yield f"  %{name}.i = phi i64 [0, %{name}.begin], [%{name}.next, %{name}.each]"
+        cell = f"getelementptr {self._registers.reals}, ptr {cells}, i64 %{name}.i"
+        yield f"  %{name}.cell = {cell}"
+        for lane in range(width):
+            own, one, other = f"%{name}.own{lane}", f"%{name}.one{lane}", f"%{name}.at{lane}"
+            yield f"  {own} = getelementptr double, ptr %{name}.array{lane}, i64 %{name}.i"
+            yield f"  {other} = getelementptr double, ptr %{name}.cell, i64 {lane}"
+            source, target = (other, own) if back else (own, other)
+            yield f"  {one} = load double, ptr {source}, align 8"
+            yield f"  store double {one}, ptr {target}, align 8"
+        yield f"  %{name}.next = add i64 %{name}.i, 1"
+        yield f"  %{name}.more = icmp ult i64 %{name}.next, %{name}.count"
+        yield f"  br i1 %{name}.more, label %{name}.each, label %{name}.end"
         yield f"{name}.end:"
 
 

@@ -152,6 +152,26 @@ def test_a_run_that_diverges_is_repeated_with_drake():
     assert diverged.engine == "drake (the run fails or diverges)"
 
 
+def test_runs_are_lost_beyond_their_bounds_of_velocity():
+    """Bounds at the largest speed of a run, or just below; the others keep their bits."""
+    random = np.random.default_rng(4)
+    scenarios = varied(["duration=0.5"], 11)
+    logs = [log for _, log in sorted(run_many(scenarios, engine="compiled"), key=lambda x: x[0])]
+    most = [np.abs(log.series["state"][:, 12:]).max() for log in logs]
+    beyond = random.random(len(logs)) < 0.5
+    bounds = np.where(beyond, np.nextafter(most, 0.0), most).tolist()
+    bounded = [
+        dataclasses.replace(scenario, divergence_speed=bound)
+        for scenario, bound in zip(scenarios, bounds, strict=True)
+    ]
+    found = engine.Compiled().run_all(bounded, ["state"])
+    assert [log is None for log in found] == beyond.tolist()
+    for log, other in zip(found, logs, strict=True):
+        if log is not None:
+            assert set(log.series) == {"state", "desired_state", "desired_acceleration"}
+            np.testing.assert_array_equal(log.series["state"], other.series["state"])
+
+
 @pytest.mark.slow
 def test_code_is_compared_with_the_first_run_that_completes():
     scenarios = [
