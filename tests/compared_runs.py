@@ -9,13 +9,15 @@ SAME = {"position": 1e-10, "velocity": 1e-10, "error": 1e-10}  # m, rad, and per
 OTHERS = 1e-7
 
 
-def check(scenarios):
-    """Equal to Drake's runs but for rounding. Returns the records."""
+def check(scenarios, *, called=False):
+    """Equal to Drake's runs but for rounding; the law is traced or called. Returns the records."""
     found = simulate_many(scenarios, engine="compiled")
     for record, other in zip(found, simulate_many(scenarios), strict=True):
         assert record.outcome == other.outcome
         completed = other.outcome.status == "completed"
-        assert record.engine == ("compiled" if completed else "drake (the run fails or diverges)")
+        engine = "compiled" if completed else "drake (the run fails or diverges)"
+        name, how, _ = record.engine.partition(" (law called: ")
+        assert (name, bool(how)) == (engine, called and completed)
         assert set(record.dataset.variables) == set(other.dataset.variables)
         for name, values in other.dataset.data_vars.items():
             if values.dtype == float:

@@ -162,16 +162,16 @@ def _engines(store: Store) -> list[str]:
 
 
 def _engine_lines(spec: Spec, counts: Mapping[str, int]) -> list[str]:
-    """The engine of a campaign, and a line for each reason of runs on Drake: those that are most
-    frequent.
+    """The engine of a campaign, and a line for each reason of runs on Drake, or of calls of laws:
+    those that are most frequent.
     """
-    left = {name: runs for name, runs in counts.items() if name.startswith(DRAKE)}
-    lines = [f"engine: {spec.engine}, {counted(sum(counts.values()) - sum(left.values()), 'run')}"]
-    ranked = sorted(left, key=lambda name: -left[name])
-    lines += [f"engine: {name}, {counted(left[name], 'run')}" for name in ranked[:_SHOWN]]
+    own = sum(runs for name, runs in counts.items() if not name.startswith(DRAKE))
+    lines = [f"engine: {spec.engine}, {counted(own, 'run')}"]
+    ranked = sorted({*counts} - {spec.engine}, key=lambda name: -counts[name])
+    lines += [f"engine: {name}, {counted(counts[name], 'run')}" for name in ranked[:_SHOWN]]
     if more := ranked[_SHOWN:]:
-        runs = counted(sum(left[name] for name in more), "run")
-        lines.append(f"engine: {DRAKE}, for {counted(len(more), 'other reason')}: {runs}")
+        runs = counted(sum(counts[name] for name in more), "run")
+        lines.append(f"engine: for {counted(len(more), 'other reason')}: {runs}")
     return lines
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.plugins.compiled.apart import reason_of
+from ffsm_drake.plugins.compiled.apart import Refused, apart, reason_of
+from ffsm_drake.plugins.compiled.called import Trial
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.logs import COMPILED, logs_of
@@ -21,6 +22,7 @@ from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.controllers.law import is_shipped
 
 # From Drake's run, as a share of a signal's largest value. High gains amplify rounding: where the
 # last bits of the initial state change a signal by a share d, it may differ by so many times d.
@@ -102,12 +104,15 @@ def results_of(
       alone: see ``Kernel``.
     """
     key = runs[0].key, alone
-    found = _kernels.get(key)
+    found, is_new = _kernels.get(key), False
     try:
         if found is None:
-            found = _compiled(runs[0], alone=alone)
+            found, is_new = _compiled(runs[0], alone=alone), True
         if isinstance(found, Kernel):
-            width = found.width
+            width, why = found.width, found.blocks.called
+            runs = [run.with_called_law(why) for run in runs] if why else runs
+            if is_new and not is_shipped(runs[0].law):
+                _try_calls(found, runs[:2])
             parts = [runs[at : at + width] for at in range(0, len(runs), width)]
             needed = signals if key in _judged else None
             logs = [log for part in parts for log in logs_of(found, part, needed)]
@@ -136,14 +141,38 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
         rollout.release()
     if others:
         raise NotCovered(", ".join(sorted(others)))
+    kernel = _kernel(run, alone=alone)
+    kernel.parts = parts
+    return kernel
+
+
+def _kernel(run: Run, *, alone: bool) -> Kernel:
+    """Compile with the law, or to call it. Raises NotCovered."""
     try:
-        kernel = Kernel(run.blocks, steps=run.steps, key=run.key_on_disk, alone=alone)
+        return Kernel(run.blocks, steps=run.steps, key=run.key_on_disk, alone=alone)
     except (FfsmError, MemoryError):
         raise
     except Exception as error:  # the law may raise anything on symbols
-        raise NotCovered(f"{run.scenario.controller}: {reason_of(error)}") from error
-    kernel.parts = parts
-    return kernel
+        why = reason_of(error)
+        if run.blocks.called:
+            raise NotCovered(f"{run.scenario.controller}: {why}") from error
+    return _kernel(run.with_called_law(why), alone=alone)
+
+
+def _try_calls(kernel: Kernel, runs: Sequence[Run]) -> None:
+    """Try a user-supplied law, in copies of this process. Raises NotCovered: equal calls have
+    different results.
+    """
+    trial = Trial(kernel.blocks, [run.controller for run in runs])
+    try:
+        calls = apart(lambda: trial.calls([run.case.planned for run in runs]))
+        if apart(lambda: trial.repeats(calls)) == "true":
+            return
+        why = "with equal samples and memory, its results differ"
+    except Refused as error:
+        why = str(error)
+    said = filter(None, (kernel.blocks.called, f"called: {why}"))
+    raise NotCovered(f"{runs[0].scenario.controller}: {'; '.join(said)}")
 
 
 def _is_judged(kernel: Kernel, runs: Sequence[Run], logs: list[RunLog | None]) -> bool:

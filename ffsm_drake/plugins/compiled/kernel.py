@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from ffsm_drake.plugins.compiled.apart import apart
+from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, Blocks, Function
@@ -38,13 +39,14 @@ class Kernel:
         self.parts: Parts = {}  # whose signals follow from the log
         self._text = _Runs(blocks, lanes, steps=steps)
         self._code = self._text.code(f"runs of {self.width}", key)
-        self._run = self._code.function("run", 2, ctypes.c_int64)
+        self._run = self._code.function("run", 2, ctypes.c_int64, ctypes.c_void_p)
 
     def run(
         self,
         runs: Mapping[str, np.ndarray],
         rows: Sequence[Mapping[str, np.ndarray]],
         signals: Collection[str] | None = None,
+        laws: Laws | None = None,
     ) -> list[dict[str, np.ndarray] | None]:
         """Run a lane for each simulation.
 
@@ -54,9 +56,11 @@ class Kernel:
           rows: what each reads at the samples, by the names of ``Blocks.row``: (samples, n), one
             row after the other in memory.
           signals: those that are kept; None: all.
+          laws: of the lanes, if they are called.
 
         Returns: the signals of each by the names of ``Blocks.log`` (samples, size); None: it leaves
-        its bound, or a number is not finite.
+        its bound, a number is not finite, or the call of its law fails. Raises what ends a call,
+        such as KeyboardInterrupt.
         """
         text, samples = self._text, len(rows[0]["reference"])
         cells = np.zeros((text.size, self.width))
@@ -75,7 +79,10 @@ class Kernel:
             for name in self.blocks.log
         ]
         given = np.array(places, dtype=np.uint64)
-        self._run(cells.ctypes.data, given.ctypes.data, samples - 1)
+        call = None if laws is None else laws.function(cells, text.places)
+        self._run(cells.ctypes.data, given.ctypes.data, samples - 1, call)
+        if laws is not None and laws.stopped is not None:
+            raise laws.stopped
         lost = cells[text.places["lost"]].view(np.int64)
         return [None if is_lost else own for own, is_lost in zip(kept, lost.tolist(), strict=True)]
 
@@ -235,7 +242,7 @@ class _Runs(_Text):
     that it writes, unless the address is 0.
     """
 
-    _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last"
+    _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last, ptr %call"
     _begins = True
 
     def __init__(self, blocks: Blocks, registers: Registers, *, steps: int) -> None:
@@ -261,15 +268,21 @@ class _Runs(_Text):
         yield "  %sample = uitofp i64 %k to double"
         yield "  %time = fmul double %sample, %the_sample_time"
         yield from self._spread("%time", "%t0")
-        yield "  %is_first = icmp eq i64 %k, 0"
-        yield "  br i1 %is_first, label %first, label %later"
-        yield "first:"
-        yield self._call(functions, "first")
-        yield "  br label %sampled"
-        yield "later:"
-        yield self._call(functions, "sample")
-        yield "  br label %sampled"
-        yield "sampled:"
+        if blocks.called:
+            yield self._call(functions, "sensed")
+            yield "  %goes_on = call i64 %call(i64 %k, ptr %cells)"
+            yield "  %is_stopped = icmp eq i64 %goes_on, 0"
+            yield "  br i1 %is_stopped, label %end, label %sampled"
+            yield "sampled:"
+            yield self._call(functions, "acted")
+        else:
+            yield "  %is_first = icmp eq i64 %k, 0"
+            yield "  br i1 %is_first, label %first, label %later"
+            for label, name in (("first", "first"), ("later", "sample")):
+                yield f"{label}:"
+                yield self._call(functions, name)
+                yield "  br label %sampled"
+            yield "sampled:"
         yield f"  %row = urem i64 %k, {_ROWS}"
         yield from self._logged()
         yield from self._lost()

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from ffsm_drake.common.plugins import service
+from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
@@ -28,8 +29,9 @@ def logs_of(
     given |= {name: np.array([run.states[name] for run in lanes]) for name in runs[0].states}
     given["bound"] = np.array([[run.scenario.divergence_speed] for run in lanes])
     rows = [run.rows for run in lanes]
+    laws = Laws(kernel.blocks, [run.controller for run in runs]) if kernel.blocks.called else None
     began = time.perf_counter()
-    found = kernel.run(given, rows, signals)
+    found = kernel.run(given, rows, signals, laws)
     ended = time.perf_counter()
     wall_time = {"build": began - start, "advance_to": ended - began, "total": ended - start}
     return [
@@ -64,7 +66,7 @@ def _log(
         split=run.case.true.split,
         tracks_frame=bool(getattr(run.law, "tracks_frame", False)),
         sliding_unit=str(run.law.sliding_unit),
-        engine=COMPILED,
+        engine=f"{COMPILED} (law called: {called})" if (called := run.blocks.called) else COMPILED,
         parts=parts,
         time=run.case.times.copy(),
         series=series,

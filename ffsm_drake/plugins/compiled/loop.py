@@ -1,6 +1,7 @@
 """A sampled closed loop, traced: its blocks run once on symbols.
 
 The law is the very object of the scenario, with symbols in place of its numbers (``parameters``).
+A law that is called instead (``called``) stands between two functions of a sample.
 Everything that the code depends on stands in ``Blocks``; all else is an input.
 """
 
@@ -89,6 +90,7 @@ _FIXED = {
     "planned", "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
 _DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
+_ACTED = ("generalized_force", "waiting", "limit", "force_resolution")
 
 
 class Function(NamedTuple):
@@ -122,6 +124,7 @@ class Blocks:
     quantized: bool  # the force
     waits: int  # samples from a force to its effect
     scheme: str
+    called: str = ""  # why the law is called at each sample; empty: it is traced
 
     @functools.cached_property
     def memory(self) -> dict[str, np.ndarray]:
@@ -163,11 +166,29 @@ class Blocks:
         nx, nv, states = self.nq + self.nv, self.nv, self.states
         stages = range(len(SCHEMES[self.scheme].times))
         return {
+            "is_new": nx if self.called and self._tells_new else 0,
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
             "disturbance_force": nv, **{cell: states[name] for name, cell in CARRIED.items()},
             "y": states["x"], **{f"k{i}": states["x"] for i in stages},
             **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
+
+    @property
+    def _tells_new(self) -> bool:
+        return any("measurement_is_new" in stage.outputs for stage in self.sensors)
+
+    @property
+    def law_inputs(self) -> dict[str, tuple[str, int, int]]:
+        """Input of a law that is called -> its cell at a sample, first entry there, and size."""
+        nx, nv, sizes = self.nq + self.nv, self.nv, self.results | self.row
+        made = {
+            "estimated_state": ("measurement", 0, nx), "desired_state": ("reference", 0, nx),
+            "desired_acceleration": ("reference", nx, nv), "applied_force": ("applied", 0, nv),
+            "measurement_is_new": ("is_new", 0, sizes["is_new"]),
+            "desired_frame": ("frame", 0, sizes["frame"]),
+        }  # fmt: skip
+        wanted = LawBlock(self.law, self.coordinates).inputs
+        return {name: place for name, place in made.items() if name in wanted and place[2]}
 
     @property
     def row(self) -> dict[str, int]:
@@ -207,7 +228,10 @@ class Blocks:
         for i, weights in enumerate(SCHEMES[self.scheme].points):
             name, reads = f"point{i}", ("x", "step", *(f"k{j}" for j in range(len(weights))))
             given[name] = (reads, functools.partial(self._point, weights))
-        if not begins:
+        if self.called:
+            del given["sample"]
+            given["sensed"], given["acted"] = (_SAMPLE, self._sensed), (_ACTED, self._acted)
+        if self.called or not begins:
             del given["first"]
         return {
             name: self._function(registers, name, reads, made, slopes=slopes)
@@ -257,31 +281,45 @@ class Blocks:
         return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
 
     def _sample(self, cells: Any, *, is_first: bool) -> dict[str, Any]:
-        known = cells.x[list(self.known)]
         now = Now(cells.t0[0], (), is_first)
+        signals, made = self._measured(cells, now)
+        force, memory = self._control(cells, signals, now)
+        made |= {"generalized_force": force, "memory_after": memory}
+        return made | self._given(cells, force)
+
+    def _sensed(self, cells: Any) -> dict[str, Any]:
+        """Of a sample, what comes before the call of the law."""
+        signals, made = self._measured(cells, Now(cells.t0[0]))
+        return made | {"is_new": signals["measurement_is_new"]} if self._tells_new else made
+
+    def _acted(self, cells: Any) -> dict[str, Any]:
+        """Of a sample, what comes after the call of the law."""
+        return self._given(cells, cells.generalized_force)
+
+    def _measured(self, cells: Any, now: Now) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The signals that the law can read, and results of the sample."""
+        known = cells.x[list(self.known)]
         signals = {"state": known, "true_state": known, "drift": cells.drift}
         if self.noisy:
             signals["white"] = cells.deviation * cells.noise
         kept = self._measure(cells, signals, now)
-        force, memory = self._control(cells, signals, now)
-        given = force
-        if self.limited:
-            given = np.minimum(np.maximum(given, -cells.limit), cells.limit)
-        if self.quantized:
-            given = quantize(given, cells.force_resolution)
-        waiting = np.concatenate([given, cells.waiting])  # newest first
-        return {
+        return signals, {
             "known": known,
             "hidden": cells.x[list(self.hidden)],
             "measurement": signals["estimated_state"],
-            "generalized_force": force,
-            "applied_force": waiting[-self.nv :],
             "disturbance_force": force_at(now.time, cells.sines.reshape(4, -1)),
-            "memory_after": memory,
             "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
             "stored_after": kept,
-            "waiting_after": waiting[: -self.nv],
         }
+
+    def _given(self, cells: Any, force: Any) -> dict[str, Any]:
+        """What becomes of the law's force."""
+        if self.limited:
+            force = np.minimum(np.maximum(force, -cells.limit), cells.limit)
+        if self.quantized:
+            force = quantize(force, cells.force_resolution)
+        waiting = np.concatenate([force, cells.waiting])  # newest first
+        return {"applied_force": waiting[-self.nv :], "waiting_after": waiting[: -self.nv]}
 
     def _measure(self, cells: Any, signals: dict[str, Any], now: Now) -> Any:
         """Add what the sensors show to the signals; return their memory after the sample."""

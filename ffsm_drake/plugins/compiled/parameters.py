@@ -124,7 +124,7 @@ def _replaced(
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         raise NotCovered(f"{place}: {type(value).__name__}")
     kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()
-    constant(f"{kind.__module__}.{kind.__qualname__}")
+    constant(kind)  # not its name, which another class may get
     for field in dataclasses.fields(value):
         own = getattr(value, field.name)
         if not field.init:

@@ -1,5 +1,6 @@
 """What a compiled run depends on: its code, and its numbers."""
 
+import copy
 import dataclasses
 import functools
 from collections.abc import Iterator
@@ -158,24 +159,45 @@ class Run:
         controller = make_controller(scenario, self.case.nominal)
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
-        self.law: Any = controller.law
+        self.controller, self.law = controller, controller.law
         if getattr(self.law, "contacts_read", 0):
             raise NotCovered("a law that reads contacts")
         self.coordinates, self.samples = self.case.coordinates, self.case.samples
         self.motion, self.steps = self.case.motion, self.case.steps
-        law, constants = parameters_of(self.law)
         memory = self.law.initial_state()
-        self.parameters = self.case.parameters | {"law": law}
         self.states = self.case.states | {
             "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
         }
         known = self.case.states["x"][None, list(self.case.fixed["known"])]
-        planned = rows_of(self.law, known[:, : self.case.fixed["nq"]])
-        fixed = {"num_parameters": law.size, "num_planned": planned.size, **self.case.fixed}
-        # of equal code; and, with the same diagram on Drake
-        self.code = (*fixed.values(), self.case.constants, constants, self.steps)
-        self.key = (self.case.group, scenario.controller, *self.code)
-        self.blocks = Blocks(law=self.law, sensors=self.case.sensors, **fixed)
+        try:
+            law, constants = parameters_of(self.law)
+            planned = rows_of(self.law, known[:, : self.case.fixed["nq"]])
+        except NotCovered as error:
+            self._call_law(error.what)
+        else:
+            self._lay_out(law, constants, planned.size)
+        # with the same diagram on Drake
+        self.key = (self.case.group, scenario.controller, type(self.law), *self.code)
+
+    def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
+        """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
+        fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
+        self.parameters = self.case.parameters | {"law": law}
+        self.blocks = Blocks(law=self.law, sensors=self.case.sensors, called=called, **fixed)
+        self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
+
+    def _call_law(self, why: str) -> None:
+        self._lay_out(np.zeros(0), (), 0, called=why)
+        layout = {name: value.size for name, value in self.blocks.memory.items()}
+        self.code = (*self.code, "called", str(layout), str(self.blocks.law_inputs))
+
+    def with_called_law(self, why: str) -> "Run":
+        """Return the run with its law called, for this reason why it is not traced."""
+        if self.blocks.called:
+            return self
+        other = copy.copy(self)
+        other._call_law(why)
+        return other
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
@@ -187,6 +209,6 @@ class Run:
 
     @property
     def key_on_disk(self) -> str | None:
-        """What the code is made from, besides this package; None for a user's law."""
-        own = is_shipped(self.law) and len(self.case.sensors) == 1
+        """What the code is made from, besides this package; None for a user's law or sensor."""
+        own = (self.blocks.called or is_shipped(self.law)) and len(self.case.sensors) == 1
         return repr(self.code) if own else None

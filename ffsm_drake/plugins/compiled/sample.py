@@ -51,6 +51,8 @@ class TracedSample:
         """Raises NotCovered."""
         Compiled().check(scenario)
         run = Run(scenario, _case_of(scenario))
+        if run.blocks.called:
+            raise NotCovered(run.blocks.called)
         if len(run.blocks.sensors) > 1:
             raise NotCovered("further stages of sensing")
         self._scenario, self.motion = scenario, run.case.motion

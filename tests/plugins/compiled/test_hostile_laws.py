@@ -1,4 +1,7 @@
-"""Laws that break their contract: none gives a wrong run, and no trace changes their runs."""
+"""Laws that break their contract: none gives a wrong run, and no trace changes their runs.
+
+Some only do what cannot be traced: these are called at each sample.
+"""
 
 import dataclasses
 import functools
@@ -9,6 +12,7 @@ import time
 from pathlib import Path
 from typing import ClassVar
 
+import compared_runs
 import numpy as np
 import pytest
 
@@ -197,6 +201,7 @@ HOSTILE = (
     InFunction, InItself, Returns, Writes, WritesGain, WritesMemory, Clock, Solves,
     ReadsPlant, Shape, Names,
 )  # fmt: skip
+CALLED = (Branches, Recovers, Writes, ReadsPlant)  # they keep the contract of a law
 # Their reason is a line of theirs; of the others, the runs differ.
 WITH_LINE = (
     Branches, Recovers, Caches, KeepsFirst, KeepsAll, InModule, InFunction, Writes, WritesGain,
@@ -205,10 +210,10 @@ WITH_LINE = (
 FAIL = (WritesMemory, Shape, Names)  # with Drake, too
 
 
-def runs_of(law, count, monkeypatch):
+def scenarios_of(law, count, monkeypatch):
     monkeypatch.setitem(sys.modules, "hostile_laws", sys.modules[__name__])
     monkeypatch.setattr(sys.modules[__name__], law.__name__, law, raising=False)
-    scenarios = [
+    return [
         load_scenario(
             "postcapture",
             [
@@ -218,7 +223,18 @@ def runs_of(law, count, monkeypatch):
         )
         for k in range(count)
     ]  # fmt: skip
+
+
+def runs_of(law, count, monkeypatch):
+    scenarios = scenarios_of(law, count, monkeypatch)
     return simulate_many(scenarios, engine="compiled", keep_errors=True)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_kept():
+    for kept in (Caches.kept, KeepsFirst.kept, Returns.kept, LAST, KeepsAll.every):
+        kept.clear()
+    InFunction.force.__defaults__[0].clear()
 
 
 @pytest.mark.parametrize("law", [Pd, pytest.param(Remembers, marks=pytest.mark.slow)])
@@ -236,13 +252,37 @@ def check(law, monkeypatch):
         else:
             assert record.engine.startswith("drake ("), record.engine
             assert not issubclass(law, FAIL)
-            assert not issubclass(law, WITH_LINE) or f" {THIS}:" in record.engine, record.engine
+            assert law not in WITH_LINE or f" {THIS}:" in record.engine, record.engine
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", HOSTILE, ids=lambda law: law.__name__)
+@pytest.mark.parametrize(
+    "law", [law for law in HOSTILE if law not in CALLED], ids=lambda law: law.__name__
+)
 def test_laws_that_break_the_contract_are_not_compiled(law, monkeypatch):
     check(law, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [Caches, KeepsFirst, InItself], ids=lambda law: law.__name__)
+def test_one_run_shows_that_calls_depend_on_each_other(law, monkeypatch):
+    """A second run in the register, of this law alone, would show it too late."""
+    other = load_scenario("postcapture", ["duration=0.1"])
+    (scenario,) = scenarios_of(law, 1, monkeypatch)
+    found = simulate_many([scenario, other], engine="compiled")
+    assert [record.engine.partition(" ")[0] for record in found] == ["drake", "compiled"]
+
+
+def check_called(law, monkeypatch):
+    """The runs are those of Drake, and name the line that cannot be traced."""
+    for record in compared_runs.check(scenarios_of(law, 2, monkeypatch), called=True):
+        assert f" {THIS}:" in record.engine, record.engine
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", CALLED, ids=lambda law: law.__name__)
+def test_laws_that_only_cannot_be_traced_are_called(law, monkeypatch):
+    check_called(law, monkeypatch)
 
 
 @pytest.mark.slow
@@ -259,7 +299,8 @@ def test_drawn_laws_that_break_the_contract_are_not_compiled(seed, monkeypatch):
             made = super().force(sample)
             return Pd.force(self, sample) + only[: made.size] * (made - Pd.force(self, sample))
 
-    check(dataclasses.dataclass(frozen=True, kw_only=True)(Drawn), monkeypatch)
+    do = check_called if set(faults) <= {*CALLED, Solves} else check
+    do(dataclasses.dataclass(frozen=True, kw_only=True)(Drawn), monkeypatch)
 
 
 @pytest.mark.parametrize("field", [[1.0], {"a": 1.0}, {1.0}, object(), len])
