@@ -34,7 +34,7 @@ class Engine:
         """Return the log (``RunLog``) of each run. In its place, NotCovered: it is not computed;
         None: it fails or diverges, so that Drake's run shows how.
 
-        ``signals``: those of the plant and of the blocks that the logs need; None: all.
+        ``signals``: those that the logs need; None: all.
         """
         raise NotImplementedError
 

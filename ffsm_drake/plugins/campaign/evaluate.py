@@ -206,12 +206,10 @@ def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
 
 
 def signals_of(spec: Spec) -> tuple[str, ...] | None:
-    """Return the signals of the plant and of the blocks that the metrics of a campaign's runs read;
-    None: any.
-    """
+    """Return the signals that the metrics of a campaign's runs read; None: any."""
     if texts_of(spec) or any(part.metrics() for part in parts_of_campaign(spec)):
         return None
-    return ("state", "hidden_state", "generalized_force")
+    return ("state", "hidden_state", "generalized_force", "desired_state", "desired_frame")
 
 
 def _frame_parts(spec: Spec) -> tuple[str, ...]:

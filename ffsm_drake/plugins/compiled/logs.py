@@ -21,7 +21,7 @@ def logs_of(
 ) -> list[RunLog | None]:
     """The logs of at most as many runs as a register holds; None: a run diverges.
 
-    ``signals``: those of the kernel that the logs need; None: all.
+    ``signals``: those that the logs need; None: all.
     """
     start = time.perf_counter()
     lanes = [*runs, *[runs[-1]] * (kernel.width - len(runs))]
@@ -37,18 +37,19 @@ def logs_of(
     return [
         None
         if made is None
-        else _log(run, made | _planned(run.case), parts=kernel.parts, wall_time=wall_time)
+        else _log(run, made | _planned(run.case, signals), parts=kernel.parts, wall_time=wall_time)
         for run, made in zip(runs, found, strict=False)
     ]
 
 
-def _planned(case: Case) -> dict[str, np.ndarray]:
-    """The signals that do not depend on a run."""
+def _planned(case: Case, signals: Collection[str] | None) -> dict[str, np.ndarray]:
+    """Those signals that do not depend on a run."""
     desired = np.split(case.planned["reference"], [-case.fixed["nv"]], axis=1)
     found = dict(zip(("desired_state", "desired_acceleration"), desired, strict=True))
     if "frame" in case.planned:
         found["desired_frame"] = case.planned["frame"]
-    return {name: values.copy() for name, values in found.items()}
+    needed = found if signals is None else found.keys() & {*signals}
+    return {name: values.copy() for name, values in found.items() if name in needed}
 
 
 def _log(

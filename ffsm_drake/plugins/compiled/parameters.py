@@ -12,7 +12,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -27,13 +27,19 @@ from ffsm_drake.systems.controllers.law import gains_of
 _CONSTANTS = (bool, int, float, str, slice, type(None), np.generic)
 
 
-def parameters_of(law: Any, place: str = "the law") -> tuple[np.ndarray, tuple[Any, ...]]:
-    """Return the parameters of a law, or of other blocks (n), and its constants, which are equal
-    for equal code.
+class Parameters(NamedTuple):
+    """What code has from the fields of a law, or of other blocks."""
 
-    Raises NotCovered: a field is of an unknown kind.
+    values: np.ndarray  # (n) that may differ between runs
+    constants: tuple[Any, ...]  # equal for equal code
+    num_planned: int  # size of a row of ``rows_of``
+
+
+def parameters_of(law: Any, place: str = "the law") -> Parameters:
+    """Return the parameters of a law, or of other blocks. Raises NotCovered: a field is of an
+    unknown kind.
     """
-    rows, constants = [np.zeros(0)], list[Any]()
+    rows, constants, planned = [np.zeros(0)], list[Any](), list[int]()
 
     def note(values: np.ndarray) -> np.ndarray:
         rows.append(values.ravel())
@@ -41,11 +47,13 @@ def parameters_of(law: Any, place: str = "the law") -> tuple[np.ndarray, tuple[A
         return values
 
     def shape(part: Any, name: str) -> Any:
-        constants.append(getattr(part, name).shape[1:])
-        return getattr(part, name)
+        table: np.ndarray = getattr(part, name)
+        constants.append(table.shape[1:])
+        planned.append(math.prod(table.shape[1:]))
+        return table
 
     _replaced(law, place, note, constants.append, lambda model, own: model, shape)
-    return np.concatenate(rows), tuple(constants)
+    return Parameters(np.concatenate(rows), tuple(constants), sum(planned))
 
 
 def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import System
 
 from ffsm_drake.loop.blocks import factory_of
 from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
@@ -18,7 +19,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.start import state_at_start
-from ffsm_drake.systems.controllers import SampledController, make_controller
+from ffsm_drake.systems.controllers import SampledController, controller_names, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -38,11 +39,12 @@ class Case:
         self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
         self.coordinates: Coordinates = self.nominal.coordinates
         self.samples = scenario.num_control_periods + 1
+        self._gains_are_checked = False
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
         self.sensors = sensors = (measurement_of(errors), *self._own_stages())
-        of_sensors, self.constants = parameters_of(sensors, "the sensors")
+        of_sensors, self.constants, _ = parameters_of(sensors, "the sensors")
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
@@ -106,6 +108,19 @@ class Case:
                 raise NotCovered(name)
             yield stage
 
+    def controller_of(self, scenario: Scenario) -> System:
+        """The controller of a run. Those after the first need no check of the gains of others,
+        which are the same.
+        """
+        name = scenario.controller
+        if not (is_known := name in controller_names()) or not self._gains_are_checked:
+            made = make_controller(scenario, self.nominal)
+            self._gains_are_checked |= is_known
+            return made
+        given = copy.copy(scenario)
+        given.controllers = {key: own for key, own in given.controllers.items() if key == name}
+        return make_controller(given, self.nominal)
+
     @functools.cached_property
     def group(self) -> str:
         """Equal for runs with the same diagram on Drake, but for the controller. Raises
@@ -156,7 +171,7 @@ class Run:
     def __init__(self, scenario: Scenario, case: Case | None = None) -> None:
         """Args: the scenario, and what it shares with other runs."""
         self.scenario, self.case = scenario, Case(scenario) if case is None else case
-        controller = make_controller(scenario, self.case.nominal)
+        controller = self.case.controller_of(scenario)
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
         self.controller, self.law = controller, controller.law
@@ -168,14 +183,12 @@ class Run:
         self.states = self.case.states | {
             "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
         }
-        known = self.case.states["x"][None, list(self.case.fixed["known"])]
         try:
-            law, constants = parameters_of(self.law)
-            planned = rows_of(self.law, known[:, : self.case.fixed["nq"]])
+            found = parameters_of(self.law)
         except NotCovered as error:
             self._call_law(error.what)
         else:
-            self._lay_out(law, constants, planned.size)
+            self._lay_out(*found)
         # with the same diagram on Drake
         self.key = (self.case.group, scenario.controller, type(self.law), *self.code)
 
