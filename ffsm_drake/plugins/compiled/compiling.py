@@ -48,16 +48,19 @@ def registers() -> Registers:
 class Code:
     """The compiled functions of a module."""
 
-    def __init__(self, text: Callable[[], str], key: str | None = None) -> None:
+    def __init__(
+        self, text: Callable[[], str], key: str | None = None, *, quickly: bool = False
+    ) -> None:
         """Args:
         text: makes the module's LLVM text; called unless there is a key whose code is on disk.
         key: what this package makes the text from.
+        quickly: compile in a third of the time, to slower code with the same bits.
         """
         made = text() if key is None else None
         path = _folder() / f"{_hash(made or f'{_package()} {key}')}.o"
         code = _read(path)
         if code is None:
-            code = _compile(made or text())
+            code = _compile(made or text(), quickly=quickly)
             _keep(path, code)
         self._engine = llvm().create_mcjit_compiler(llvm().parse_assembly(""), _machine())
         self._engine.add_object_file(llvm().ObjectFileRef.from_data(code))
@@ -70,22 +73,22 @@ class Code:
         return made
 
 
-def _compile(text: str) -> bytes:
+def _compile(text: str, *, quickly: bool) -> bytes:
     module = llvm().parse_assembly(text)
     module.verify()
-    code: bytes = _machine().emit_object(module)
+    code: bytes = _machine(0 if quickly else 2).emit_object(module)
     return code
 
 
-def _machine() -> Any:
-    """The processor of this process."""
+def _machine(level: int = 2) -> Any:
+    """The processor of this process, for code of an optimisation level."""
     return (
         llvm()
         .Target.from_default_triple()
         .create_target_machine(
             cpu=llvm().get_host_cpu_name(),
             features=llvm().get_host_cpu_features().flatten(),
-            opt=2,
+            opt=level,
             reloc="pic",
             codemodel="jitdefault",
             jit=True,

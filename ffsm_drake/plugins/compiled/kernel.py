@@ -149,7 +149,7 @@ class _Text:
     def code(self, what: str, key: str | None) -> Code:
         """Return the compiled module. A user's law (without a key) is traced apart."""
         make = functools.partial(apart, self._module) if key is None else self._module
-        return Code(make, key and f"{what} {key}")
+        return Code(make, key and f"{what} {key}", quickly=not self._begins)
 
     def _module(self) -> str:
         functions = self._blocks.functions(
