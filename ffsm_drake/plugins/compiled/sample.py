@@ -129,7 +129,8 @@ class TracedSample:
         start, width, row = self._filled(code), code.width, self._read(index)
         if truth is not None:
             true = self._true(truth)
-            self._of(code, start, "own")[:] = reader_of(true.plant).parameters(true.context)[:, None]
+            own = reader_of(true.plant).parameters(true.context)
+            self._of(code, start, "own", own.size)[:] = own[:, None]
         self._of(code, start, "x", self.size)[:] = state[:, None]
         directions = np.eye(count, -(-count // width) * width)
         of_state = np.empty((self.size, directions.shape[1]))
