@@ -28,7 +28,9 @@ def kept(tmp_path, monkeypatch, tree):
 def compilations(monkeypatch):
     """The number of texts compiled."""
     made, compile_text = [], compiling._compile
-    monkeypatch.setattr(compiling, "_compile", lambda text: made.append(1) or compile_text(text))
+    monkeypatch.setattr(
+        compiling, "_compile", lambda *given, **how: made.append(1) or compile_text(*given, **how)
+    )
     return made
 
 
