@@ -79,6 +79,19 @@ def test_a_case_has_its_bits_again(databases):
 
 
 @needs_compiled
+def test_the_reason_is_named_why_a_law_is_called(tmp_path):
+    own = {"overrides": {"duration": 0.1}, "controllers": ["tdc", "mpc"]}
+    database = run_here(write_spec(tmp_path / "s.yaml", **NOT_COVERED | own), tmp_path / "s.db")
+    engines = {controller: engine for _, controller, engine in rows(database, "engine")}
+    assert engines["tdc"] == "compiled"
+    assert engines["mpc"].startswith("compiled (law called: mpc.py:")
+    with open_store(database) as store:
+        said = status_text(store)
+    assert "engine: compiled, 4 runs; 2 run with Drake too: 0 outcomes differ" in said
+    assert f"engine: {engines['mpc']}, 2 runs" in said
+
+
+@needs_compiled
 def test_what_is_not_covered_is_left_to_drake_with_its_reason(tmp_path):
     spec = write_spec(tmp_path / "s.yaml", **NOT_COVERED)
     database, reason = run_here(spec, tmp_path / "s.db"), "drake (not covered: error control)"

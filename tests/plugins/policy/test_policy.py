@@ -183,6 +183,17 @@ def test_runs_of_a_policy_go_side_by_side(pd):
         np.testing.assert_array_equal(together[index].series["state"], log.series["state"])
 
 
+def test_compiled_runs_call_a_policy(pd):
+    pytest.importorskip("llvmlite", reason="needs llvmlite, an extra")
+    scenarios = [flown(pd, "duration=0.5").replace(random_seed=seed) for seed in (1, 2)]
+    found, expected = (dict(run_many(scenarios, engine=name)) for name in ("compiled", "drake"))
+    for index, log in found.items():
+        assert log.engine.startswith("compiled (law called: ")
+        state = expected[index].series["state"]
+        # the network has seven digits
+        np.testing.assert_allclose(log.series["state"], state, rtol=0.0, atol=1e-8)
+
+
 @pytest.mark.parametrize("steps", [1, 4])
 def test_a_residual_of_zero_is_the_law_that_it_changes(steps, tmp_path, coordinates):
     scenario = load_scenario("postcapture", ["duration=0.3", "controller=tdc"])
