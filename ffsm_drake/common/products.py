@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from ffsm_drake.common.choice import is_known
+
 
 def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Products of vectors (..., n) and matrices (..., n, n) that lie in memory as they do alone."""
@@ -35,5 +37,7 @@ def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def length(vector: np.ndarray) -> np.ndarray:
     """Lengths (..., 1) of vectors (..., n), which do not overflow."""
+    if not is_known(vector):
+        return np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
     found = [math.hypot(*one) for one in vector.reshape(-1, vector.shape[-1]).tolist()]
     return np.array(found).reshape(*vector.shape[:-1], 1)

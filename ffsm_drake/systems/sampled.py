@@ -4,14 +4,21 @@ The functions of a ``Sampled`` block are written once. ``SampledSystem`` calls t
 a Drake diagram. The plug-in ``compiled`` calls them with symbols (``ffsm_drake.tape``).
 """
 
-import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+)
+from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.errors import BlockError, choices
 from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
@@ -33,6 +40,9 @@ class Now(NamedTuple):
 class Sampled:
     """A block that steps once in a control sample.
 
+    It acts at a sample on what its inputs are then. A block with ``latched`` inputs is one of an
+    actuator: the other inputs are commands, and its outputs follow them within the same sample.
+
     A subclass is a frozen dataclass. Its arrays of floats may hold symbols in ``step``; all else is
     constant. ``step`` must depend on its arguments and fields alone, and change neither.
 
@@ -53,6 +63,20 @@ class Sampled:
       >>> loop.blocks["sensing.offset"].get_name()
       'offset'
     """
+
+    wide: ClassVar[bool] = False  # its arrays may have rows, of several copies of the spacecraft
+
+    @property
+    def latched(self) -> Mapping[str, Sequence[float]]:
+        """Inputs whose values at a sample an actuator uses until the next: their values before the
+        first sample.
+        """
+        return {}
+
+    @property
+    def entries(self) -> Mapping[str, Sequence[int]]:
+        """Entries of a latched input that ``step`` reads, if not all."""
+        return {}
 
     @property
     def inputs(self) -> Ports:
@@ -99,12 +123,13 @@ def sized(ports: Ports, usual: Mapping[str, int], place: str) -> dict[str, int]:
     return {name: usual[name] if size is None else int(size) for name, size in found.items()}
 
 
-class SampledSystem(LeafSystem):
+class SampledSystem(Diagram):
     """The Drake system of a ``Sampled`` block, or of one for each of several copies of the
     spacecraft; ports then hold copy after copy.
 
-    Ports: the block's, and an output ``result`` with all outputs and the memory after the sample.
-    Discrete state, updated every ``sample_time``: the block's memory, a group for each name.
+    Discrete state, updated every ``sample_time``: the block's memory, a group for each name; of an
+    actuator also its latched inputs and phase. Its memory is brought up to date at the next sample,
+    since its command changes at this one.
     """
 
     def __init__(
@@ -113,60 +138,98 @@ class SampledSystem(LeafSystem):
         *,
         name: str,
         sample_time: float,
+        copies: int = 1,
         usual: Mapping[str, int] = {},
         place: str = "",
     ) -> None:
         """Args:
-          blocks: the block of each copy.
+          blocks: the block of each copy, or a wide one of all.
           name: of the system.
           sample_time: the control period, s.
+          copies: number of copies, if there is a wide block.
           usual: numbers in the ports of the loop.
           place: name of the block in errors; default: the system's name.
 
         Raises BlockError: a user-supplied block fails, or returns what it should not.
         """
         super().__init__()
+        builder, place = DiagramBuilder(), place or name
+        inputs, outputs = (sized(of, usual, place) for of in (blocks[0].inputs, blocks[0].outputs))
+        own = _Stepping(blocks, inputs, outputs, max(copies, len(blocks)), sample_time, place)
+        own.set_name(f"{name}_at_samples")
+        self._own = builder.AddSystem(own)
+        parts = builder.AddNamedSystem("parts", Demultiplexer(own.widths))
+        builder.Connect(own.get_output_port(), parts.get_input_port())
+        for index, each in enumerate(inputs):
+            builder.ExportInput(own.get_input_port(index), each)
+        for index, each in enumerate(outputs):
+            builder.ExportOutput(parts.get_output_port(index), each)
+        builder.BuildInto(self)
         self.set_name(name)
-        self._blocks, self._sample_time, self._place = tuple(blocks), sample_time, place or name
-        first = blocks[0]
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
+        self._own.set_initial_state(self.GetMutableSubsystemContext(self._own, context), state)
+
+
+class _Stepping(LeafSystem):
+    """The functions of ``SampledSystem``; one output with the block's outputs and the memory after
+    the sample, each of ``widths`` numbers.
+    """
+
+    def __init__(
+        self,
+        blocks: Sequence[Sampled],
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, int],
+        copies: int,
+        sample_time: float,
+        place: str,
+    ) -> None:
+        super().__init__()
+        self._blocks, self._sample_time, self._place = tuple(blocks), sample_time, place
+        first, self._copies = blocks[0], copies
         self._is_checked = is_user_supplied(type(first))
-        memory, phase = calling(self._place, _at_start, first)
-        inputs, outputs = (sized(of, usual, self._place) for of in (first.inputs, first.outputs))
-        self._copies, self._is_phased = len(self._blocks), bool(phase)
-        self._inputs = {
-            each: self.DeclareVectorInputPort(each, self._copies * size)
-            for each, size in inputs.items()
+        memory, phase = calling(place, _at_start, first)
+        ports = {each: self._input(each, size) for each, size in inputs.items()}
+        self._latched = {
+            each: (ports.pop(each), self._state(value), list(first.entries.get(each, ())) or None)
+            for each, value in first.latched.items()
         }
-        self._memory = {
-            each: self.DeclareDiscreteState(np.zeros(self._copies * value.size))
-            for each, value in memory.items()
-        }
-        reads = {self.input_port_ticket(port.get_index()) for port in self._inputs.values()}
-        if memory:
+        self._acts, self._inputs, self._is_phased = bool(self._latched), ports, bool(phase)
+        self._memory = {each: self._state(value) for each, value in memory.items()}
+        if phase and self._acts:
+            self._phase = self.DeclareDiscreteState(np.asarray(phase, float))
+        reads = {self.input_port_ticket(port.get_index()) for port in ports.values()}
+        if memory or self._acts:
             reads.add(self.xd_ticket())
-        if self._is_phased:
+        if phase and not self._acts:
             reads.add(self.time_ticket())
+        self._outputs = tuple(outputs)
         self._sizes = [*outputs.items(), *((each, value.size) for each, value in memory.items())]
-        ends = self._copies * np.cumsum([0, *(size for _, size in self._sizes)])
-        places = [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
-        self._outputs = dict(zip(outputs, places, strict=False))
+        self.widths = [copies * size for _, size in self._sizes]
+        ends = np.cumsum([0, *self.widths]).tolist()
+        places = [slice(*pair) for pair in itertools.pairwise(ends)]
         self._kept = dict(zip(memory, places[len(outputs) :], strict=True))
-        for each, part in self._outputs.items():
-            calc = functools.partial(weak_callback(self._calc), part)
-            self.DeclareVectorOutputPort(each, self._copies * outputs[each], calc, reads)
         self._result = self.DeclareVectorOutputPort(
-            "result", int(ends[-1]), weak_callback(self._calc_result), reads
+            "result", ends[-1], weak_callback(self._calc_result), reads
         )
-        if memory:
+        if memory or self._acts:
             self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
+
+    def _input(self, name: str, size: int) -> Any:
+        return self.DeclareVectorInputPort(name, self._copies * size)
+
+    def _state(self, value: Sequence[float] | np.ndarray) -> Any:
+        return self.DeclareDiscreteState(np.tile(np.ravel(value), self._copies))
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
         rows = np.reshape(state, (self._copies, -1))
+        blocks = self._blocks * (self._copies // len(self._blocks))
         own = [
-            calling(self._place, block.start, row)
-            for block, row in zip(self._blocks, rows, strict=True)
+            calling(self._place, block.start, row) for block, row in zip(blocks, rows, strict=True)
         ]
         for name, group in self._memory.items():
             context.SetDiscreteState(group, np.concatenate([np.ravel(each[name]) for each in own]))
@@ -180,27 +243,31 @@ class SampledSystem(LeafSystem):
         """Phase of each block at a control sample."""
         return tuple(tuple(block.phase(sample)) for block in self._blocks)
 
-    def _calc(self, place: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._result.Eval(context)[place])
-
     def _calc_result(self, context: Context, output: BasicVector) -> None:
-        time, phase, rows = context.get_time(), list[Any](), list[Any]()
+        time, rows, value = context.get_time(), list[Any](), context.get_discrete_state().value
         inputs = {name: port.Eval(context) for name, port in self._inputs.items()}
-        memory = {
-            name: context.get_discrete_state(group).value() for name, group in self._memory.items()
-        }
+        inputs |= {name: value(group) for name, (_, group, _) in self._latched.items()}
+        memory = {name: value(group) for name, group in self._memory.items()}
         for copy, block in enumerate(self._blocks):
-            if self._is_phased:
-                phase = list(block.phase(round(time / self._sample_time)))
-            own = inputs, memory
+            own, phase = (inputs, memory), list[Any]()
             if self._copies > 1:
                 own = self._of_copy(copy, inputs), self._of_copy(copy, memory)
+            if self._is_phased:
+                now = value(self._phase) if self._acts else block.phase(self._sample(context))
+                phase = list(now)
             rows.append(self._stepped(block, *own, Now(time, phase)))
-        parts = rows[0] if len(rows) == 1 else itertools.chain(*zip(*rows, strict=True))
-        output.SetFromVector(np.concatenate(list(parts)))
+        parts = rows[0]
+        if self._copies > 1:
+            parts = [np.ravel(each) for each in itertools.chain(*zip(*rows, strict=True))]
+        output.SetFromVector(np.concatenate(parts))
+
+    def _sample(self, context: Context) -> int:
+        return round(context.get_time() / self._sample_time)
 
     def _of_copy(self, copy: int, values: Arrays) -> dict[str, Any]:
-        return {name: each.reshape(self._copies, -1)[copy] for name, each in values.items()}
+        """The values of a copy; of a wide block all rows."""
+        own = slice(None) if len(self._blocks) == 1 else copy
+        return {name: each.reshape(self._copies, -1)[own] for name, each in values.items()}
 
     def _stepped(self, block: Sampled, inputs: Arrays, memory: Arrays, now: Now) -> list[Any]:
         """The outputs of one copy, then its memory, in the order of ``_sizes``."""
@@ -218,9 +285,17 @@ class SampledSystem(LeafSystem):
         return _checked(returned, self._sizes, len(self._outputs), self._place, now.time)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
-        result = self._result.Eval(context)
-        for name, place in self._kept.items():
-            values.set_value(self._memory[name], result[place])
+        if not self._acts or self._sample(context) > 0:
+            result = self._result.Eval(context)
+            for name, place in self._kept.items():
+                values.set_value(self._memory[name], result[place])
+        for port, group, entries in self._latched.values():
+            read = port.Eval(context)
+            if entries is not None:
+                read = read.reshape(self._copies, -1)[:, entries].ravel()
+            values.set_value(group, read)
+        if self._acts and self._is_phased:
+            values.set_value(self._phase, np.array(self._blocks[0].phase(self._sample(context))))
 
 
 def _at_start(block: Sampled) -> tuple[Arrays, Sequence[Any]]:

@@ -17,25 +17,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydrake.symbolic import Expression, MakeVectorVariable, exp, tanh
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    DiscreteValues,
-    LeafSystem,
-)
-from pydrake.systems.primitives import Demultiplexer, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import percent, short
 from ffsm_drake.scenario import Drives, PerCoordinate, Scenario
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import RATE, Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.part import (
     INTERNAL_WORK,
     Constant,
@@ -46,7 +36,7 @@ from ffsm_drake.systems.part import (
     View,
     by_key,
 )
-from ffsm_drake.systems.selection import make_selector
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.drives"
@@ -127,6 +117,17 @@ class DriveSet:
             (self.coulomb + stribeck) * np.tanh(rate / self.smoothing_rate) + self.viscous * rate
         )
 
+    def friction_of(self, i: int, rate: Any) -> Any:
+        """``friction`` of joint i at its rate (1), without the cost of unused terms."""
+        dry: Any = self.coulomb[i]
+        if self.static[i] > self.coulomb[i]:
+            slow = rate * (1.0 / self.stribeck_rate[i])
+            dry = dry + (self.static[i] - self.coulomb[i]) * np.exp(-slow * slow)
+        force = 0.0 * rate
+        if self.static[i] > 0.0:
+            force = -dry * np.tanh(rate * (1.0 / self.smoothing_rate[i]))
+        return force - self.viscous[i] * rate if self.viscous[i] > 0.0 else force
+
     def available(self, rate: np.ndarray) -> np.ndarray:
         """The largest force (..., n) with the motion at joint rates (..., n), N m or N; infinite
         without a limit.
@@ -161,96 +162,88 @@ class DriveSet:
         return (1.0 / float(rates[-1]) if rates[-1] > 0.0 else np.inf), joint
 
 
-class RateLimit(LeafSystem):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RateLimit(Sampled):
     """Limits the forces on joints to the drives' capability at the rates of the last control
     sample.
 
     Inputs: ``force`` (nv) and ``state`` [q; v] (nq + nv). Output: ``limited`` (nv), changing
-    at control samples only. Discrete state, updated every control sample: the joint rates (n).
-    All vectors hold copy after copy of the spacecraft.
+    at control samples only.
     """
 
-    def __init__(
-        self, drives: DriveSet, coordinates: Coordinates, *, sample_time: float, copies: int = 1
-    ) -> None:
-        super().__init__()
-        self._drives, nv, self._rows = drives, len(coordinates.names), (copies, -1)
-        self._force = self.DeclareVectorInputPort("force", copies * nv)
-        self._state = self.DeclareVectorInputPort("state", copies * (2 * nv + 1))
-        self.DeclareDiscreteState(copies * len(drives.names))
-        # Not on the plant's state: while the command is held, the integrator's stages read the
-        # cached value.
-        depends = {self.input_port_ticket(self._force.get_index()), self.xd_ticket()}
-        self.DeclareVectorOutputPort("limited", copies * nv, weak_callback(self._calc), depends)
-        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
-        untie(self)
+    drives: DriveSet
+    num_velocities: int
+    wide = True
 
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        states = self._state.Eval(context).reshape(self._rows)
-        values.set_value(states[:, -len(self._drives.names) :].ravel())
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return {"force": self.num_velocities, "state": 2 * self.num_velocities + 1}
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        force = self._force.Eval(context).reshape(self._rows).copy()
-        joints = force[:, NUM_BASE_VELOCITIES:]
-        rates = context.get_discrete_state_vector().value().reshape(self._rows)
-        joints[:] = self._drives.give(joints, rates)
-        output.SetFromVector(force.ravel())
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return {"limited": self.num_velocities}
+
+    @property
+    def latched(self) -> Mapping[str, Sequence[float]]:
+        """See Sampled."""
+        return {"state": [0.0] * len(self.drives.names)}
+
+    @property
+    def entries(self) -> Mapping[str, Sequence[int]]:
+        """See Sampled: the joints' rates."""
+        return {"state": [*range(2 * self.num_velocities + 1)][-len(self.drives.names) :]}
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        force = inputs["force"].copy()
+        joints = force[..., NUM_BASE_VELOCITIES:]
+        force[..., NUM_BASE_VELOCITIES:] = self.drives.give(joints, inputs["state"])
+        return {"limited": force}, memory
 
 
-class JointFriction(Diagram):
-    """Friction as a continuous force on the plant, and its work. All of it runs in C++.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class JointFriction(Continuous):
+    """Friction as a continuous force on the plant, and its work.
 
     Input: ``state`` [q; v] of the plant. Outputs: ``friction_force`` (nv), N m or N, and
     ``friction_work`` (nv), its integral of force times rate since the start, J, which is integrated
-    with the plant. Of several copies of the spacecraft the ports hold copy after copy.
+    with the plant.
     """
 
-    def __init__(self, drives: DriveSet, coordinates: Coordinates, *, copies: int = 1) -> None:
-        super().__init__()
-        nv, count = len(coordinates.names), len(drives.names)
-        builder = DiagramBuilder()
-        size = NUM_BASE_POSITIONS + nv + count
-        places = [
-            (0, (copy + 1) * size - count + i) for copy in range(copies) for i in range(count)
-        ]
-        state = builder.AddNamedSystem(
-            "state", make_selector({"state": copies * size}, {"rates": places})
-        )
-        rates, work = (MakeVectorVariable(copies * count, name) for name in ("v", "w"))
-        force = [self._force(drives, i % count, rate) for i, rate in enumerate(rates)]
+    drives: DriveSet
+    num_velocities: int
 
-        def by_coordinate(of_joints: Sequence[Any]) -> list[Any]:
-            rows, base = np.reshape(of_joints, (copies, count)), [Expression(0.0)]
-            return [one for row in rows for one in (*base * NUM_BASE_VELOCITIES, *row)]
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"state": 2 * self.num_velocities + 1}
 
-        friction = SymbolicVectorSystem(
-            state=work,
-            input=rates,
-            dynamics=[one * rate for one, rate in zip(force, rates, strict=True)],
-            output=[*by_coordinate(force), *by_coordinate(work)],
-        )
-        builder.AddNamedSystem(FRICTION, friction)
-        outputs = builder.AddNamedSystem("outputs", Demultiplexer([copies * nv] * 2))
-        builder.ExportInput(state.get_input_port(), "state")
-        builder.Connect(state.get_output_port(), friction.get_input_port())
-        builder.Connect(friction.get_output_port(), outputs.get_input_port())
-        for index, name in enumerate((FRICTION_FORCE, FRICTION_WORK)):
-            builder.ExportOutput(outputs.get_output_port(index), name)
-        builder.BuildInto(self)
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return dict.fromkeys((FRICTION_FORCE, FRICTION_WORK), self.num_velocities)
 
-    @staticmethod
-    def _force(drives: DriveSet, i: int, rate: Expression) -> Expression:
-        """``DriveSet.friction`` without the cost of unused terms."""
-        dry = Expression(drives.coulomb[i])
-        if drives.static[i] > drives.coulomb[i]:
-            slow = rate * (1.0 / drives.stribeck_rate[i])
-            dry += (drives.static[i] - drives.coulomb[i]) * exp(-slow * slow)
-        force = (
-            Expression(0.0)
-            if drives.static[i] == 0.0
-            else -dry * tanh(rate * (1.0 / drives.smoothing_rate[i]))
-        )
-        return force if drives.viscous[i] == 0.0 else force - drives.viscous[i] * rate
+    @property
+    def entries(self) -> Mapping[str, Sequence[int]]:
+        """See Continuous: the joints' rates."""
+        return {"state": [*range(2 * self.num_velocities + 1)][-len(self.drives.names) :]}
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Continuous."""
+        return {FRICTION_WORK: np.zeros(len(self.drives.names))}
+
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        rates, base = inputs["state"], np.zeros(NUM_BASE_VELOCITIES)
+        parts = [self.drives.friction_of(i, rates[i : i + 1]) for i in range(len(rates))]
+        force = np.concatenate(parts)
+        found = {
+            FRICTION_FORCE: np.concatenate([base, force]),
+            FRICTION_WORK: np.concatenate([base, state[FRICTION_WORK]]),
+        }
+        return found, {FRICTION_WORK: force * rates}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

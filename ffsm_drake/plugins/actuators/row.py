@@ -12,15 +12,17 @@ from pydrake.systems.framework import Context, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.plugins.actuators.base import BaseActuators, BaseBlock, Hit
-from ffsm_drake.plugins.actuators.drives import DriveSet, JointFriction, RateLimit
+from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
-from ffsm_drake.plugins.actuators.wheels import WheelSet
-from ffsm_drake.scenario import Actuation
+from ffsm_drake.plugins.actuators.wheels import Gyroscopic, WheelSet
+from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.continuous import Continuous, ContinuousSystem
 from ffsm_drake.systems.faults import detects, first_sample, hits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.quantization import Quantizer
+from ffsm_drake.systems.sampled import Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 
@@ -102,16 +104,11 @@ class ActuatorRow(Part):
         if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
             return None
         scenario, step = setups[0].scenario, setups[0].sample_time
-        faults = [
-            (unit, fault, first_sample(fault, step))
-            for part in ("thrusters", "wheels")
-            for unit, fault in hits(scenario, part)
-        ]
         return _make_actuation(
             settings,
             setups[0].coordinates,
             sample_time=step,
-            faults=faults,
+            faults=_faults(scenario),
             detects=detects(scenario),
         )
 
@@ -164,29 +161,78 @@ def _make_actuation(
     """``make_actuation`` for several settings; differences are within ``_by_copy``."""
     settings, copies = of_copies[0], len(of_copies)
     row, beside = _make_limits(of_copies, coordinates, sample_time=sample_time), dict[str, System]()
-    if settings.drives is not None:
-        drives = DriveSet(settings.drives, settings.limit, coordinates)
-        if drives.has_rate_limit:
-            row["rate_limit"] = RateLimit(
-                drives, coordinates, sample_time=sample_time, copies=copies
+    acting, flowing = _acting(
+        settings,
+        coordinates,
+        sample_time,
+        faults=faults,
+        detects=detects,
+        has_base=base is not None,
+    )
+    for block in acting:
+        if isinstance(block, BaseActuators):
+            row["base"] = BaseBlock(block, copies=copies)
+        else:
+            row["rate_limit"] = SampledSystem(
+                [block], name="rate_limit", sample_time=sample_time, copies=copies
             )
-        if drives.has_friction:
-            beside["friction"] = JointFriction(drives, coordinates, copies=copies)
+    for each in flowing:
+        if isinstance(each, JointFriction):
+            beside["friction"] = ContinuousSystem(each, name=FRICTION, copies=copies)
     if base is not None:
         row["base"] = base
-    elif settings.thrusters is not None or settings.wheels is not None:
-        own = make_base_actuators(
-            settings,
-            coordinates,
-            sample_time=sample_time,
-            copies=copies,
-            faults=faults,
-            detects=detects,
-        )
-        row["base"] = BaseBlock(own, coordinates, copies=copies)
     if beside and not row:
         row["as_commanded"] = PassThrough(copies * len(coordinates.names))
     return Actuators(row, beside, copies=copies) if row else None
+
+
+def _acting(
+    settings: Actuation,
+    coordinates: Coordinates,
+    sample_time: float,
+    *,
+    faults: Sequence[Hit] = (),
+    detects: bool = False,
+    has_base: bool = False,
+) -> tuple[list[Sampled], list[Continuous]]:
+    """The blocks in a row after saturation, quantisation and delay, and those beside them; without
+    thrusters and wheels if there ``has_base`` another block in their place.
+    """
+    row, beside, nv = list[Sampled](), list[Continuous](), len(coordinates.names)
+    if settings.drives is not None:
+        drives = DriveSet(settings.drives, settings.limit, coordinates)
+        if drives.has_rate_limit:
+            row.append(RateLimit(drives=drives, num_velocities=nv))
+        if drives.has_friction:
+            beside.append(JointFriction(drives=drives, num_velocities=nv))
+    if not has_base and (settings.thrusters is not None or settings.wheels is not None):
+        base = make_base_actuators(
+            settings, coordinates, sample_time=sample_time, faults=faults, detects=detects
+        )
+        row.append(base)
+        if base.wheels is not None:
+            beside.append(Gyroscopic(momentum=base.wheels.initial, num_velocities=nv))
+    return row, beside
+
+
+def acting_blocks(
+    scenario: Scenario, coordinates: Coordinates
+) -> tuple[list[Sampled], list[Continuous]]:
+    """Return the blocks of a scenario's actuators in a row, after saturation, quantisation and
+    delay, and those beside them. Raises the errors of ``make_actuation``.
+    """
+    return _acting(
+        allocated(scenario), coordinates, scenario.sample_time, faults=_faults(scenario),
+        detects=detects(scenario),
+    )  # fmt: skip
+
+
+def _faults(scenario: Scenario) -> list[Hit]:
+    return [
+        (unit, fault, first_sample(fault, scenario.sample_time))
+        for part in ("thrusters", "wheels")
+        for unit, fault in hits(scenario, part)
+    ]
 
 
 def _make_limits(
@@ -222,12 +268,11 @@ def make_base_actuators(
     coordinates: Coordinates,
     *,
     sample_time: float,
-    copies: int = 1,
     faults: Sequence[Hit] = (),
     detects: bool = False,
 ) -> BaseActuators:
-    """Thrusters and wheels, for all copies of the spacecraft, as one system, with their faults and
-    an input for detected faults. Raises the errors of ``make_actuation``.
+    """Thrusters and wheels as one block, with their faults and an input for detected faults. Raises
+    the errors of ``make_actuation``.
     """
     thrusters, wheels = None, None
     if settings.thrusters is not None:
@@ -235,11 +280,10 @@ def make_base_actuators(
     if settings.wheels is not None:
         wheels = WheelSet(settings.wheels, sample_time=sample_time, alone=thrusters is None)
     return BaseActuators(
-        thrusters,
-        wheels,
-        coordinates,
+        thrusters=thrusters,
+        wheels=wheels,
+        num_velocities=len(coordinates.names),
         sample_time=sample_time,
-        copies=copies,
         faults=faults,
         detects=detects,
     )

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ffsm_drake.common.choice import may_be
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import counted, percent, short
@@ -181,7 +182,7 @@ class ThrusterSet:
         A wrench that is not finite gives forces that are not finite: the run has diverged.
         """
         known = np.isfinite(wrench).all(axis=-1, keepdims=True)
-        all_known = bool(known.all())
+        all_known = not may_be(~known)
         solvable = wrench if all_known else np.where(known, wrench, 0.0)
         forces, part = self._allocation.solve(solvable, self._leak)
         wanted, given = np.zeros((*part.shape, len(self.names))), part[..., None]

@@ -13,22 +13,19 @@ remove the rest (A h).
 
 import dataclasses
 import functools
-import itertools
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from pydrake.symbolic import Expression, MakeVectorVariable
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
-from pydrake.systems.primitives import Demultiplexer, Selector, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent, short
 from ffsm_drake.common.products import length, times
 from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.scenario import Scenario, Wheels
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.part import (
     INTERNAL_TORQUE,
     STEPS,
@@ -45,7 +42,7 @@ from ffsm_drake.systems.part import (
     View,
     by_key,
 )
-from ffsm_drake.systems.selection import make_selector
+from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
@@ -296,69 +293,53 @@ class WheelSet:
         return motor / np.maximum(1.0, self._loads(motor) / _UNLOADING)
 
 
-class Gyroscopic(Diagram):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Gyroscopic(Continuous):
     """The wheels' total momentum p in world axes as continuous state, and its torque on a turning
     base.
 
-    Inputs: ``state`` [q; v] of the plant, and ``reaction`` (3), the torque of the wheels on the
-    base in world axes without the gyroscopic torque, held over a sample: dp/dt = w x p - reaction.
-    Outputs: ``gyroscopic_force`` (nv), -w x p on the base, and ``stored_momentum`` p (3). All of it
-    runs in C++. The base gets the opposite of dp/dt in every stage of the integrator, so the
-    sum of both momenta is conserved to rounding. Ports hold copy after copy of the spacecraft.
+    Inputs: ``state`` [q; v] of the plant, and ``wheel_reaction`` (3), the torque of the wheels on
+    the base in world axes without the gyroscopic torque, held over a sample:
+    dp/dt = w x p - reaction. Outputs: ``gyroscopic_force`` (nv), -w x p on the base, and
+    ``stored_momentum`` p (3). The base gets the opposite of dp/dt in every stage of the integrator,
+    so the sum of both momenta is conserved to rounding.
     """
 
-    def __init__(self, coordinates: Coordinates, *, copies: int = 1) -> None:
-        super().__init__()
-        nv = len(coordinates.names)
-        builder = DiagramBuilder()
-        nq = NUM_BASE_POSITIONS + nv - NUM_BASE_VELOCITIES
-        first = [copy * (nq + nv) + nq for copy in range(copies)]  # start of w
-        inputs = builder.AddNamedSystem("inputs", _turning_and_reaction(nq + nv, first))
-        vectors = (MakeVectorVariable(3 * copies, name).reshape(copies, 3) for name in "wrp")
-        of_copies = list(zip(*vectors, strict=True))
-        turning = [_cross(w, p) for w, _, p in of_copies]
-        passed = [Expression(0.0)] * (nv - 3)
-        momentum = SymbolicVectorSystem(
-            state=np.concatenate([p for _, _, p in of_copies]),
-            input=np.concatenate([each[i] for i in (0, 1) for each in of_copies]),
-            dynamics=[
-                of_turning - of_wheels
-                for each, (_, r, _) in zip(turning, of_copies, strict=True)
-                for of_turning, of_wheels in zip(each, r, strict=True)
-            ],
-            output=[
-                *itertools.chain(*([*map(operator.neg, each), *passed] for each in turning)),
-                *itertools.chain(*(p for _, _, p in of_copies)),
-            ],
+    momentum: np.ndarray  # (3) at the start, in the base's axes, N m s
+    num_velocities: int
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"state": 2 * self.num_velocities + 1, "wheel_reaction": 3}
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"gyroscopic_force": self.num_velocities, "stored_momentum": 3}
+
+    @property
+    def entries(self) -> Mapping[str, Sequence[int]]:
+        """See Continuous: w_WB."""
+        first = self.num_velocities + 1
+        return {"state": [first, first + 1, first + 2]}
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Continuous."""
+        if state is None:
+            return {"stored_momentum": self.momentum}
+        rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
+        return {"stored_momentum": times(rotation, self.momentum)}
+
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        w, p = inputs["state"], state["stored_momentum"]
+        turning = w[[1, 2, 0]] * p[[2, 0, 1]] - w[[2, 0, 1]] * p[[1, 2, 0]]
+        force = np.concatenate([-turning, np.zeros(self.num_velocities - 3)])
+        return (
+            {"gyroscopic_force": force, "stored_momentum": p},
+            {"stored_momentum": turning - inputs["wheel_reaction"]},
         )
-        self._momentum = builder.AddNamedSystem("momentum", momentum)
-        outputs = builder.AddNamedSystem("outputs", Demultiplexer([copies * nv, copies * 3]))
-        builder.ExportInput(inputs.get_input_port(0), "state")
-        builder.ExportInput(inputs.get_input_port(1), "reaction")
-        builder.Connect(inputs.get_output_port(), momentum.get_input_port())
-        builder.Connect(momentum.get_output_port(), outputs.get_input_port())
-        builder.ExportOutput(outputs.get_output_port(0), "gyroscopic_force")
-        builder.ExportOutput(outputs.get_output_port(1), "stored_momentum")
-        builder.BuildInto(self)
-
-    def set_momentum(self, context: Context, momentum: np.ndarray) -> None:
-        """Set p (3), N m s, of copy after copy."""
-        self.GetMutableSubsystemContext(self._momentum, context).SetContinuousState(momentum)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> list[Expression]:
-    """The cross product of vectors (3) of symbols."""
-    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
-
-
-def _turning_and_reaction(size: int, first: Sequence[int]) -> Selector:
-    """From the states (size each) and reactions (3 each) of copies of the spacecraft: the angular
-    velocities, which begin at these entries, then the reactions.
-    """
-    places = [(0, start + i) for start in first for i in range(3)]
-    places += [(1, i) for i in range(3 * len(first))]
-    sizes = {"state": size * len(first), "reaction": 3 * len(first)}
-    return make_selector(sizes, {"both": places})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder, LogVectorOutput, MatrixGain
 
-from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.row import make_actuation
 from ffsm_drake.plugins.flexible.bodies import add_flexible, set_flexible
 from ffsm_drake.scenario import (

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop, simulate
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.plugins.actuators.allocation import Allocation, lost_direction
-from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.modulation import (
     SchmittTrigger,
     mean_level,
@@ -253,12 +253,12 @@ def base_actuators(name, modulator):
 def test_any_command_gives_forces_or_none(command, name, modulator):
     """Of any size, infinite or no number: two samples of it overflow nowhere."""
     base = base_actuators(name, modulator)
-    memory, still = base.initial_memory, {"rotation": np.eye(3), "turning": np.zeros(6)}
+    still = {"rotation": np.eye(3), "turning": np.zeros(3), "missing": np.zeros(3)}
+    memory = base.start()
     for _ in range(2):
-        sample = base.give(np.array(command), memory, begins=True, **still)
-        memory = sample[-memory.size :]
+        sample, memory = base.give(np.array(command), memory, begins=True, **still)
     wrench_is_known = (np.abs(command[:6]) < 1e300).all()
-    assert np.isfinite(sample[:6]).all() == wrench_is_known
+    assert np.isfinite(sample["applied_force"][:6]).all() == wrench_is_known
 
 
 def test_a_lost_direction_is_one_that_no_thruster_helps_along():

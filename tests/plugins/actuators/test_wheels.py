@@ -295,15 +295,13 @@ def test_any_torque_is_given_within_the_limits_or_is_none(torque, size):
     )
     commanded = np.zeros(11)
     commanded[:3] = size * np.array(torque) / 4.0
-    found = base.give(
+    parts, _ = base.give(
         commanded,
-        base.initial_memory,
+        base.start(),
         rotation=np.eye(3),
-        turning=np.zeros(6),
+        turning=np.zeros(3),
+        missing=np.zeros(3),
         begins=True,
-    )
-    parts = dict(
-        zip(base.sizes, np.split(found, np.cumsum([*base.sizes.values()])[:-1]), strict=True)
     )
     limit = max(unit.torque_limit for unit in scenario.wheels.units.values())
     if (np.abs(commanded) < 1e300).all():

@@ -10,7 +10,7 @@ from pydrake.common.eigen_geometry import Quaternion
 
 from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.plugins.actuators.allocation import Allocation
-from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.row import Actuators
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.runs.rollout import Rollout

@@ -22,7 +22,7 @@ from ffsm_drake.common.memo import content_of, memoized
 from ffsm_drake.common.numbers import counted, percent, rounded_up, short
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.actuators.base import attitude_ahead
+from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_actuation, make_base_actuators
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
@@ -275,13 +275,12 @@ class Rehearsed:
         return maps, blend(self._mass[i], self._mass[i + 1])
 
     def base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The planned R_WB (n, 3, 3), and ``turning`` (n, 6) of ``BaseActuators.give``."""
+        """The planned R_WB (n, 3, 3), and w_WB in the base's axes (n, 3)."""
         rows, nq = self.motion.rows(times), self.force.shape[1] + 1
         rotation = np.array(
             [attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]]
         )
-        turning = in_body_axes(rows[:, :4], rows[:, nq : nq + 3])
-        return rotation, np.hstack([turning, np.zeros_like(turning)])
+        return rotation, in_body_axes(rows[:, :4], rows[:, nq : nq + 3])
 
 
 class _Runs:
@@ -298,7 +297,6 @@ class _Runs:
         self._base = make_base_actuators(
             settings, coordinates, sample_time=first.scenario.sample_time
         )
-        self._ends = np.cumsum([*self._base.sizes.values()])[:-1]
         self._actuators = _actuators(first.scenario).values()
         self._limit = coordinates.vector(
             settings.limit or {}, key="actuation.limit", default=np.inf
@@ -316,7 +314,8 @@ class _Runs:
         times = np.arange(self._scenario.num_control_periods) * self._scenario.sample_time
         runs, by_case = len(cases) * seeds, (len(cases), seeds, -1)
         generators = [[np.random.default_rng(seed) for seed in range(seeds)] for _ in cases]
-        x, memory = np.zeros((runs, cases[0].states)), np.tile(base.initial_memory, (runs, 1))
+        x, start = np.zeros((runs, cases[0].states)), base.start()
+        memory = {name: np.tile(value, (runs, 1)) for name, value in start.items()}
         switching = [np.tile(case.switching, (seeds, 1)) for case in cases]
         speed = self._of_each([case.scenario.divergence_speed for case in cases])
         # delayed commands, and the linear loop's part of them
@@ -353,11 +352,11 @@ class _Runs:
             rotation, turning = (
                 self._of_each([motion[part][k] for motion in motions]) for part in (0, 1)
             )
-            stacked = base.give(
-                late.pop(0), memory, rotation=rotation, turning=turning, begins=k % base.frame == 0
-            )
-            sample = dict(zip(base.sizes, np.split(stacked, self._ends, axis=1), strict=True))
-            memory, going = sample["memory"], np.isnan(diverged)
+            sample, after_sample = base.give(
+                late.pop(0), memory, rotation=rotation, turning=turning, missing=np.zeros(3),
+                begins=k % base.frame == 0,
+            )  # fmt: skip
+            memory, going = dict(after_sample), np.isnan(diverged)
             for index, part in enumerate(self._actuators):
                 saturated[:, index] += going & part.saturated(sample)
             pushed = (sample["applied_force"] - own.pop(0)).reshape(by_case)
@@ -366,7 +365,9 @@ class _Runs:
             if not within.all():
                 beyond = ~within  # they stay where they started
                 diverged[beyond & going], samples[beyond & going] = time, k + 1
-                x[beyond], memory[beyond] = 0.0, base.initial_memory
+                x[beyond] = 0.0
+                for name, value in start.items():
+                    memory[name][beyond] = value
                 square[beyond] = largest[beyond] = np.inf
                 if not np.isnan(diverged).any():
                     break
