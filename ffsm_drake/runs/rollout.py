@@ -536,6 +536,8 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
     changes = {name: getattr(neutral, name) for name in _OF_THE_CONTEXT}
     if scenario.stops_from_start:
         del changes["initial_velocity"]
+    if scenario.faults is not None:  # they are drawn, by the seed, when the loop is built
+        del changes["random_seed"]
     return scenario_to_dict(
         dataclasses.replace(
             scenario,

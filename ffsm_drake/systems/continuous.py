@@ -61,10 +61,11 @@ class ContinuousSystem(Diagram):
         states = {each: _variables(value.size, copies, each) for each, value in start.items()}
         outputs, rates = dict[str, list[Any]](), dict[str, list[Any]]()
         for copy in range(copies):
-            found, changes = block.flow(
-                {each: values[copy] for each, values in given.items()},
-                {each: values[copy] for each, values in states.items()},
-            )
+            symbols = [
+                {each: values[copy] for each, values in of.items()} for of in (given, states)
+            ]
+            with np.errstate(all="ignore"):  # Drake's expressions may leave flags behind
+                found, changes = block.flow(*symbols)
             for to, values in ((outputs, found), (rates, changes)):
                 for each, own in values.items():
                     to.setdefault(each, []).extend(own)

@@ -29,11 +29,14 @@ Arrays = Mapping[str, np.ndarray]  # by name
 Ports = Mapping[str, int] | tuple[str, ...]
 
 
+NO_PHASE: Sequence[Any] = ()
+
+
 class Now(NamedTuple):
     """The control sample at which a block steps."""
 
     time: Any  # s
-    phase: Sequence[Any] = ()  # what ``Sampled.phase`` returns for it
+    phase: Sequence[Any] = NO_PHASE  # what ``Sampled.phase`` returns for it
     is_first: bool = False  # for a control law: no sample before, or a grasp since
 
 
@@ -249,12 +252,11 @@ class _Stepping(LeafSystem):
         inputs |= {name: value(group) for name, (_, group, _) in self._latched.items()}
         memory = {name: value(group) for name, group in self._memory.items()}
         for copy, block in enumerate(self._blocks):
-            own, phase = (inputs, memory), list[Any]()
+            own, phase = (inputs, memory), NO_PHASE
             if self._copies > 1:
                 own = self._of_copy(copy, inputs), self._of_copy(copy, memory)
             if self._is_phased:
-                now = value(self._phase) if self._acts else block.phase(self._sample(context))
-                phase = list(now)
+                phase = value(self._phase) if self._acts else block.phase(self._sample(context))
             rows.append(self._stepped(block, *own, Now(time, phase)))
         parts = rows[0]
         if self._copies > 1:

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
@@ -76,6 +76,7 @@ class BaseActuators(Sampled):
     faults: Sequence[Hit] = ()
     detects: bool = False
     wide = True
+    in_phase: ClassVar = ("faults",)
 
     @functools.cached_property
     def frame(self) -> int:
@@ -168,15 +169,14 @@ class BaseActuators(Sampled):
             # The held direction of the torque, and the integrator, leave a little between the two.
             missing = (inputs["stored_momentum"] - times(at_start, in_base)) / self.sample_time
             turning = times(at_start.swapaxes(-1, -2), w_WB)
-        begins, *broken = now.phase
         return self.give(
             inputs["commanded_force"],
             memory,
             rotation=rotation,
             turning=turning,
             missing=missing,
-            begins=begins,
-            broken=np.asanyarray(broken) if broken else None,
+            begins=now.phase[0],
+            broken=now.phase[1:] if self._may_break else None,
             isolated=inputs.get("isolated"),
         )
 
@@ -189,7 +189,7 @@ class BaseActuators(Sampled):
         turning: Any,
         missing: Any,
         begins: Any,
-        broken: np.ndarray | None = None,
+        broken: Any = None,
         isolated: np.ndarray | None = None,
     ) -> tuple[Arrays, Arrays]:
         """Outputs and memory (..., a row for each of several runs) for a command (..., nv), with

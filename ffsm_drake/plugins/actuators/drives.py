@@ -101,6 +101,11 @@ class DriveSet:
                 raise ScenarioError(f"{_KEY}.rate_limit", problem)
 
     @property
+    def constants(self) -> str:
+        """What its functions depend on, besides their arguments."""
+        return repr({name: np.asarray(own).tolist() for name, own in vars(self).items()})
+
+    @property
     def has_friction(self) -> bool:
         """Whether any joint has."""
         return bool(self.static.any() or self.viscous.any())

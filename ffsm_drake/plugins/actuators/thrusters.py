@@ -148,6 +148,11 @@ class ThrusterSet:
         return allocation
 
     @property
+    def constants(self) -> str:
+        """What its functions depend on, besides their arguments."""
+        return repr((self.settings, self.sample_time))
+
+    @property
     def carries_over(self) -> bool:
         """Whether the commanded impulse that was not fired is requested again; a trigger's filter
         does this by itself.

@@ -115,6 +115,11 @@ class WheelSet:
         self._opposed = np.diag(1.0 * works) - self._share @ used  # N
         self._most_momentum = self.inertia * self._speed
 
+    @property
+    def constants(self) -> str:
+        """What its functions depend on, besides their arguments."""
+        return repr((self.settings, self._sample_time, self._share.tolist()))
+
     def speed(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
         """Speeds (..., n, rad/s) relative to the base, from momenta (..., n, N m s) and w_WB in the
         base's axes (..., 3, rad/s).

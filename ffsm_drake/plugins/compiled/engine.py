@@ -23,13 +23,14 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.law import is_shipped
+from ffsm_drake.systems.faults import detects
 
 # From Drake's run, as a share of a signal's largest value. High gains amplify rounding: where the
 # last bits of the initial state change a signal by a share d, it may differ by so many times d.
 LARGEST_DIFFERENCE = 1e-7
 _OF_LAST_BITS = 1e4
 _BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
-_PARTS = {"flexible"}  # with signals
+_PARTS = {"flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters"}  # with signals
 _KEPT = 16  # kernels
 
 
@@ -51,10 +52,8 @@ class Compiled(Engine):
             ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
             ("supervisor", scenario.supervisor is not None),
-            ("faults", scenario.faults),
+            ("fault detection", detects(scenario)),
             ("actuation.thrusters", scenario.actuation.thrusters is not None),
-            ("actuation.wheels", scenario.actuation.wheels is not None),
-            ("actuation.drives", scenario.actuation.drives is not None),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",

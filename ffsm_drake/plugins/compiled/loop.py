@@ -8,14 +8,14 @@ Everything that the code depends on stands in ``Blocks``; all else is an input.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ffsm_drake.common.guard import calling
-from ffsm_drake.loop.blocks import usual_sizes
+from ffsm_drake.loop.blocks import BESIDES, TOLD, usual_sizes
 from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import with_symbols
@@ -24,6 +24,7 @@ from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Tree
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.disturbance import force_at
@@ -75,22 +76,26 @@ CARRIED = {
     "memory": "memory_after",
     "drift": "drift_after",
     "stored": "stored_after",
+    "loaded": "loaded_after",
     "waiting": "waiting_after",
-    "applied": "applied_force",
+    "applied": "told",
 }
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
-    "x", "t0", "law", "sensors", "deviation", "drift", "share", "added", "reference", "noise",
-    "drift_noise", "phases", "frame", "planned", "stored", "memory", "applied", "waiting", "limit",
-    "force_resolution", "sines",
+    "x", "t0", "law", "sensors", "actuators", "deviation", "drift", "share", "added", "reference",
+    "noise", "drift_noise", "phases", "frame", "planned", "stored", "loaded", "memory", "applied",
+    "waiting", "limit", "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
-    "t0", "law", "sensors", "deviation", "share", "added", "reference", "phases", "frame",
-    "planned", "limit", "force_resolution", "sines", "t", "own", "step",
+    "t0", "law", "sensors", "actuators", "deviation", "share", "added", "reference", "phases",
+    "frame", "planned", "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
-_DERIVATIVE = ("state", "applied_force", "t", "sines", "own")
-_ACTED = ("generalized_force", "waiting", "limit", "force_resolution")
+_DERIVATIVE = ("state", "applied_force", "acted", "t", "actuators", "sines", "own")
+_ACTED = (
+    "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
+    "phases",
+)  # fmt: skip
 
 
 class Function(NamedTuple):
@@ -116,7 +121,11 @@ class Blocks:
     forced: tuple[int, ...]
     coordinates: Coordinates
     sensors: tuple[Sampled, ...]  # stages in a row
+    actuators: tuple[Sampled, ...]  # in a row, after limits, quantisation and delay
+    flows: tuple[Continuous, ...]  # beside them
+    recorded: tuple[str, ...]  # outputs of actuators and flows
     num_errors: int  # parameters of the sensors
+    num_actuators: int  # parameters of actuators and flows
     noisy: bool
     num_drifts: int  # errors of the sensors that drift
     framed: bool  # the path of a frame is prescribed
@@ -134,10 +143,28 @@ class Blocks:
     @functools.cached_property
     def kept(self) -> list[dict[str, np.ndarray]]:
         """The memory of each stage of sensing at its start."""
-        return [
-            {name: np.asarray(value, float) for name, value in stage.start().items()}
-            for stage in self.sensors
-        ]
+        return [_at_start(each) for each in self.sensors]
+
+    @functools.cached_property
+    def kept_acting(self) -> list[dict[str, np.ndarray]]:
+        """The memory of each actuator at its start."""
+        return [_at_start(each) for each in self.actuators]
+
+    @functools.cached_property
+    def flowing(self) -> dict[str, np.ndarray]:
+        """The states of the flows at their start, which follow the plant's."""
+        return {name: value for each in self.flows for name, value in _at_start(each).items()}
+
+    @functools.cached_property
+    def acted(self) -> dict[str, int]:
+        """Outputs of actuators beside the force, by name: numbers in each."""
+        sizes = [sized(each.outputs, {}, "actuation") for each in self.actuators]
+        return {name: n for of in sizes for name, n in [*of.items()][1:]}
+
+    @functools.cached_property
+    def flown(self) -> dict[str, int]:
+        """Outputs of the flows, likewise."""
+        return {name: n for each in self.flows for name, n in each.outputs.items()}
 
     @property
     def parameters(self) -> dict[str, int]:
@@ -145,19 +172,19 @@ class Blocks:
         nx, nv = self.nq + self.nv, self.nv
         return {
             "own": self.tree.num_parameters, "law": self.num_parameters,
-            "sensors": self.num_errors, "deviation": nx, "limit": nv, "force_resolution": nv,
-            "sines": 4 * nv, "share": self.num_drifts, "added": self.num_drifts, "sample_time": 1,
-            "step": 1,
+            "sensors": self.num_errors, "actuators": self.num_actuators, "deviation": nx,
+            "limit": nv, "force_resolution": nv, "sines": 4 * nv, "share": self.num_drifts,
+            "added": self.num_drifts, "sample_time": 1, "step": 1,
         }  # fmt: skip
 
     @property
     def states(self) -> dict[str, int]:
         """Numbers that a run begins with and changes."""
-        memory = sum(each.size for each in self.memory.values())
         return {
-            "x": len(self.known) + len(self.hidden), "memory": memory, "applied": self.nv,
-            "drift": self.num_drifts, "waiting": self.waits * self.nv,
-            "stored": sum(each.size for of in self.kept for each in of.values()),
+            "x": len(self.known) + len(self.hidden) + _total(self.flowing),
+            "memory": _total(self.memory), "applied": self.nv, "drift": self.num_drifts,
+            "waiting": self.waits * self.nv, "stored": sum(map(_total, self.kept)),
+            "loaded": sum(map(_total, self.kept_acting)),
         }  # fmt: skip
 
     @property
@@ -168,9 +195,11 @@ class Blocks:
         return {
             "is_new": nx if self.called and self._tells_new else 0,
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
-            "disturbance_force": nv, **{cell: states[name] for name, cell in CARRIED.items()},
-            "y": states["x"], **{f"k{i}": states["x"] for i in stages},
-            **{f"t{i}": 1 for i in stages},
+            "applied_force": nv,
+            "disturbance_force": nv, "acted": sum(self.acted.values()),
+            "flown": sum(self.flown.values()), "y": states["x"],
+            **{cell: states[name] for name, cell in CARRIED.items()},
+            **{f"k{i}": states["x"] for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
 
     @property
@@ -194,9 +223,10 @@ class Blocks:
     def row(self) -> dict[str, int]:
         """What a run reads at each sample."""
         noise = self.nq + self.nv if self.noisy else 0
+        phases = phases_of((*self.sensors, *self.actuators), 1).size
         return {
             "reference": self.nq + 2 * self.nv, "noise": noise,
-            "drift_noise": self.num_drifts, "phases": phases_of(self.sensors, 1).size,
+            "drift_noise": self.num_drifts, "phases": phases,
             "frame": FRAME_SIZE if self.framed else 0, "planned": self.num_planned,
         }  # fmt: skip
 
@@ -211,6 +241,13 @@ class Blocks:
             if name in held:
                 made[name] = ("memory_after" if held[name] else "memory", first, value.size)
             first += value.size
+        for cell, of in (("acted", self.acted), ("flown", self.flown)):
+            ends = np.cumsum([0, *of.values()]).tolist()
+            made |= {
+                name: (cell, at, n)
+                for (name, n), at in zip(of.items(), ends, strict=False)
+                if name in self.recorded
+            }
         return made
 
     def functions(self, registers: Registers, *, begins: bool, slopes: bool) -> dict[str, Function]:
@@ -281,11 +318,11 @@ class Blocks:
         return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
 
     def _sample(self, cells: Any, *, is_first: bool) -> dict[str, Any]:
-        now = Now(cells.t0[0], (), is_first)
+        now = Now(cells.t0[0], is_first=is_first)
         signals, made = self._measured(cells, now)
         force, memory = self._control(cells, signals, now)
         made |= {"generalized_force": force, "memory_after": memory}
-        return made | self._given(cells, force)
+        return made | self._given(cells, force, now)
 
     def _sensed(self, cells: Any) -> dict[str, Any]:
         """Of a sample, what comes before the call of the law."""
@@ -294,7 +331,7 @@ class Blocks:
 
     def _acted(self, cells: Any) -> dict[str, Any]:
         """Of a sample, what comes after the call of the law."""
-        return self._given(cells, cells.generalized_force)
+        return self._given(cells, cells.generalized_force, Now(cells.t0[0]))
 
     def _measured(self, cells: Any, now: Now) -> tuple[dict[str, Any], dict[str, Any]]:
         """The signals that the law can read, and results of the sample."""
@@ -312,31 +349,79 @@ class Blocks:
             "stored_after": kept,
         }
 
-    def _given(self, cells: Any, force: Any) -> dict[str, Any]:
+    def _given(self, cells: Any, force: Any, now: Now) -> dict[str, Any]:
         """What becomes of the law's force."""
         if self.limited:
             force = np.minimum(np.maximum(force, -cells.limit), cells.limit)
         if self.quantized:
             force = quantize(force, cells.force_resolution)
         waiting = np.concatenate([force, cells.waiting])  # newest first
-        return {"applied_force": waiting[-self.nv :], "waiting_after": waiting[: -self.nv]}
+        _, flown = self._flow(cells, cells.x, {})
+        signals = {"force": waiting[-self.nv :], "state": cells.x[list(self.known)], **flown}
+        loaded = self._act(cells, signals, now)
+        return {
+            "applied_force": signals["force"],
+            "told": signals.get(TOLD, signals["force"]),  # to the law at the next sample
+            "acted": _row(signals[name] for name in self.acted),
+            "flown": _row(flown[name] for name in self.flown),
+            "waiting_after": waiting[: -self.nv],
+            "loaded_after": loaded,
+        }
 
     def _measure(self, cells: Any, signals: dict[str, Any], now: Now) -> Any:
         """Add what the sensors show to the signals; return their memory after the sample."""
-        phases, kept, after = list(cells.phases), cells.stored, [traced([])]
+        after = list[Any]()
         stages = with_symbols(self.sensors, cells.sensors, traced([]), traced_model)
-        for stage, memory in zip(stages, self.kept, strict=True):
-            own, kept = _parts(kept, memory)
-            count = len(stage.phase(0))
-            phase, phases = phases[:count], phases[count:]
-            inputs = {name: signals[name] for name in stage.inputs if name in signals}
-            if unknown := set(stage.inputs) - set(inputs):
-                raise NotTraceable(f"sensing with an input {min(unknown)}")
+        stored = _stored(self.sensors, self.kept, cells.stored, cells.phases)
+        for stage, (memory, phase) in zip(stages, stored, strict=True):
+            inputs = _read(stage, stage.inputs, signals)
             ports = sized(stage.outputs, usual_sizes("sensing", self.coordinates), "sensing")
-            outputs, own = _stepped(stage, ports, inputs, own, now._replace(phase=phase))
+            outputs, own = _stepped(stage, ports, inputs, memory, now._replace(phase=phase))
             signals |= outputs | {"state": outputs["estimated_state"]}
-            after += [traced(own[name]).ravel() for name in memory]
-        return np.concatenate(after)
+            after += [own[name] for name in memory]
+        return _row(after)
+
+    def _act(self, cells: Any, signals: dict[str, Any], now: Now) -> Any:
+        """Add what the actuators make of the force to the signals; return their memory after the
+        sample.
+        """
+        after = list[Any]()
+        blocks, _ = self._with_symbols(cells)
+        phases = cells.phases[phases_of(self.sensors, 1).size :]
+        stored = _stored(self.actuators, self.kept_acting, cells.loaded, phases)
+        for block, (memory, phase) in zip(blocks, stored, strict=True):
+            ports = sized(block.inputs, {}, "actuation")
+            inputs = _read(block, ports, {**signals, next(iter(ports)): signals["force"]})
+            outputs, own = _stepped(
+                block, dict(block.outputs), inputs, memory, now._replace(phase=phase)
+            )
+            signals |= outputs | {"force": next(iter(outputs.values()))}
+            after += [own[name] for name in memory]
+        return _row(after)
+
+    def _flow(
+        self, cells: Any, x: Any, held: Mapping[str, Any]
+    ) -> tuple[list[Any], dict[str, Any]]:
+        """The rates of the flows' states at an instant, and their outputs.
+
+        Args: the plant's state and theirs; held outputs of actuators, none at a sample.
+        """
+        rates, found = list[Any](), dict[str, Any]()
+        signals = {"state": x[list(self.known)], **held}
+        values = x[len(self.known) + len(self.hidden) :]
+        _, flows = self._with_symbols(cells)
+        for flow, at_start in zip(flows, map(_at_start, self.flows), strict=True):
+            own, values = _parts(values, at_start)
+            zeros = {name: np.zeros(n) for name, n in flow.inputs.items()}
+            outputs, changes = flow.flow(_read(flow, flow.inputs, zeros | signals), own)
+            found |= {name: traced(value) for name, value in outputs.items()}
+            rates += [traced(changes[name]) for name in own]
+        return rates, found
+
+    def _with_symbols(self, cells: Any) -> tuple[Any, Any]:
+        both = self.actuators, self.flows
+        made: tuple[Any, Any] = with_symbols(both, cells.actuators, traced([]), traced_model)
+        return made
 
     def _control(self, cells: Any, signals: dict[str, Any], now: Now) -> tuple[Any, Any]:
         """The force and the law's memory after a sample."""
@@ -352,17 +437,20 @@ class Blocks:
         inputs = {name: signals[name] for name in block.inputs if signals.get(name) is not None}
         memory, _ = _parts(cells.memory, self.memory)
         outputs, after = _stepped(block, block.outputs, inputs, memory, now)
-        return outputs["generalized_force"], np.concatenate(
-            [traced([]), *(traced(after[name]).ravel() for name in memory)]
-        )
+        return outputs["generalized_force"], _row(after[name] for name in memory)
 
     def _derivative(self, cells: Any) -> dict[str, Any]:
-        q, v = np.split(cells.state, [self.tree.num_positions])
+        plant = len(self.known) + len(self.hidden)
+        q, v = np.split(cells.state[:plant], [self.tree.num_positions])
+        acted, _ = _parts(cells.acted, {name: np.zeros(n) for name, n in self.acted.items()})
+        rates, flown = self._flow(cells, cells.state, acted)
         disturbance = force_at(cells.t[0], cells.sines.reshape(4, -1))
         force = traced(np.zeros(v.size))
         force[list(self.forced)] = cells.applied_force + disturbance
+        for name in filter(flown.__contains__, BESIDES):
+            force[list(self.forced)] = force[list(self.forced)] + flown[name]
         given = list(q), list(v), list(force), list(cells.own)
-        return {"rates": equations.derivative(self.tree, *given)}
+        return {"rates": [*equations.derivative(self.tree, *given), *_row(rates)]}
 
     def _point(self, weights: Sequence[float], cells: Any) -> dict[str, Any]:
         step = cells.step[0]
@@ -376,6 +464,40 @@ def _parts(values: Any, shapes: Mapping[str, np.ndarray]) -> tuple[dict[str, Any
     for name, like in shapes.items():
         found[name], values = values[: like.size].reshape(like.shape), values[like.size :]
     return found, values
+
+
+def _stored(
+    blocks: Iterable[Sampled], likes: Iterable[Mapping[str, np.ndarray]], values: Any, phases: Any
+) -> Iterator[tuple[dict[str, Any], Any]]:
+    """Memory and phase of each of some blocks."""
+    for block, like in zip(blocks, likes, strict=True):
+        own, values = _parts(values, like)
+        count = len(block.phase(0))
+        yield own, phases[:count]
+        phases = phases[count:]
+
+
+def _row(values: Iterable[Any]) -> Any:
+    """Arrays one after the other."""
+    return np.concatenate([traced([]), *(traced(each).ravel() for each in values)])
+
+
+def _total(values: Mapping[str, np.ndarray]) -> int:
+    return sum(each.size for each in values.values())
+
+
+def _at_start(block: Sampled | Continuous) -> dict[str, np.ndarray]:
+    return {name: np.asarray(value, float) for name, value in block.start().items()}
+
+
+def _read(
+    block: Sampled | Continuous, ports: Iterable[str], signals: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The inputs of a block. Raises NotTraceable: one of its ports is not known."""
+    if unknown := set(ports) - set(signals):
+        raise NotTraceable(f"{type(block).__name__} with an input {min(unknown)}")
+    found = {name: traced(signals[name]) for name in ports}
+    return found | {name: found[name][list(own)] for name, own in block.entries.items()}
 
 
 def _stepped(
@@ -408,9 +530,9 @@ def phases_of(sensors: Sequence[Sampled], samples: int) -> np.ndarray:
     return np.array(columns, dtype=float).reshape(len(columns), samples).T
 
 
-def kept_at(sensors: Sequence[Sampled], state: np.ndarray) -> np.ndarray:
-    """The memory of sensors that measured a state before (n)."""
-    kept = [calling("sensing", stage.start, state) for stage in sensors]
+def kept_at(blocks: Iterable[Sampled | Continuous], state: np.ndarray) -> np.ndarray:
+    """The memory, or own state, of blocks of a spacecraft that was at a state before (n)."""
+    kept = [calling(type(block).__name__, block.start, state) for block in blocks]
     return np.concatenate([np.zeros(0), *(np.ravel(each) for of in kept for each in of.values())])
 
 

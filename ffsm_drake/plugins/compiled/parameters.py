@@ -3,6 +3,9 @@
 Arrays of floats, declared gains and the masses of models are parameters, which may differ between
 runs. All other fields are constants of the traced code.
 
+An object with ``constants`` is a constant. What a block names in ``in_phase`` is read by its
+``phase`` alone, whose numbers each sample reads.
+
 A law, or a part of it, can name tables (n, ...) in ``by_sample``. Of these, a sample uses one row,
 which depends only on the sample's number and the desired configuration. ``at_samples(q_d)`` returns
 the rows for q_d (samples, nq), by field. In the traced law, the table has only this row.
@@ -117,6 +120,9 @@ def _replaced(
         placed = reader_of(value.GetParentPlant()).place_of(value)
         constant(placed)
         return placed
+    if hasattr(type(value), "constants"):
+        constant((type(value).__name__, value.constants))
+        return value
     if isinstance(value, np.ndarray) and value.dtype == float:
         return number(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "iub":
@@ -137,7 +143,9 @@ def _replaced(
         own = getattr(value, field.name)
         if not field.init:
             raise NotCovered(f"{place}: its field {field.name} is computed")
-        if (field.name in gains or field.name == "sample_time") and isinstance(own, float):
+        if field.name in getattr(kind, "in_phase", ()):
+            made[field.name] = own
+        elif (field.name in gains or field.name == "sample_time") and isinstance(own, float):
             made[field.name] = number(np.array(own))
         elif field.name in getattr(kind, "by_sample", ()):
             made[field.name] = row(value, field.name)

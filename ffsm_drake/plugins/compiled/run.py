@@ -3,13 +3,14 @@
 import copy
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import System
 
-from ffsm_drake.loop.blocks import factory_of
+from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.loop.blocks import factory_of, settle_faults
 from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
@@ -19,12 +20,13 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.start import state_at_start
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers import SampledController, controller_names, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
-from ffsm_drake.systems.registry import call_factory
+from ffsm_drake.systems.registry import call_factory, section_parts
 from ffsm_drake.systems.sampled import Sampled
 from ffsm_drake.systems.sensing.block import measurement_of
 from ffsm_drake.systems.sensing.errors import SensorErrors
@@ -44,7 +46,11 @@ class Case:
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
         self.sensors = sensors = (measurement_of(errors), *self._own_stages())
-        of_sensors, self.constants, _ = parameters_of(sensors, "the sensors")
+        of_sensors, constants, _ = parameters_of(sensors, "the sensors")
+        self.actuators, self.flows = self._acting()
+        acting = self.actuators, self.flows
+        of_actuators, further, _ = parameters_of(acting, "the actuators")
+        self.constants = constants, further, *(len(each.phase(0)) for each in self.actuators)
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
@@ -55,6 +61,7 @@ class Case:
         self.parameters = {
             "own": own.parameters(self.true.context),
             "sensors": of_sensors,
+            "actuators": of_actuators,
             "deviation": errors.deviation,
             "limit": limit,
             "force_resolution": resolution,
@@ -68,9 +75,10 @@ class Case:
         start = state_at_start(scenario, self.true)
         known = self.true.split.known_part(np.arange(start.size))
         self.states = {
-            "x": start,
+            "x": np.concatenate([start, kept_at(self.flows, start[known])]),
             "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
             "stored": kept_at(sensors, start[known]),
+            "loaded": kept_at(self.actuators, start[known]),
         }
         self.fixed = {
             "nq": len(self.coordinates.position_names),
@@ -82,7 +90,9 @@ class Case:
                 self.true.split.known_velocities(np.arange(own.tree.num_velocities)).tolist()
             ),
             "coordinates": self.coordinates,
+            "recorded": self._recorded(),
             "num_errors": of_sensors.size,
+            "num_actuators": of_actuators.size,
             "noisy": bool(errors.deviation.any()),
             "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
@@ -92,17 +102,38 @@ class Case:
             "scheme": config.integration_scheme,
         }
 
+    def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
+        """The actuators after limits, quantisation and delay, and the flows beside them."""
+        scenario, make = self.scenario, optional(SERVICES, "acting_blocks")
+        if scenario.faults is not None:
+            scenario = settle_faults(scenario, self.coordinates)
+            events = {} if scenario.faults is None else scenario.faults.events
+            for fault in events.values():
+                if not fault.unit.startswith(("thrusters.", "wheels.")):
+                    raise NotCovered("faults of sensors and joints")
+        row, beside = ((), ()) if make is None else make(scenario, self.coordinates)
+        return tuple(row), tuple(beside)
+
+    def _recorded(self) -> tuple[str, ...]:
+        """Signals of the actuators."""
+        setup = self._setup("actuation", {})
+        parts = section_parts(self.scenario, of="actuation").values()
+        return tuple(signal.name for part in parts for signal in part.signals(setup))
+
+    def _setup(self, name: str, settings: Mapping[str, Any]) -> BlockSetup:
+        return BlockSetup(
+            name=name,
+            scenario=self.scenario,
+            nominal=self.nominal,
+            settings=settings,
+            split=self.true.split,
+        )
+
     def _own_stages(self) -> Iterator[Sampled]:
         """Further stages of sensing. Raises NotCovered: one is a Drake system."""
         for name, choice in self.scenario.blocks.choices().items():
             place = f"blocks.{name} '{choice.system}'"
-            setup = BlockSetup(
-                name=name.rpartition(".")[2],
-                scenario=self.scenario,
-                nominal=self.nominal,
-                settings=choice.settings,
-                split=self.true.split,
-            )
+            setup = self._setup(name.rpartition(".")[2], choice.settings)
             stage = call_factory(factory_of(name, self.scenario), setup, place=place)
             if not isinstance(stage, Sampled):
                 raise NotCovered(name)
@@ -153,7 +184,7 @@ class Case:
         """
         made = {
             "reference": self.motion.rows(self.times),
-            "phases": phases_of(self.sensors, self.samples),
+            "phases": phases_of((*self.sensors, *self.actuators), self.samples),
         }
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
             made["frame"] = path.rows(self.times)
@@ -196,7 +227,8 @@ class Run:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
         self.parameters = self.case.parameters | {"law": law}
-        self.blocks = Blocks(law=self.law, sensors=self.case.sensors, called=called, **fixed)
+        blocks = {each: getattr(self.case, each) for each in ("sensors", "actuators", "flows")}
+        self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
 
     def _call_law(self, why: str) -> None:

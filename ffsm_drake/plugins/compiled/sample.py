@@ -53,6 +53,8 @@ class TracedSample:
         run = Run(scenario, _case_of(scenario))
         if run.blocks.called:
             raise NotCovered(run.blocks.called)
+        if run.blocks.actuators or run.blocks.flows:
+            raise NotCovered("actuators with limits of their own")
         if len(run.blocks.sensors) > 1:
             raise NotCovered("further stages of sensing")
         self._scenario, self.motion = scenario, run.case.motion

@@ -115,6 +115,42 @@ def undriven_bases(random):
     return name, [f"actuation.driven={driven}", *same], each
 
 
+def wheels(random):
+    """Wheels that saturate or hold momentum against each other; a stopped one in some runs."""
+    units = "actuation.wheels.units"
+    same = [
+        "actuation.thrusters=null",
+        f"actuation.delay={random.integers(2)}",
+        *(f"{units}.wheel_{k}.initial_momentum={random.uniform(-2, 2):.3f}" for k in range(1, 5)),
+        *(f"{units}.wheel_{k}.coulomb_friction={random.uniform(0, 0.02):.4f}" for k in range(1, 5)),
+        f"{units}.wheel_2.torque_limit={random.uniform(0.01, 0.3):.3f}",
+    ]
+    kind = "faults.events={stop: {unit: wheels, kind: stops, time: [%s]}}"
+    stops = [[kind % time] for time in (0.04, 0.11)] if random.random() < 0.5 else [[], []]
+    return "thrusters_and_wheels", same, [*stops, *stops[:1]]
+
+
+def drives(random):
+    """Limits of rate, and friction; the payload's mass by run."""
+
+    def some_joints(least, most):
+        chosen = {f"joint_{k}": random.uniform(least, most) for k in range(1, 6)}
+        return ", ".join(f"{name}: {value:.3f}" for name, value in chosen.items())
+
+    drives = [
+        f"rate_limit: {{{some_joints(0.001, 0.5)}}}",
+        f"viscous_friction: {{{some_joints(0, 0.4)}}}",
+        f"coulomb_friction: {{{some_joints(0, 0.1)}}}",
+        f"static_friction: {{{some_joints(0.1, 0.2)}}}",
+        "smoothing_rate: {joints: 0.2}",
+    ]
+    some = [each for each in drives if each.startswith("smooth") or random.random() < 0.7]
+    if any(each.startswith("static") for each in some):
+        some = [*(set(some) | {drives[2]})]
+    given = ["actuation.limit={joints: 5}", f"actuation.drives={{{', '.join(some)}}}"]
+    return "postcapture", given, [[f"payload.truth.mass={mass}"] for mass in (80.0, 100.0, 120.0)]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["free_floating", "seven_joint"])
 @pytest.mark.parametrize(
@@ -126,7 +162,9 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("draw", [late_sensors, flexible_parts, captures, undriven_bases])
+@pytest.mark.parametrize(
+    "draw", [late_sensors, flexible_parts, captures, undriven_bases, wheels, drives]
+)
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     random = np.random.default_rng(seed)

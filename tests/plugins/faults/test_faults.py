@@ -246,3 +246,11 @@ def test_what_breaks_in_the_approach_stays_so_with_the_target_held():
         log.series["measurement"][broken, column] == log.series["measurement"][289, column]
     )
     assert np.ptp(log.series["state"][broken, column]) > 1e-3
+
+
+def test_runs_of_several_seeds_have_their_own_drawn_faults():
+    given = ["duration=0.1", "faults.events={stop: {unit: wheels, kind: stops, time: [0.04]}}"]
+    scenarios = [load_scenario(NAME, [f"random_seed={seed}", *given]) for seed in range(3)]
+    for scenario, record in zip(scenarios, simulate_many(scenarios), strict=True):
+        alone = simulate(scenario, check_stability=False)
+        assert record.dataset.drop_attrs().equals(alone.dataset.drop_attrs())
