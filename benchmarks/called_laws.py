@@ -73,8 +73,8 @@ def main() -> None:
         for _ in range(given.repeats):
             for way, (engine, count, batch) in WAYS.items():
                 found[way].append(cost(scenarios[:count], engine, batch))
-        print(f"| {name} | " + " | ".join(f"{statistics.median(each):.0f}" for each in found.values())
-              + " |")  # fmt: skip
+        medians = " | ".join(f"{statistics.median(each):.0f}" for each in found.values())
+        print(f"| {name} | {medians} |")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 Prints two tables in Markdown. The first has, for each scenario, the largest difference of position
 and velocity over all compiled laws, and of any variable of the record, as a share of its largest
-value. The second has the laws, with the line that keeps a law on Drake.
+value. The second has the laws, with the line for which a law is called or kept on Drake.
 """
 
 import argparse
@@ -41,9 +41,9 @@ def compared(scenario: Scenario) -> tuple[str, dict[str, float]]:
         return error.what, {}
     except FfsmError as error:
         return f"fails: {one_line(error)}", {}
-    if found.engine != "compiled":
+    if not found.engine.startswith("compiled"):
         return "diverges", {}
-    return "compiled", differences(found, simulate(scenario, check_stability=False))
+    return found.engine, differences(found, simulate(scenario, check_stability=False))
 
 
 def main() -> None:
@@ -67,7 +67,7 @@ def main() -> None:
                 ends[law], found = compared(scenario)
             for variable, value in found.items():
                 worst[variable] = max(worst[variable], value)
-        compiled = [law for law in laws if ends[law] == "compiled"]
+        compiled = [law for law in laws if ends[law].startswith("compiled")]
         if not compiled:
             (reason,) = set(ends.values())
             rows.append(f"| `{name}` | not covered: {reason} | | |")
@@ -79,10 +79,11 @@ def main() -> None:
             of_law[law].append(ends[law])
     print("| scenario | compiled | position, velocity | any variable |\n|---|---|---|---|")
     print("\n".join(rows))
-    print("\n| law | compiled in | otherwise |\n|---|---|---|")
+    print("\n| law | compiled in | remarks |\n|---|---|---|")
     for law, ends_of in of_law.items():
         others = ", ".join(sorted({end for end in ends_of if end != "compiled"}))
-        print(f"| `{law}` | {ends_of.count('compiled')} of {len(ends_of)} scenarios | {others} |")
+        count = sum(end.startswith("compiled") for end in ends_of)
+        print(f"| `{law}` | {count} of {len(ends_of)} scenarios | {others} |")
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ class Laws:
         )
 
     def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
-        """The address of a function of the number of a sample (and another argument), which
-        returns 0 if all runs shall end.
+        """A function of the number of a sample (and another argument), which returns 0 if all runs
+        shall end.
 
         Args: the cells (n, width), and the place of each array among them.
         """
@@ -50,8 +50,7 @@ class Laws:
             np.concatenate([places[name] + first + np.arange(size) for name, first, size in group])
             for group in self._cells_of
         ]
-        self._function = _KIND(functools.partial(self._called, cells, entries))
-        return ctypes.cast(self._function, ctypes.c_void_p)
+        return _KIND(functools.partial(self._called, cells, entries))
 
     def _called(
         self, cells: np.ndarray, entries: Sequence[np.ndarray], sample: int, other: Any

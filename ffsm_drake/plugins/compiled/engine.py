@@ -167,7 +167,7 @@ def _try_calls(kernel: Kernel, runs: Sequence[Run]) -> None:
         calls = apart(lambda: trial.calls([run.case.planned for run in runs]))
         if apart(lambda: trial.repeats(calls)) == "true":
             return
-        why = "with equal samples and memory, its results differ"
+        why = "equal calls have different results"
     except Refused as error:
         why = str(error)
     said = filter(None, (kernel.blocks.called, f"called: {why}"))
