@@ -1,6 +1,6 @@
 """Which shipped scenarios and laws are compiled, and how far their runs are from Drake's.
 
-    python benchmarks/compiled_coverage.py [SCENARIO ...] [--duration 2]
+    python benchmarks/compiled_coverage.py [SCENARIO ...] [--laws LAW ...] [--duration 2]
 
 Prints two tables in Markdown. The first has, for each scenario, the largest difference of position
 and velocity over all compiled laws, and of any variable of the record, as a share of its largest
@@ -50,9 +50,10 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="*", default=list(shipped_scenarios()))
+    parser.add_argument("--laws", nargs="*", default=list(shipped_names("controller")))
     parser.add_argument("--duration", type=float, default=2.0, help="of the runs, s")
     given = parser.parse_args()
-    laws, rows = shipped_names("controller"), list[str]()
+    laws, rows = given.laws, list[str]()
     of_law = defaultdict[str, list[str]](list)
     for name in given.names:
         ends, worst = dict[str, str](), defaultdict[str, float](float)
