@@ -29,7 +29,7 @@ from ffsm_drake.systems.faults import detects
 # last bits of the initial state change a signal by a share d, it may differ by so many times d.
 LARGEST_DIFFERENCE = 1e-7
 _OF_LAST_BITS = 1e4
-_BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
+BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
 _PARTS = {"flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters"}  # with signals
 _KEPT = 16  # kernels
 
@@ -135,7 +135,7 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - set(run.scenario.blocks.choices())
-        others = (blocks - _BLOCKS) | (set(parts) - _PARTS)
+        others = (blocks - BLOCKS) | (set(parts) - _PARTS)
     finally:
         rollout.release()
     if others:

@@ -13,7 +13,7 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.apart import reason_of
-from ffsm_drake.plugins.compiled.engine import Compiled
+from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
 from ffsm_drake.plugins.compiled.parameters import reader_of, rows_of
@@ -46,6 +46,8 @@ class TracedSample:
     at ``applied``, and the parts of the law's memory at ``memory``. The rest is delayed forces and
     measurements, and what drifts in the sensors.
     """
+
+    blocks = BLOCKS  # of the loops that it can be the sample of
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises NotCovered."""

@@ -49,8 +49,8 @@ GIVEN = [
 ]
 # A corner of a law is 1e-9 m away, or the law has large rounding.
 LOOSE = {"paper": 1e-7, "ets_vii": 2e-6, "slotine_li": 1e-5}
-# Forces are large, or poles are multiple: a difference of 2e-7 moves three equal poles by 6e-3.
-LARGE = {"envisat": 0.04, "reaction_null": 0.01}
+# Forces are large; or poles are multiple: a difference of 2e-7 moves three equal poles by 6e-3.
+LARGE = {"envisat": 0.04, "asmc": 0.01}
 STEPS = 10.0 ** np.arange(-11, -2)
 
 
@@ -102,8 +102,9 @@ def check_loop(name, law, overrides, share, monkeypatch):
         differenced = linearizer.at(linearizer.part(share))
     monkeypatch.undo()
     radii = exact.spectral_radius, differenced.spectral_radius
-    assert radii[0] == pytest.approx(radii[1], abs=LARGE.get(name, 5e-4))
-    if max(radii) < 1.0 and name not in LARGE:
+    assert radii[0] == pytest.approx(radii[1], abs=LARGE.get(name, LARGE.get(law, 5e-4)))
+    to_limit = 1.0 - max(radii)  # how slowly noise is forgotten
+    if abs(radii[0] - radii[1]) < 0.01 * to_limit and name not in LARGE:
         expected = differenced.noise_response(500)
         for key, found in exact.noise_response(500).items():
             np.testing.assert_allclose(found, expected[key], rtol=0.05, atol=1e-12)
@@ -132,6 +133,13 @@ def test_the_derivative_is_exact(law, given):
 )
 def test_the_loop_is_that_of_differences(law, name, overrides, monkeypatch):
     check_loop(name, law, overrides, 0.5, monkeypatch)
+
+
+def test_a_further_force_is_left_to_differences():
+    """A compiled sample would not have it, and its effect in some samples is small."""
+    scenario = load_scenario("postcapture", ["controller=tdc", "environment.gravity_gradient=true"])
+    with Linearizer(scenario) as linearizer:
+        assert not linearizer.is_exact
 
 
 @pytest.mark.parametrize("name", ["reaction_null", "flexible_panels"])

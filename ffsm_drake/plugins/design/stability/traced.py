@@ -50,6 +50,10 @@ class TracedLoop:
         self.noise = {"samples": slice(0, white), "drift": slice(white, sample.num_noise)}
         self.start, self._state = sample.start, sample.start
 
+    def has_all_of(self, other: DifferencedLoop) -> bool:
+        """Whether it has every block of a loop."""
+        return set(other.loop.blocks) <= set(self._sample.blocks)
+
     @property
     def size(self) -> int:
         """Of the linear loop's state."""
@@ -179,7 +183,7 @@ def agrees(loop: TracedLoop, make_other: Callable[[], DifferencedLoop]) -> bool:
     if loop.key not in _agrees:
         other = make_other()
         try:
-            difference = _difference(loop, other)
+            difference = _difference(loop, other) if loop.has_all_of(other) else math.inf
         finally:
             other.release()
         if math.isnan(difference):
