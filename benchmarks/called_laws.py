@@ -28,7 +28,6 @@ CASES = {
     "mpc": ("mpc", ()),
     "mpc, limited": ("mpc", ("actuation.limit={joints: 0.05}",)),
     "nmpc": ("nmpc", ()),
-    "nmpc, limited": ("nmpc", ("actuation.limit={joints: 0.05}",)),
 }
 WAYS = {"Drake, one": ("drake", 1, 1), "Drake, 16": ("drake", 16, 16),
         "compiled, one": ("compiled", 1, 1), "compiled, 16": ("compiled", 16, 16)}  # fmt: skip
