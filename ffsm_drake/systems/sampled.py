@@ -43,8 +43,8 @@ class Now(NamedTuple):
 class Sampled:
     """A block that steps once in a control sample.
 
-    It acts at a sample on what its inputs are then. A block with ``latched`` inputs is one of an
-    actuator: the other inputs are commands, and its outputs follow them within the same sample.
+    It steps on what its inputs are at a sample. An actuator (``acts``) steps on the command that a
+    sample makes, and on other inputs as they are at the sample (``latched``).
 
     A subclass is a frozen dataclass. Its arrays of floats may hold symbols in ``step``; all else is
     constant. ``step`` must depend on its arguments and fields alone, and change neither.
@@ -67,13 +67,12 @@ class Sampled:
       'offset'
     """
 
+    acts: ClassVar[bool] = False
     wide: ClassVar[bool] = False  # its arrays may have rows, of several copies of the spacecraft
 
     @property
     def latched(self) -> Mapping[str, Sequence[float]]:
-        """Inputs whose values at a sample an actuator uses until the next: their values before the
-        first sample.
-        """
+        """Inputs of an actuator that are no commands: their values before the first sample."""
         return {}
 
     @property
@@ -199,7 +198,7 @@ class _Stepping(LeafSystem):
             each: (ports.pop(each), self._state(value), list(first.entries.get(each, ())) or None)
             for each, value in first.latched.items()
         }
-        self._acts, self._inputs, self._is_phased = bool(self._latched), ports, bool(phase)
+        self._acts, self._inputs, self._is_phased = first.acts, ports, bool(phase)
         self._memory = {each: self._state(value) for each, value in memory.items()}
         if phase and self._acts:
             self._phase = self.DeclareDiscreteState(np.asarray(phase, float))

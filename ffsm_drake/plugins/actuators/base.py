@@ -75,7 +75,7 @@ class BaseActuators(Sampled):
     sample_time: float
     faults: Sequence[Hit] = ()
     detects: bool = False
-    wide = True
+    acts = wide = True
     in_phase: ClassVar = ("faults",)
 
     @functools.cached_property

@@ -178,7 +178,7 @@ class RateLimit(Sampled):
 
     drives: DriveSet
     num_velocities: int
-    wide = True
+    acts = wide = True
 
     @property
     def inputs(self) -> Mapping[str, int]:

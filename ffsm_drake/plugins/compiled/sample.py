@@ -55,8 +55,8 @@ class TracedSample:
         run = Run(scenario, _case_of(scenario))
         if run.blocks.called:
             raise NotCovered(run.blocks.called)
-        if run.blocks.actuators or run.blocks.flows:
-            raise NotCovered("actuators with limits of their own")
+        if scenario.actuation.wheels is not None:
+            raise NotCovered("wheels")
         if len(run.blocks.sensors) > 1:
             raise NotCovered("further stages of sensing")
         self._scenario, self.motion = scenario, run.case.motion
@@ -71,11 +71,13 @@ class TracedSample:
         self._sizes = blocks.parameters | blocks.states | blocks.results
         self.known, self.hidden = list(blocks.known), list(blocks.hidden)
         self.hidden_names = run.case.true.split.names
-        self._sensors = blocks.sensors
-        period = math.lcm(*(stage.phase_period for stage in blocks.sensors))
+        plant = len(self.known) + len(self.hidden)
+        self.beside = slice(plant, blocks.states["x"])  # what feeds nothing back
+        self._sensors, timed = blocks.sensors, (*blocks.sensors, *blocks.actuators)
+        period = math.lcm(*(each.phase_period for each in timed))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
-        self.phases = phases_of(blocks.sensors, period)  # kind of each sample of a common period
+        self.phases = phases_of(timed, period)  # kind of each sample of a common period
         self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
         places = self._plain.places
         end = places["memory"] - places["x"]

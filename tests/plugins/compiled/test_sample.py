@@ -29,6 +29,10 @@ SCENARIOS = (
     ("seven_joint", ()),
     ("planar_detumble", ()),
     ("envisat", ()),
+    (
+        "thrusters_and_wheels",
+        ("actuation.thrusters=null", "actuation.drives={viscous_friction: {joints: 0.2}}"),
+    ),
 )
 # Laws with a task, or with gains along the plan; and scenarios with undriven coordinates, or with
 # an estimator that has gains along the plan.
@@ -114,7 +118,7 @@ def check_loop(name, law, overrides, share, monkeypatch):
     ("law", "given"),
     [
         ("tdc", SCENARIOS[0]), ("asmc", SCENARIOS[1]), ("tdc", FURTHER_SCENARIOS[0]),
-        ("tvlqr", SCENARIOS[0]),
+        ("tvlqr", SCENARIOS[0]), ("tdc", SCENARIOS[-1]),
     ],
     ids=str,
 )  # fmt: skip

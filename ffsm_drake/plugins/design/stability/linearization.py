@@ -69,12 +69,13 @@ class Linearizer:
         self.given = timed(_up_to_grasp(scenario) if approach else from_grasp(scenario))
         self.scenario = without_limits(self.given)
         factories = dict(blocks or {})
+        others = {*factories, *parts_of(self.scenario, factories)}
         if is_rehearsed(self.given):
             factories = {"actuation": make_mean_actuation, **factories}
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self._choices = self.given.blocks.choices()
-        sample = None if factories else traced_sample(self.scenario)
+        sample = None if others else traced_sample(self.scenario)
         if sample is None:
             self.coordinates = make_nominal_plant(self.scenario).coordinates
             self.motion = make_motion(self.scenario, self.coordinates)

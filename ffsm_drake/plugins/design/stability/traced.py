@@ -1,5 +1,6 @@
 """A sampled loop as compiled code, linearised exactly; only with the plug-in ``compiled``."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -36,7 +37,8 @@ class TracedLoop:
         plant = [*sample.known, *sample.hidden]
         places = [np.arange(part.start, part.stop) for part in held.values()]
         places.append(np.arange(sample.size)[sample.applied])
-        rest = np.setdiff1d(np.arange(sample.size), np.concatenate([plant, *places]))
+        beside = np.arange(sample.size)[sample.beside]
+        rest = np.setdiff1d(np.arange(sample.size), np.concatenate([plant, beside, *places]))
         self._attitude, nq = plant[:4], len(self.coordinates.position_names)
         self._following = np.array(sample.known)[nq + self._undriven]  # rates at constant momentum
         # entries of the state that are the linear loop's from its fourth on
@@ -168,9 +170,12 @@ class TracedLoop:
 
 
 def traced_sample(scenario: Scenario) -> Any:
-    """Return the traced sample of a scenario with a shipped law; None: it is not covered."""
+    """Return the traced sample of a scenario with a shipped law; None: it is not covered. Wheels
+    give what is commanded.
+    """
     make = optional(SERVICES, "traced_sample")
-    sample = None if make is None else make(scenario)
+    actuation = dataclasses.replace(scenario.actuation, wheels=None)
+    sample = None if make is None else make(dataclasses.replace(scenario, actuation=actuation))
     if sample is None or not is_shipped(sample.law) or sample.law.least_change:
         return None
     return sample
