@@ -14,7 +14,7 @@ from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.logs import COMPILED, logs_of
 from ffsm_drake.plugins.compiled.loop import SCHEMES, steps_of
-from ffsm_drake.plugins.compiled.run import Case, Run
+from ffsm_drake.plugins.compiled.run import Case, Run, case_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import all_but_controller
 from ffsm_drake.runs.ending import COMPLETED
@@ -74,8 +74,8 @@ class Compiled(Engine):
             try:
                 self.check(scenario)
                 if (same := all_but_controller(scenario)) not in cases:
-                    cases[same] = Case(scenario)
-                run = Run(scenario, cases[same])
+                    cases[same] = case_of(scenario)
+                run = cases[same].run(scenario)
                 groups.setdefault((run.key, run.samples), []).append((index, run))
             except NotCovered as error:
                 results[index] = error
@@ -86,6 +86,8 @@ class Compiled(Engine):
             found = results_of(runs, signals, alone=len(scenarios) == 1)
             for (index, _), result in zip(group, found, strict=True):
                 results[index] = result
+        for case in cases.values():
+            case.forget_rows()
         return results
 
 

@@ -1,5 +1,6 @@
 """What a compiled run depends on: its code, and its numbers."""
 
+import collections
 import copy
 import dataclasses
 import functools
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import System
 
+from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.loop.blocks import factory_of, settle_faults
 from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
@@ -19,6 +21,7 @@ from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers import SampledController, controller_names, make_controller
@@ -32,6 +35,8 @@ from ffsm_drake.systems.sensing.block import measurement_of
 from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import BlockSetup
 
+_KEPT = 64  # cases
+
 
 class Case:
     """What runs share that differ in their controllers at most."""
@@ -42,6 +47,7 @@ class Case:
         self.coordinates: Coordinates = self.nominal.coordinates
         self.samples = scenario.num_control_periods + 1
         self._gains_are_checked = False
+        self._runs = dict[str, Run]()
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
@@ -138,6 +144,23 @@ class Case:
             if not isinstance(stage, Sampled):
                 raise NotCovered(name)
             yield stage
+
+    def run(self, scenario: Scenario) -> "Run":
+        """The run with the scenario's controller; one with a law of this package is kept. Raises
+        what ``Run`` raises.
+        """
+        name = scenario.controller
+        if name in self._runs:
+            return self._runs[name]
+        made = Run(scenario, self)
+        if is_shipped(made.law):
+            self._runs[name] = made
+        return made
+
+    def forget_rows(self) -> None:
+        """Free what runs read, which takes longest to keep."""
+        for name in ("planned", "noise"):
+            vars(self).pop(name, None)
 
     def controller_of(self, scenario: Scenario) -> System:
         """The controller of a run. Those after the first need no check of the gains of others,
@@ -257,3 +280,21 @@ class Run:
         """What the code is made from, besides this package; None for a user's law or sensor."""
         own = (self.blocks.called or is_shipped(self.law)) and len(self.case.sensors) == 1
         return repr(self.code) if own else None
+
+
+_cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()
+
+
+def case_of(scenario: Scenario) -> Case:
+    """Return what scenarios share that differ in their controllers at most. The last ones without
+    blocks of a user are kept, for the predictions of their runs.
+    """
+    if scenario.blocks.choices():
+        return Case(scenario)
+    shared = dataclasses.replace(scenario, controller="")
+    key = scenario.random_seed, content_of(files_read(scenario))
+    if key not in _cases or _cases[key][0] != shared:
+        _cases[key] = shared, Case(scenario)
+        if len(_cases) > _KEPT:
+            _cases.popitem(last=False)
+    return _cases[key][1]

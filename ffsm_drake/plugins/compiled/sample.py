@@ -11,23 +11,20 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
 from ffsm_drake.plugins.compiled.parameters import reader_of, rows_of
-from ffsm_drake.plugins.compiled.run import Case, Run
+from ffsm_drake.plugins.compiled.run import Run, case_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
-from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes
 _Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
 _codes: collections.OrderedDict[Any, _Codes | NotCovered] = collections.OrderedDict()
-_case = list[tuple[Any, Case]]()  # the last one
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
@@ -52,7 +49,7 @@ class TracedSample:
     def __init__(self, scenario: Scenario) -> None:
         """Raises NotCovered."""
         Compiled().check(scenario)
-        run = Run(scenario, _case_of(scenario))
+        run = case_of(scenario).run(scenario)
         if run.blocks.called:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:
@@ -208,15 +205,6 @@ def traced_sample(scenario: Scenario) -> TracedSample | None:
         return TracedSample(scenario)
     except FfsmError:
         return None
-
-
-def _case_of(scenario: Scenario) -> Case:
-    """What it shares with the scenario before it, if they differ in the controller at most."""
-    shared = dataclasses.replace(scenario, controller="")
-    key = shared, content_of(files_read(scenario))
-    if not _case or _case[0][0] != key:
-        _case[:] = [(key, Case(scenario))]
-    return _case[0][1]
 
 
 def _code(run: Run) -> _Codes:
