@@ -151,6 +151,8 @@ BLOCKS: dict[str, Ports] = {
 DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
 # Blocks that may occur several times.
 _SEVERAL = ("sensing.<name>", "forces.<name>")
+# Others act between samples, where a ``SampledSystem`` does not hold its outputs.
+_READ_AT_SAMPLES = ("sensing", "reference")
 # Names of systems that are part of every loop.
 _TAKEN = (
     *("plant", "measurement", "states", "reference", "sensing", "controller", "actuation"),
@@ -320,6 +322,9 @@ def _make_block(
         for factory, setup in zip(factories, setups, strict=True)
     ]
     if all(isinstance(each, Sampled) for each in made):
+        if kind not in _READ_AT_SAMPLES:
+            kinds = " or ".join(_READ_AT_SAMPLES)
+            raise BlockError(f"{place}: a Sampled block can be {kinds}; write a Drake system")
         setup = setups[0]
         return SampledSystem(
             made,

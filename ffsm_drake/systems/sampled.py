@@ -23,7 +23,7 @@ from pydrake.systems.primitives import Demultiplexer
 from ffsm_drake.common.errors import BlockError, choices
 from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.returned import mapping, numbers
+from ffsm_drake.common.returned import MOST_MEMORY, mapping, numbers
 
 Arrays = Mapping[str, np.ndarray]  # by name
 Ports = Mapping[str, int] | tuple[str, ...]
@@ -118,11 +118,56 @@ def sized(ports: Ports, usual: Mapping[str, int], place: str) -> dict[str, int]:
 
     Args: ports; numbers in the ports of the loop; the block's name in errors.
     """
+    if not isinstance(ports, Mapping | tuple | list):
+        raise BlockError(f"{place}: ports are a tuple of names or sizes by name, not {ports!r}")
     found = dict(ports) if isinstance(ports, Mapping) else dict.fromkeys(ports)
-    for name in found:
-        if found[name] is None and name not in usual:
+    for name, size in found.items():
+        if size is None and name not in usual:
             raise BlockError(f"{place}: unknown port '{name}'; known: {choices(name, usual)}")
+        if size is not None and not (isinstance(size, int | np.integer) and size >= 0):
+            raise BlockError(f"{place}: port '{name}' has a number of entries, not {size!r}")
     return {name: usual[name] if size is None else int(size) for name, size in found.items()}
+
+
+def memory_of(block: Sampled, state: np.ndarray | None = None, *, place: str) -> Arrays:
+    """Return the memory of a block before the first sample.
+
+    Args: the block; [q; v] of the spacecraft then, if it is known; the block's name in errors.
+
+    Raises BlockError: it fails, or is not numbers, or depends in its layout on the state.
+    """
+    found = calling(place, block.start, state)
+    if not is_user_supplied(type(block)):
+        return {name: np.asarray(value, dtype=float) for name, value in found.items()}
+    at = f"{place}: start"
+    own = {
+        name: numbers(value, np.shape(value), f"{at} returned '{name}'", kinds="fiub")
+        for name, value in mapping(found, at).items()
+    }
+    if sum(value.size for value in own.values()) > MOST_MEMORY:
+        raise BlockError(f"{at} returned more than {MOST_MEMORY} numbers")
+    if state is None:
+        return own
+    usual = memory_of(block, place=place)
+    if {name: value.shape for name, value in own.items()} != {
+        name: value.shape for name, value in usual.items()
+    }:
+        raise BlockError(f"{at} must return the same names and shapes for a state as for None")
+    return {name: own[name] for name in usual}
+
+
+def phases_of(block: Sampled, samples: int, *, place: str) -> np.ndarray:
+    """Return the phase of a block at each of so many samples (samples, n). Raises BlockError."""
+    if not is_user_supplied(type(block)):
+        columns = block.phase(np.arange(samples))
+        return np.array(columns, dtype=float).reshape(len(columns), samples).T
+    rows = [calling(place, _phase, block, sample) for sample in range(samples)]
+    size = len(rows[0]) if rows else 0
+    return np.array([numbers(row, (size,), f"{place}: phase", kinds="fiub") for row in rows])
+
+
+def _phase(block: Sampled, sample: int) -> tuple[Any, ...]:
+    return tuple(block.phase(sample))
 
 
 class SampledSystem(Diagram):
@@ -156,7 +201,8 @@ class SampledSystem(Diagram):
         """
         super().__init__()
         builder, place = DiagramBuilder(), place or name
-        inputs, outputs = (sized(of, usual, place) for of in (blocks[0].inputs, blocks[0].outputs))
+        ports = (calling(place, getattr, blocks[0], name) for name in ("inputs", "outputs"))
+        inputs, outputs = (sized(of, usual, place) for of in ports)
         own = _Stepping(blocks, inputs, outputs, max(copies, len(blocks)), sample_time, place)
         own.set_name(f"{name}_at_samples")
         self._own = builder.AddSystem(own)
@@ -192,20 +238,21 @@ class _Stepping(LeafSystem):
         self._blocks, self._sample_time, self._place = tuple(blocks), sample_time, place
         first, self._copies = blocks[0], copies
         self._is_checked = is_user_supplied(type(first))
-        memory, phase = calling(place, _at_start, first)
+        memory = memory_of(first, place=place)
+        phase = phases_of(first, 1, place=place)[0]
         ports = {each: self._input(each, size) for each, size in inputs.items()}
         self._latched = {
             each: (ports.pop(each), self._state(value), list(first.entries.get(each, ())) or None)
             for each, value in first.latched.items()
         }
-        self._acts, self._inputs, self._is_phased = first.acts, ports, bool(phase)
+        self._acts, self._inputs, self._is_phased = first.acts, ports, phase.size > 0
         self._memory = {each: self._state(value) for each, value in memory.items()}
-        if phase and self._acts:
-            self._phase = self.DeclareDiscreteState(np.asarray(phase, float))
+        if self._is_phased and self._acts:
+            self._phase = self.DeclareDiscreteState(phase)
         reads = {self.input_port_ticket(port.get_index()) for port in ports.values()}
         if memory or self._acts:
             reads.add(self.xd_ticket())
-        if phase and not self._acts:
+        if not self._acts:
             reads.add(self.time_ticket())
         self._outputs = tuple(outputs)
         self._sizes = [*outputs.items(), *((each, value.size) for each, value in memory.items())]
@@ -231,7 +278,8 @@ class _Stepping(LeafSystem):
         rows = np.reshape(state, (self._copies, -1))
         blocks = self._blocks * (self._copies // len(self._blocks))
         own = [
-            calling(self._place, block.start, row) for block, row in zip(blocks, rows, strict=True)
+            memory_of(block, row, place=self._place)
+            for block, row in zip(blocks, rows, strict=True)
         ]
         for name, group in self._memory.items():
             context.SetDiscreteState(group, np.concatenate([np.ravel(each[name]) for each in own]))
@@ -255,7 +303,7 @@ class _Stepping(LeafSystem):
             if self._copies > 1:
                 own = self._of_copy(copy, inputs), self._of_copy(copy, memory)
             if self._is_phased:
-                phase = value(self._phase) if self._acts else block.phase(self._sample(context))
+                phase = value(self._phase) if self._acts else self._phase_of(block, context)
             rows.append(self._stepped(block, *own, Now(time, phase)))
         parts = rows[0]
         if self._copies > 1:
@@ -264,6 +312,11 @@ class _Stepping(LeafSystem):
 
     def _sample(self, context: Context) -> int:
         return round(context.get_time() / self._sample_time)
+
+    def _phase_of(self, block: Sampled, context: Context) -> Sequence[Any]:
+        if self._is_checked:
+            return tuple(calling(self._place, block.phase, self._sample(context)))
+        return block.phase(self._sample(context))
 
     def _of_copy(self, copy: int, values: Arrays) -> dict[str, Any]:
         """The values of a copy; of a wide block all rows."""
@@ -297,12 +350,6 @@ class _Stepping(LeafSystem):
             values.set_value(group, read)
         if self._acts and self._is_phased:
             values.set_value(self._phase, np.array(self._blocks[0].phase(self._sample(context))))
-
-
-def _at_start(block: Sampled) -> tuple[Arrays, Sequence[Any]]:
-    """Memory and phase of a block."""
-    memory = {name: np.asarray(value, dtype=float) for name, value in block.start().items()}
-    return memory, tuple(block.phase(0))
 
 
 def _checked(

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ffsm_drake.common.guard import calling
 from ffsm_drake.loop.blocks import BESIDES, TOLD, usual_sizes
 from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.models import traced_model
@@ -30,7 +29,8 @@ from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.disturbance import force_at
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.quantization import quantize
-from ffsm_drake.systems.sampled import Now, Sampled, sized
+from ffsm_drake.systems.sampled import Now, Sampled, memory_of, sized
+from ffsm_drake.systems.sampled import phases_of as phases_at
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, none_caught, number
 from ffsm_drake.tape.tangents import tangents
@@ -526,13 +526,18 @@ def _tracking_errors(desired: Any, actual: Any, num_positions: int) -> Any:
 
 def phases_of(sensors: Sequence[Sampled], samples: int) -> np.ndarray:
     """The phases of sensors at each of so many samples (samples, n)."""
-    columns = [each for stage in sensors for each in stage.phase(np.arange(samples))]
-    return np.array(columns, dtype=float).reshape(len(columns), samples).T
+    found = [phases_at(each, samples, place=type(each).__name__) for each in sensors]
+    return np.concatenate([np.zeros((samples, 0)), *found], axis=1)
 
 
 def kept_at(blocks: Iterable[Sampled | Continuous], state: np.ndarray) -> np.ndarray:
     """The memory, or own state, of blocks of a spacecraft that was at a state before (n)."""
-    kept = [calling(type(block).__name__, block.start, state) for block in blocks]
+    kept = [
+        memory_of(each, state, place=type(each).__name__)
+        if isinstance(each, Sampled)
+        else each.start(state)
+        for each in blocks
+    ]
     return np.concatenate([np.zeros(0), *(np.ravel(each) for of in kept for each in of.values())])
 
 
