@@ -141,7 +141,7 @@ def memory_of(block: Sampled, state: np.ndarray | None = None, *, place: str) ->
         return {name: np.asarray(value, dtype=float) for name, value in found.items()}
     at = f"{place}: start"
     own = {
-        name: numbers(value, np.shape(value), f"{at} returned '{name}'", kinds="fiub")
+        name: numbers(value, calling(at, np.shape, value), f"{at} returned '{name}'", kinds="fiub")
         for name, value in mapping(found, at).items()
     }
     if sum(value.size for value in own.values()) > MOST_MEMORY:

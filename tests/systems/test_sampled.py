@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from own_stage import Mean
 
-from ffsm_drake import BlockError, Sampled, load_scenario, simulate
+from ffsm_drake import BlockError, Sampled, load_scenario, make_closed_loop, simulate
 
 SHORT = ("duration=0.3", "sensing.position_noise=0", "sensing.velocity_noise=0")
 
@@ -55,7 +55,22 @@ ODD = {
         {"step": lambda s, i, m, n: ({"estimated_state": "1"}, m)},
         "returned 'estimated_state'",
     ),
-    "memory that cannot be": ({"start": lambda s, state=None: 1}, "failed: AttributeError"),
+    "memory that cannot be": ({"start": lambda s, state=None: 1}, "start must return a mapping"),
+    "memory that is text": ({"start": lambda s, state=None: {"a": "x"}}, "start returned 'a'"),
+    "a jagged memory": ({"start": lambda s, state=None: {"a": [[1], [1, 2]]}}, "start"),
+    "memory of another size": (
+        {"start": lambda s, state=None: {"a": np.zeros(1 if state is None else 2)}},
+        "the same names and shapes for a state as for None",
+    ),
+    "memory of another name": (
+        {"start": lambda s, state=None: {"a" if state is None else "b": np.zeros(1)}},
+        "the same names and shapes for a state as for None",
+    ),
+    "a phase that is text": ({"phase": lambda s, sample: ["x"]}, "phase, an array of"),
+    "a late phase": ({"phase": lambda s, sample: [1 // (2 - sample)]}, "ZeroDivisionError"),
+    "no ports": ({"outputs": None}, "ports are a tuple of names or sizes by name, not None"),
+    "a name as ports": ({"inputs": "state"}, "not 'state'"),
+    "a negative size": ({"inputs": {"state": -3}}, "port 'state' has a number of entries, not -3"),
 }
 
 
@@ -66,3 +81,26 @@ def test_a_block_that_breaks_the_contract_is_one_line(case):
         simulate(load_scenario("postcapture", SHORT), blocks={"sensing.odd": made(**methods)})
     assert re.search(said, str(error.value)), str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("place", ["forces.own", "actuation", "supervisor"])
+def test_a_block_that_acts_between_samples_is_refused(place):
+    with pytest.raises(BlockError, match="a Sampled block can be sensing or reference"):
+        make_closed_loop(load_scenario("postcapture", SHORT), blocks={place: Mean})
+
+
+def of_time(self, inputs, memory, now):
+    state = np.concatenate([[1.0, 0.0, 0.0, 0.0], np.full(self.offset.size - 4, now.time)])
+    return {"desired_state": state, "desired_acceleration": np.zeros(11)}, memory
+
+
+def test_a_block_without_inputs_follows_time():
+    Clock = made(
+        inputs=(),
+        outputs=("desired_state", "desired_acceleration"),
+        start=Sampled.start,
+        step=of_time,
+    )
+    record = simulate(load_scenario("postcapture", SHORT), blocks={"reference": Clock})
+    shown = record.dataset["desired_position"].values
+    assert np.array_equal(shown[:, -1], record.dataset["time"].values)

@@ -35,6 +35,27 @@ def test_a_stage_of_a_user_joins_by_itself(given):
         assert record.engine == "compiled"
 
 
+class Branching(Mean):
+    """Its phase takes one sample, and depends on it by a branch."""
+
+    def start(self, state=None):  # in another order
+        own = {"unused": np.zeros(2), **super().start(state)}
+        return own if state is None else dict(reversed(own.items()))
+
+    def phase(self, sample):
+        return [1.0 if sample >= self.begin else 0.0]
+
+    def step(self, inputs, memory, now):
+        outputs, after = super().step(inputs, memory, now)
+        return outputs, {**memory, **after}
+
+
+@pytest.mark.slow
+def test_a_phase_takes_one_sample_and_names_of_memory_have_no_order():
+    (record, _) = check(scenarios("test_own_stages:Branching"))
+    assert record.engine == "compiled"
+
+
 class _Hostile(Mean):
     """``Mean`` with a fault."""
 
