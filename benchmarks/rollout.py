@@ -403,21 +403,23 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         arms = {joints: contest(arm_scenario(joints, Path(folder), duration)) for joints in JOINTS}
-    # All arms take turns, too: a machine whose speed changes would show in the exponents.
-    times = interleaved(
-        {
-            f"{name}{joints}": work
-            for joints, arm in arms.items()
-            for name, work in arm.contestants.items()
-        },
-        fewer,
-    )
-    print(f"cost against joints, generated arms, medians of {fewer} (minima)")
-    print_arms(times, arms)
-    if find_spec("llvmlite"):
-        for joints, arm in arms.items():
-            runs, slopes = compile_times(arm.rollout.loop.scenario)
-            print(f"  {joints:2d} joints, traced and compiled: runs {runs}, derivatives {slopes}")
+        # All arms take turns, too: a machine whose speed changes would show in the exponents.
+        times = interleaved(
+            {
+                f"{name}{joints}": work
+                for joints, arm in arms.items()
+                for name, work in arm.contestants.items()
+            },
+            fewer,
+        )
+        print(f"cost against joints, generated arms, medians of {fewer} (minima)")
+        print_arms(times, arms)
+        if find_spec("llvmlite"):
+            for joints, arm in arms.items():
+                runs, slopes = compile_times(arm.rollout.loop.scenario)
+                print(
+                    f"  {joints:2d} joints, traced and compiled: runs {runs}, derivatives {slopes}"
+                )
 
 
 if __name__ == "__main__":
