@@ -198,8 +198,6 @@ def act(given):
         assert np.isfinite(seen).all()
         assert np.isfinite(reward).all()
         lost = np.isnan(actions).any(axis=1) & ~anew
-        if anew.all():
-            lost[:] = False
         assert ended.tolist() == lost.tolist(), (ended, lost)
         assert not cut.any()
         if lost.any():
@@ -439,11 +437,12 @@ def begun(kind):
         plant = PlantSlave(instance_name="p", resources=str(Path.cwd()))
         plant.exit_initialization_mode()
         return plant, plant._course.aside, np.zeros(11), lambda: plant.do_step(0.0, 0.01)
-    one = kind == "single"
-    env = MissionEnv("postcapture", SHORT) if one else MissionVectorEnv(2, "postcapture", SHORT)
+    several = kind == "several"
+    env = MissionVectorEnv(2, "postcapture", SHORT) if several else MissionEnv("postcapture", SHORT)
     env.reset(seed=1)
-    zeros = np.zeros(env.action_space.shape)
-    return env, env._exchange.run, zeros, lambda: env.step(zeros)
+    first, zeros = env.envs[0] if several else env, np.zeros(env.action_space.shape)
+    run, answer = first._exchange.run, np.zeros(first.action_space.shape)
+    return env, run, answer, lambda: env.step(zeros)
 
 
 class Cycle:

@@ -1,8 +1,7 @@
 """Missions as Gymnasium environments, for one spacecraft or several.
 
 Importing it registers ``ffsm/PostCapture-v0``, ``ffsm/TumblingCapture-v0`` and
-``ffsm/FreeFloating-v0``; the first and the last also as environments of several spacecraft
-(``vector``). Needs ``pip install 'ffsm-drake[gymnasium]'``.
+``ffsm/FreeFloating-v0``. Needs ``pip install 'ffsm-drake[gymnasium]'``.
 """
 
 import gymnasium
@@ -15,8 +14,6 @@ for _id, _scenario in {
     gymnasium.register(
         id=_id,
         entry_point=f"{__name__}.environment:MissionEnv",
-        vector_entry_point=None
-        if _scenario == "tumbling_capture"
-        else f"{__name__}.vector:MissionVectorEnv",
+        vector_entry_point=f"{__name__}.vector:MissionVectorEnv",
         kwargs={"scenario": _scenario},
     )

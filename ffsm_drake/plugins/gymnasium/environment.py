@@ -8,13 +8,13 @@ import dataclasses
 import functools
 import json
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
 
 from ffsm_drake.common.aside import Aside
-from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.plugins.policy.policy import (
     ACTIONS,
     FURTHEST,
@@ -30,7 +30,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw
-from ffsm_drake.systems.controllers.law import Sample, State, is_wide
+from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
@@ -45,26 +45,15 @@ class Exchange:
     def __init__(self, samples_per_step: int, periods: int) -> None:
         """``periods`` is the number of control periods of a run."""
         self._every, self._periods = samples_per_step, periods
-        self.begin()
-
-    def begin(self) -> None:
-        """Prepare for another run."""
         self.run = Aside()
         self.sample: Sample | None = None  # input of the law
         self.end: np.ndarray | None = None  # the law's view at the end of the run's time
-        # With several copies of the spacecraft: copies that restart, and copies in an episode.
-        self.fresh: np.ndarray | None = None
-        self.lasts: np.ndarray | None = None
-        # Copies ended by a NaN action -> the sample, and the coordinate in v.
-        self.lost = dict[int, tuple[int, int]]()
-        self.first: State = {}  # the law's memory at the start
         self._count, self._action = 0, np.zeros(0)
         self._since = list[tuple[Any, ...]]()  # rows since the last step
 
     def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
-        """The action at a sample, given the law's view ``seen``; NaN actions of copies of the
-        spacecraft become zero. No step begins at the end of the run's time, from which no force
-        acts. Raises StoppedError.
+        """The action at a sample, given the law's view ``seen``. No step begins at the end of the
+        run's time, from which no force acts. Raises StoppedError.
         """
         if self._count == self._periods:
             self.sample, self.end = sample, seen
@@ -72,26 +61,15 @@ class Exchange:
             self.sample = sample
             self._action = self.run.ask((seen, self.spent()))
         self._count += 1
-        return self._action if self.lasts is None else np.nan_to_num(self._action)
+        return self._action
 
-    def told(self, error: np.ndarray, force: np.ndarray, acts: np.ndarray) -> None:
-        """Keep the law's error and force at a sample; ``acts`` are the actions' indices. A NaN
-        action ends its copy.
-        """
-        if self._count > self._periods:
-            return
-        if self.lasts is None:
-            self._since.append((error, force, np.ones((), bool)))
-            return
-        unknown = np.isnan(self._action)
-        force[:, acts] = np.where(unknown, np.nan, force[:, acts])
-        self._since.append((error, force, self.lasts.copy()))
-        for copy in np.flatnonzero(unknown.any(axis=-1) & self.lasts).tolist():
-            self.lost[copy] = self._count - 1, int(acts[np.argmax(unknown[copy])])
-            self.lasts[copy] = False
+    def told(self, error: np.ndarray, force: np.ndarray) -> None:
+        """Keep the law's error and force at a sample."""
+        if self._count <= self._periods:
+            self._since.append((error, force))
 
     def spent(self) -> list[np.ndarray]:
-        """Errors, forces and whether the episode lasted since the last step, a row each."""
+        """Errors and forces since the last step, a row for each sample."""
         since, self._since = self._since, []
         return [np.array(each) for each in zip(*since, strict=True)]
 
@@ -100,30 +78,13 @@ class Exchange:
 class _Steered(ActingLaw):
     """The law of an environment's actions."""
 
-    wide: ClassVar[bool] = True
     exchange: Exchange
 
     def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         return self.exchange.ask(seen, sample), {}
 
     def told(self, error: np.ndarray, force: np.ndarray) -> None:
-        self.exchange.told(error, force, self.acts)
-
-    def inner_step(
-        self, inner: ControlLaw, sample: Sample, state: State
-    ) -> tuple[np.ndarray, State]:
-        """Step of the inner law; it restarts with each restarting copy of the spacecraft."""
-        exchange, fresh = self.exchange, self.exchange.fresh
-        if sample.is_first:
-            exchange.first = {name: np.array(values) for name, values in state.items()}
-        force, after = inner.step(sample, state)
-        if fresh is None or not fresh.any():
-            return force, after
-        first, anew = inner.step(sample._replace(is_first=True), exchange.first)
-        return np.where(fresh[:, None], first, force), {
-            name: np.where(fresh.reshape(-1, *[1] * (rows.ndim - 1)), anew[name], rows)
-            for name, rows in after.items()
-        }
+        self.exchange.told(error, force)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,11 +97,9 @@ class Steering:
     scale: np.ndarray  # (na)
     tracks_frame: bool
 
-    def __call__(self, setup: BlockSetup, exchange: Exchange, *, alone: bool = True) -> ControlLaw:
-        """The law of a run (several runs if not ``alone``), with actions from ``exchange``."""
+    def __call__(self, setup: BlockSetup, exchange: Exchange) -> ControlLaw:
+        """The law of a run, with actions from ``exchange``."""
         inner = None if self.kind == "force" else inner_law(self.law, setup)
-        if not (inner is None or alone or is_wide(inner)):
-            raise BlockError(f"{self.law}: is no wide law; vectorization_mode must be sync")
         return _Steered(
             exchange=exchange,
             kind=self.kind,
@@ -248,10 +207,6 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Input of a law at this step; None before the first."""
         return None if self._exchange is None else self._exchange.sample
 
-    def new_exchange(self) -> Exchange:
-        """The exchange between a run's law and an environment."""
-        return Exchange(self.samples_per_step, self.scenario.num_control_periods)
-
     def policy_metadata(self) -> dict[str, str]:
         """Metadata that an ONNX file of a policy for this environment needs to be used as a control
         law (``controller: policy:FILE``).
@@ -273,7 +228,8 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.close()
         drawn = int(self.np_random.integers(2**31)) if seed is None else seed
         scenario = self.scenario.replace(random_seed=drawn)
-        self._exchange = exchange = self.new_exchange()
+        exchange = Exchange(self.samples_per_step, scenario.num_control_periods)
+        self._exchange = exchange
         law = functools.partial(self.steering, exchange=exchange)
         rollout = make_rollout(scenario, blocks={"controller": law})
         exchange.run.start(rollout.run, rollout.release, owner=self)
@@ -299,20 +255,16 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._seen.copy(), reward, ended and not completed, completed, info
 
     def reward_terms(self, spent: list[np.ndarray]) -> dict[str, Any]:
-        """Reward terms of a step, from ``Exchange.spent``: numbers, or (B) with several runs."""
+        """Reward terms of a step, from ``Exchange.spent``."""
         if not spent:
             return {"tracking": 0.0, "effort": 0.0}
-        errors, forces, lasts = spent
+        errors, forces = spent
         excess, effort = (
             np.fmin(np.abs(each) / size, 1e3)  # also for NaN
             for each, size in ((errors, self._tolerance), (forces, self._limit))
         )
         sizes = {"tracking": excess[..., self._counted], "effort": effort**2}
-        count = np.maximum(lasts.sum(axis=0), 1)
-        return {
-            name: -np.where(lasts, each.mean(axis=-1), 0.0).sum(axis=0) / count
-            for name, each in sizes.items()
-        }
+        return {name: -each.mean(axis=-1).mean() for name, each in sizes.items()}
 
     def reward_of(self, terms: Mapping[str, Any]) -> Any:
         """Weighted sum of reward terms."""

@@ -96,12 +96,6 @@ class ActingLaw(ControlLaw):
     def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """The action (..., na) for what is seen (..., n), and memory for the next sample."""
 
-    def inner_step(
-        self, inner: ControlLaw, sample: Sample, state: State
-    ) -> tuple[np.ndarray, State]:
-        """Step of the law that is changed by actions."""
-        return inner.step(sample, state)
-
     def told(self, error: np.ndarray, force: np.ndarray) -> None:
         """Hear of the errors that are observed at a sample, and of the force."""
 
@@ -119,7 +113,7 @@ class ActingLaw(ControlLaw):
         force = change
         if self.inner is not None:
             others = {name: values for name, values in state.items() if name not in own}
-            force, after = self.inner_step(self.inner, sample, others)
+            force, after = self.inner.step(sample, others)
             own = {**own, **after}
             if self.kind == "residual":
                 force = force + change

@@ -1,4 +1,4 @@
-"""Several spacecraft in one environment: the bits of single ones, and how copies end."""
+"""Several spacecraft in one environment: the results of single ones, and how copies end."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_every_copy_has_the_bits_of_a_single_one(name, action):
         )
         assert seen in wide.observation_space
         np.testing.assert_array_equal(seen, own)
-        np.testing.assert_allclose(reward, own_reward, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(reward, own_reward)
         np.testing.assert_array_equal(flags, own_flags)
         if flags[1].any():
             cuts += 1
@@ -64,39 +64,24 @@ def test_a_copy_that_diverges_begins_anew_while_the_others_go_on(action, samples
     actions[1] = 1.0
     ends = 0
     for _ in range(40):
-        before, (seen, reward, ended, _, info) = ends, wide.step(actions)
-        own, own_reward, own_ended, _, own_info = alone.step(actions)
-        live = [0, 2] if before else [0, 1, 2]
-        np.testing.assert_array_equal(seen[live], own[live])
-        np.testing.assert_allclose(reward[live], own_reward[live], rtol=1e-12, atol=1e-12)
-        if before == 0:
-            np.testing.assert_array_equal(ended, own_ended)
+        (seen, reward, ended, *_, info), (own, own_reward, own_ended, *_, own_info) = (
+            env.step(actions) for env in (wide, alone)
+        )
+        np.testing.assert_array_equal(seen, own)
+        np.testing.assert_array_equal(reward, own_reward)
+        np.testing.assert_array_equal(ended, own_ended)
         if ended.any():
             ends += 1
-            if before == 0:
-                assert info["ending"][1] == own_info["ending"][1]
+            assert info["ending"][1] == own_info["ending"][1]
             assert "Diverged" in info["ending"][1]
             assert info["reward_terms"]["failure"].tolist() == [0.0, -1.0, 0.0]
-            seen, reward, ended, _, _ = wide.step(actions)
-            assert not ended.any()
-            assert reward[1] == 0.0
-            names = wide.observation_names
-            errors = [name.startswith("error.") for name in names]
-            assert np.abs(seen[1, errors]).max() < 1e-4, "it begins on the planned motion"
-            alone.step(actions)
     assert ends > 2
     wide.close()
 
 
-def test_it_says_how_copies_begin_and_which_missions_it_does_not_take():
+def test_it_says_how_copies_begin():
     env = made(overrides=("duration=1",))
     assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.NEXT_STEP
     with pytest.raises(FfsmError, match="call reset"):
         env.step(np.zeros(env.action_space.shape))
     env.close()
-    with pytest.raises(FfsmError, match="vectorization_mode must be sync"):
-        made(scenario="tumbling_capture")
-    with pytest.raises(FfsmError, match="num_envs: must be 2 or more"):
-        gymnasium.make_vec(
-            "ffsm/PostCapture-v0", num_envs=1, vectorization_mode="vector_entry_point"
-        )
