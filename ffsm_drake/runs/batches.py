@@ -2,12 +2,10 @@
 
 Compatible runs have the same model, blocks, controller, integrator and number of control samples.
 They can differ in the sections ``_FREE``, in numbers of the sections ``_OF_ONE_KIND``, in the mass
-properties of the payload, and in frequency and damping of panels and pendulums. Runs with a capture
-must grasp at the same sample, or all begin with the grasp. Their captures can differ otherwise; of
-a gripper that closes in time, only the friction can differ.
+properties of the payload, and in frequency and damping of panels and pendulums.
 
 These runs are always separate: runs with error control, an implicit integrator, or a real-time
-clock; runs with flexible joints; runs with a measured target.
+clock; runs with flexible joints; runs with a capture.
 """
 
 import dataclasses
@@ -22,8 +20,7 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.runs.engine import DRAKE, Engine, find_engine, on_drake
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
-from ffsm_drake.scenario import Capture, MassProperties, Model, Scenario, scenario_to_dict
-from ffsm_drake.scenario.capture import Approach
+from ffsm_drake.scenario import MassProperties, Model, Scenario, scenario_to_dict
 from ffsm_drake.systems.reference import timed
 
 # Sections in which runs side by side may differ: they affect only computations before or after a
@@ -215,24 +212,16 @@ def group_of(scenario: Scenario) -> str | None:
         or config.integration_scheme not in _EXPLICIT
         or config.target_realtime_rate > 0.0
         or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
-        or scenario.measured is not None
+        or scenario.grasps
     ):
         return None
     neutral = Scenario()
     payload = dataclasses.replace(
         scenario.payload, truth=MassProperties(), nominal=MassProperties()
     )
-    capture = scenario.capture
-    if capture is not None:
-        approach = None if capture.approach is None else Approach(scenario.grasp_time)
-        closing, compliance = scenario.closing, None
-        if closing is not None:
-            closing, compliance = dataclasses.replace(closing, friction=1.0), capture.compliance
-        capture = Capture(approach=approach, closing=closing, compliance=compliance)
     common = dataclasses.replace(
         scenario,
         payload=payload,
-        capture=capture,
         duration=scenario.num_control_periods * scenario.sample_time,
         model=_without_springs(scenario.model),
         **{name: getattr(neutral, name) for name in _FREE},

@@ -2,13 +2,13 @@
 
 A phase describes how its loop differs from the mission (target in the gripper or not, plan, motion,
 blocks such as the law), its end, and the next phase. The runner builds the loop, or uses a loop
-that exists. Runs side by side have the same phases.
+that exists.
 """
 
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram
@@ -45,22 +45,21 @@ class Phase:
     # excluded; None: the end of the run
     names: tuple[tuple[str, int | None], ...] = ()
     holds: bool = False  # whether the target is in the gripper
-    # scenario with its plan, or one for each run; None: the scenario of the mission
-    scenario: Scenario | Sequence[Scenario] | None = None
+    scenario: Scenario | None = None  # with its plan; None: the scenario of the mission
     motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
     # block -> factory that replaces a block of the mission
     blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
     joint_force: np.ndarray | None = None  # see ``add_closed_loop``
     afresh: tuple[str, ...] = ()  # blocks that start anew in this phase
     begin: Begin = lambda loop, context: None  # other changes of its loop at its start
-    next: Callable[[], "Phase | None"] = lambda: None  # called if not all runs have ended
+    next: Callable[[], "Phase | None"] = lambda: None  # called unless the run has ended
 
 
 class Mission:
-    """One run, or several side by side, in a sequence of phases.
+    """One run in a sequence of phases.
 
     ``before`` is the loop of the last phase and ``context`` its context at the end, ``sample`` the
-    first one of the next phase, ``ended`` holds the finished runs.
+    first one of the next phase; ``ended``: the run ended before its last phase did.
     """
 
     before: ClosedLoop
@@ -69,51 +68,44 @@ class Mission:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
+        scenario: Scenario,
         progress: Progress | None = None,
         *,
         blocks: Mapping[str, Factory] | None = None,
         kept: Mapping[bool, Rollout | None] | None = None,
     ) -> None:
         """Args:
-        scenarios: scenario of each run, as its log shall have it.
+        scenario: scenario of the run, as its log shall have it.
         progress: see ``Rollout.run``.
-        blocks: factories that replace the scenarios' blocks.
+        blocks: factories that replace the scenario's blocks.
         kept: by ``holds``, loops of phases that differ in nothing else.
         """
-        self._scenarios, self._progress = list(scenarios), progress
+        self._scenario, self._progress = scenario, progress
         self._blocks, self._kept = blocks or {}, kept or {}
         self._start, self.sample = time.perf_counter(), 0
         self._names: list[tuple[str, int]] = []  # phases with an end, and the sample after it
-        self.logs: list[list[RunLog]] = [[] for _ in scenarios]
-        self.failed: dict[int, Outcome] = {}  # outcomes of runs that failed between two phases
-        self.ended: set[int] = set()
-        self._lost: set[int] = set()  # runs without a log
+        self.logs: list[RunLog] = []  # of the phases
+        self.failed: Outcome | None = None  # outcome of a run that failed between two phases
+        self.ended = False
         self._own: list[Rollout] = []  # loops of this mission alone
 
-    def run(self, phase: Phase | None) -> list[RunLog | None]:
-        """Run a phase and the phases after it.
-
-        Returns: a log for each run; None: repeat the run separately.
-
-        Raises: the errors of ``Rollout.run`` and ``Rollout.run_all``.
-        """
+    def run(self, phase: Phase | None) -> RunLog:
+        """Run a phase and the phases after it. Raises the errors of ``Rollout.run``."""
         try:
             while phase is not None:
                 self._note(phase, self._through(phase))
-                phase = phase.next() if len(self.ended) < len(self.logs) else None
+                phase = None if self.ended else phase.next()
         except BlockError as error:
             if error.log is not None and phase is not None:
-                self._note(phase, [error.log])
-                error.log = self._joined(0)
+                self._note(phase, error.log)
+                error.log = self._joined()
             raise
         finally:
             for loop in self._own:
                 loop.release()
-        copies = range(len(self.logs))
-        return [None if copy in self._lost else self._joined(copy) for copy in copies]
+        return self._joined()
 
-    def _loop_of(self, phase: Phase, scenarios: list[Scenario]) -> Rollout:
+    def _loop_of(self, phase: Phase, scenario: Scenario) -> Rollout:
         """Return the loop of a phase; a new one is released at the end of the run."""
         own: dict[str, Factory] = {}
         if phase.motion is not None:
@@ -122,7 +114,7 @@ class Mission:
         if (kept := self._kept.get(phase.holds)) and not own and phase.scenario is None:
             return kept
         blocks = {**self._blocks, **own}
-        self._own.append(Rollout(scenarios, blocks=blocks, joint_force=phase.joint_force))
+        self._own.append(Rollout(scenario, blocks=blocks, joint_force=phase.joint_force))
         return self._own[-1]
 
     def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
@@ -132,43 +124,32 @@ class Mission:
             loop.resume(root_context, self.before, self.context, afresh=phase.afresh)
         phase.begin(loop, root_context)
 
-    def _through(self, phase: Phase) -> Sequence[RunLog | None]:
-        plans = phase.scenario or self._scenarios
-        plans = [plans] if isinstance(plans, Scenario) else plans
-        scenarios = [dataclasses.replace(each, holds=phase.holds) for each in plans]
-        loop = self._loop_of(phase, scenarios)
+    def _through(self, phase: Phase) -> RunLog:
+        scenario = dataclasses.replace(phase.scenario or self._scenario, holds=phase.holds)
+        loop = self._loop_of(phase, scenario)
         self.loop = loop.loop
         begin = functools.partial(self.begin, phase)
         leg = Leg(first=self.sample, last=phase.names[-1][1], begin=begin, end=self._keep)
-        if len(self.logs) > 1:
-            return loop.run_all(scenarios, leg=leg, without=self.ended)
-        return [loop.run(scenarios[0], progress=self._progress, leg=leg)]
+        return loop.run(scenario, progress=self._progress, leg=leg)
 
     def _keep(self, loop: ClosedLoop, root_context: Context) -> None:
         self.before, self.context = loop, root_context
 
-    def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
-        """Keep the logs of a phase, and which runs have ended in it."""
+    def _note(self, phase: Phase, log: RunLog) -> None:
+        """Keep the log of a phase, and whether the run has ended in it."""
         for name, last in phase.names:
             if last is not None:
                 self._names.append((name, last))
                 self.sample = last
-        for copy, log in enumerate(logs):
-            if copy in self.ended:
-                continue
-            if log is None:
-                self._lost.add(copy)
-            else:
-                self.logs[copy].append(log)
-            if log is None or not log.outcome.completed:
-                self.ended.add(copy)
+        self.logs.append(log)
+        self.ended |= not log.outcome.completed
 
-    def _fail(self, copy: int, status: str, message: str) -> None:
-        self.failed[copy] = Outcome(status=status, time=0.0, message=message)
+    def _fail(self, status: str, message: str) -> None:
+        self.failed = Outcome(status=status, time=0.0, message=message)
 
-    def _joined(self, copy: int) -> RunLog:
-        """Return the log of all phases of a run; NaN in the phases without a series."""
-        logs = self.logs[copy]
+    def _joined(self) -> RunLog:
+        """Return the log of all phases; NaN in the phases without a series."""
+        logs = self.logs
         last, time_of = logs[-1], np.concatenate([log.time for log in logs])
         empty = {
             name: np.full_like(values[:1], np.nan)
@@ -178,10 +159,8 @@ class Mission:
         spent = {key: sum(log.wall_time[key] for log in logs) for key in last.wall_time}
         return dataclasses.replace(
             last,
-            scenario=self._scenarios[copy],
-            outcome=dataclasses.replace(
-                self.failed.get(copy, last.outcome), time=float(time_of[-1])
-            ),
+            scenario=self._scenario,
+            outcome=dataclasses.replace(self.failed or last.outcome, time=float(time_of[-1])),
             time=time_of,
             series={
                 name: np.concatenate(

@@ -560,4 +560,4 @@ def make_rollout(
     kind = service("capture_rollout", "capture") if first.grasps else Rollout
     if first.closed is None and len(closing_times(first)) > 1:
         kind = service("later_hands_rollout", "contacts.closes")
-    return kind(scenario, blocks=blocks, meshcat=meshcat)
+    return kind(scenario if kind is Rollout else first, blocks=blocks, meshcat=meshcat)

@@ -28,7 +28,6 @@ from ffsm_drake import (
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.batches import batches_of, usual_batch
 from ffsm_drake.runs.rollout import Rollout, make_rollout
-from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.scenario.layers import flatten
 from ffsm_drake.systems.controllers import ControlLaw
@@ -474,103 +473,11 @@ def test_a_scenario_that_cannot_be_built_fails_alone():
     assert_equal(third, alone(good))
 
 
-# From a posture near that at the grasp, so that half a second is enough.
-POSTURE = "{joint_1: 0.17, joint_2: 0.34, joint_3: 1.06, joint_4: 0.6, joint_5: -0.7}"
-CAPTURE = (
-    "duration=1",
-    "reference.duration=3",
-    f"capture.approach={{duration: 0.5, posture: {{base_position: [0.1, 0.3, -0.2], "
-    f"base_rpy: [0.11, 0.08, -0.1], joints: {POSTURE}}}}}",
-    "capture.envelope={position: null, angle: null}",
-)
-NO_NOISE = ("sensing.position_noise={all: 0}", "sensing.velocity_noise={all: 0}")
-WHEEL = "inertia: 0.08, torque_limit: 5, speed_limit: 628"
-WHEELS = (
-    f"actuation.wheels.units={{x: {{axis: [1, 0, 0], {WHEEL}}}, y: {{axis: [0, 1, 0], {WHEEL}}}, "
-    f"z: {{axis: [0, 0, 1], {WHEEL}}}}}"
-)
-# What the runs of one batch share.
-GRASPS = {
-    "coupled": (),
-    "kalman": ("estimator.kind=kalman",),
-    "one sample": ("estimator.kind=one_sample", "controller=tdc", *NO_NOISE),
-    "held from the start": ("capture.approach=null",),
-    "filtered": ("estimator.kind=kalman", "command_filter.low_pass=20"),
-    "late": ("estimator.kind=kalman", "sensing.delay=1"),
-    "drifting": ("estimator.kind=kalman", "sensing.velocity_bias_walk={joints: 1e-6}"),
-    "wheels": ("estimator.kind=kalman", "controller=tdc", WHEELS),
-}
-# What differs between them.
-ENDS = {
-    "holds": (),
-    "misses": ("capture.envelope.velocity=1e-9",),
-    # beyond it during the approach, and, of most, after the grasp
-    "diverges before": ("divergence_speed=0.3",),
-    "diverges after": ("divergence_speed=0.6",),
-}
-
-
-def captured(shared, end, number):
-    """A capture with a seed, target, guess of it and tumble of its own."""
-    scenario = varied(load_scenario("tumbling_capture", [*CAPTURE, *shared, *ENDS[end]]), number)
-    payload, share = scenario.payload, 1.0 + 0.02 * number
-    center = [0.002 * number, 0.0, -0.001 * number]
-    truth = dataclasses.replace(payload.truth, center_of_mass=center)
-    return dataclasses.replace(
-        scenario,
-        payload=dataclasses.replace(payload, truth=truth),
-        initial_velocity={},
-        capture=dataclasses.replace(
-            scenario.capture, rate=[share * rate for rate in scenario.capture.rate]
-        ),
-    )
-
-
-captures = given(
-    shared=st.sampled_from(sorted(GRASPS)),
-    runs=st.lists(st.tuples(st.sampled_from(sorted(ENDS)), st.integers(0, 5)), min_size=2),
-)
-
-
-@pytest.mark.long
-@settings(max_examples=3, deadline=None)
-@captures
-def test_captures_go_side_by_side(shared, runs):
-    check_captures(shared, runs)
-
-
-@pytest.mark.long
-@settings(max_examples=10, deadline=None)
-@captures
-def test_more_captures_go_side_by_side(shared, runs):
-    check_captures(shared, runs)
-
-
-def check_captures(shared, runs):
-    scenarios = [captured(GRASPS[shared], end, number) for end, number in runs[:4]]
-    assert batches_of(scenarios, len(scenarios)) == [list(range(len(scenarios)))]
-    own_logs = [run_once(scenario) for scenario in scenarios]
-    expected = [make_record(own, start=0.0) for own in own_logs]
-    for log, own, each in zip(run_once(scenarios), own_logs, expected, strict=True):
-        record = make_record(log, start=0.0)
-        assert_equal(record, each)
-        assert record.grasp == each.grasp
-        assert np.array_equal(log.grasp.target, own.grasp.target)
-    for record, each in zip(simulate_many(scenarios, batch=4), expected, strict=True):
-        assert_equal(record, each)
-
-
-def test_captures_share_a_diagram_where_their_grasps_coincide():
-    scenarios = [captured((), "holds", number) for number in range(3)]
-    later = load_scenario("tumbling_capture", [*CAPTURE, "capture.approach.duration=0.6"])
-    held = load_scenario("tumbling_capture", [*CAPTURE, "capture.approach=null"])
-    assert batches_of([*scenarios, later, held, later, held], 16) == [[0, 1, 2], [3, 5], [4, 6]]
-
-
-def test_error_control_and_implicit_schemes_run_alone():
+def test_error_control_implicit_schemes_and_captures_run_alone():
     controlled = load_scenario("postcapture", ["simulator_config.use_error_control=true"])
     implicit = load_scenario("postcapture", ["simulator_config.integration_scheme=implicit_euler"])
-    for scenario in (controlled, implicit):
+    captured = load_scenario("tumbling_capture", [SHORT, "capture.approach=null"])
+    for scenario in (controlled, implicit, captured):
         assert batches_of([scenario, scenario], 16) == [[0], [1]]
 
 
@@ -613,7 +520,6 @@ FLEXIBLE = (
     "model.flexible.tank={kind: pendulum, mass: 1, length: 0.3, frequency: 0.4}",
 )
 FILTERED = ("command_filter={low_pass: 20, notch: 5}", "reference.shaper={frequencies: [3.0]}")
-BEGUN = ("capture.approach.duration=0.05", "duration=0.1", "reference.duration=0.04")
 # Scenarios of which one value is changed, on every kind of block.
 BASES = {
     "plain": ("postcapture", *FILTERED),
@@ -623,7 +529,6 @@ BASES = {
     "slow": ("slow_navigation",),
     "flexible": ("flexible_panels", *FLEXIBLE),
     "frame": ("free_floating",),
-    "capture": ("tumbling_capture", *CAPTURE, *BEGUN),
     "user's": (
         "postcapture",
         f"blocks.forces.own={{system: '{LAB}:Spring', settings: {{pull: 0.5}}}}",

@@ -26,7 +26,7 @@ from ffsm_drake.plugins.capture.approach import (
     outwards,
 )
 from ffsm_drake.plugins.capture.contact import coast, payload_body
-from ffsm_drake.plugins.capture.gripper import Gripper
+from ffsm_drake.plugins.capture.gripper import Gripper, Met
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.plugins.capture.phases import Captures, given_up
 from ffsm_drake.plugins.capture.retreat import Move, along
@@ -46,7 +46,6 @@ from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory
-from ffsm_drake.systems.side_by_side import SideBySide
 
 _EVERY = 0.5  # s; between the instants at which a further try may meet the target
 _LENGTH = 2.0  # m; a turn of the base by 1 rad counts as this way
@@ -62,15 +61,11 @@ class ClosingRun(Captures):
     ``scenario`` and ``handover`` are those of the last try.
     """
 
-    copy = 0  # number of the spacecraft in its loops
     _across: Move  # from where a retreat ends to where the next try begins
 
-    def __init__(
-        self, handovers: Sequence[Handover], progress: Progress | None = None, **how: Any
-    ) -> None:
-        """Args: see ``Captures``; there is one run."""
-        super().__init__(handovers, progress, **how)
-        handover = self.handover
+    def __init__(self, handover: Handover, progress: Progress | None = None, **how: Any) -> None:
+        """Args: see ``Captures``."""
+        super().__init__(handover, progress, **how)
         self._chosen = self.scenario = scenario = handover.scenario
         self._moves: tuple[Move, ...] = ()  # moves of the last retreat
         self._again: float | None = None  # s; begin of the approach after it
@@ -97,11 +92,6 @@ class ClosingRun(Captures):
         if measured:
             motion, self._expected = drawn_path(scenario, measured.filter, self._motion[0])
             self._motion = self._onward(motion, 0)
-
-    @property
-    def handover(self) -> Handover:
-        """Handover of the last try."""
-        return self.handovers[0]
 
     def first(self) -> Phase:
         """The first phase."""
@@ -130,9 +120,9 @@ class ClosingRun(Captures):
             **how,
         )
 
-    def held(self) -> Handover:
-        """Handover to the stop with the target in the gripper, at rest there, planned from the
-        state that the servicer measures.
+    def _stop(self) -> Phase:
+        """The stop with the target in the gripper, at rest there, planned from the state that the
+        servicer measures.
         """
         scenario, model = self.scenario, make_nominal_plant(self.scenario)
         q, v = np.split(self._estimated, [model.plant.num_positions()])
@@ -157,12 +147,7 @@ class ClosingRun(Captures):
         handover = Handover(scenario)
         handover.sample, handover.path = self.sample, self._motion[: self.sample]
         handover.find_target(self._motion[self.sample])
-        self.handovers, self.scenario = [handover], scenario
-        return handover
-
-    def _stop(self) -> Phase:
-        """The stop with the target in the gripper."""
-        self.held()
+        self.handover, self.scenario = handover, scenario
         self.meet()
         return self._phase(
             names=(("stop", None),), holds=True, follows=False, sees=False, afresh=("controller",)
@@ -173,90 +158,61 @@ class ClosingRun(Captures):
         """Motion of the target (n, 13) at the samples of the run, as far as is known."""
         return self._motion
 
-    def _path(self, copy: int) -> np.ndarray:
-        return self._motion
-
-    def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
+    def _note(self, phase: Phase, log: RunLog) -> None:
         first = self.sample
-        super()._note(phase, logs)
-        self.moved(self.loop, first, self.logs[0][-1])
-
-    def moved(self, loop: ClosedLoop, first: int, log: RunLog) -> None:
-        """A loop ran from a sample on: the target is where its gripper, if it closed, moved it."""
-        block: Any = loop.blocks[GRIPPER]
-        alone = isinstance(block, SideBySide)
-        motions = block.systems[self.copy].motions if alone else block.motions
-        if motions:
-            own = [each[0 if alone else self.copy] for each in motions[: log.time.size]]
-            self._motion = np.vstack([self._motion[:first], *own])
-
-    def find_target(self) -> None:
-        """The target is where it has moved to at the present sample."""
-        self.handover.find_target(self._motion[self.sample])
+        super()._note(phase, log)
+        block: Any = self.loop.blocks[GRIPPER]
+        if block.motions:  # the target is where the gripper moved it
+            self._motion = np.vstack([self._motion[:first], *block.motions[: log.time.size]])
 
     def _close(self) -> Phase | None:
         """Close the gripper, unless it misses."""
         first, handover = self.sample, self.handover
-        if since := given_up(self.logs[0][-1]):
+        if since := given_up(self.logs[-1]):
             return self._retreat(MISSED, f"is not met: {since}")
-        self.find_target()
+        handover.find_target(self._motion[first])
         self.meet()
         if beyond := handover.beyond_envelope():
             return self._retreat(MISSED, f"is missed: {beyond}")
         last = first + self.samples
         return self._phase(
             names=((self._numbered("closing"), last),),
-            blocks=self.closing_blocks(),
-            joint_force=lately(self.logs[0][-1]) if self.is_limp else None,
+            blocks={
+                GRIPPER: Gripper(self._capture.compliance or Compliance()),
+                **self._supervised(waits=True),
+            },
+            joint_force=_lately(self.logs[-1]) if self._closing.joints == "limp" else None,
             sees=False,
-            begin=self.begin_to_close,
+            begin=self._begin_to_close,
             next=lambda: self._judge(first),
         )
 
-    @property
-    def is_limp(self) -> bool:
-        """Whether the arm is limp while the gripper closes."""
-        return self._closing.joints == "limp"
-
-    def closing_blocks(self) -> dict[str, Factory]:
-        """Blocks of the phase in which the gripper closes."""
-        part = Gripper(self._capture.compliance or Compliance())
-        return {GRIPPER: part, **self._supervised(waits=True)}
-
-    def begin_to_close(self, loop: ClosedLoop, root_context: Context) -> None:
+    def _begin_to_close(self, loop: ClosedLoop, root_context: Context) -> None:
         """Begin to close the gripper at the present sample."""
-        force, context, copy = _gripper(loop, root_context, self.copy)
+        force: Any = loop.blocks[GRIPPER]
         force.begin(
-            context,
-            copy=copy,
+            force.GetMyMutableContextFromRoot(root_context),
             payload=self._chosen.payload.truth,
             target=self._motion[self.sample],
-            state=loop.whole_states(root_context)[self.copy],
+            state=loop.whole_states(root_context)[0],
         )
 
     def _judge(self, first: int) -> Phase | None:
         """Go on with the target, if the gripper that began to close at a sample holds it."""
-        lost = self.lost(first)
-        return self._retreat(*lost) if lost else self._stop()
-
-    def lost(self, first: int) -> tuple[str, str] | None:
-        """Status and text of a target that the gripper, which began to close at a sample, does not
-        hold; None: it does.
-        """
-        force, context, copy = _gripper(self.before, self.context, self.copy)
-        state = self.before.whole_states(self.context)[self.copy]
-        met = force.met(context, state, copy=copy)
+        force: Any = self.before.blocks[GRIPPER]
+        state = self.before.whole_states(self.context)[0]
+        met: Met = force.met(force.GetMyContextFromRoot(self.context), state)
         onward = self._onward(met.motion, self.sample)
         self._motion = np.vstack([self._motion, onward])
         turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
         if math.isinf(met.left) and max(turning, moving) <= self._closing.rest:
-            return None
+            return self._stop()
         away = float(np.linalg.norm(met.offset[3:]))
         closed_at = first * self._chosen.sample_time + self._closing.time
         status = BOUNCED if met.left < closed_at else SLIPPED
         how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
         motion = f"{number(moving)} m/s and {number(turning)} rad/s"
-        return status, f"{how}: {number(away)} m away, moving at {motion} from it"
+        return self._retreat(status, f"{how}: {number(away)} m away, moving at {motion} from it")
 
     def _numbered(self, name: str) -> str:
         return name if self._tries == 1 else f"{name}_{self._tries}"
@@ -278,7 +234,7 @@ class ClosingRun(Captures):
         """
         period, retreat = self._chosen.sample_time, self._capture.retreat
         message = f"at t = {self.sample * period:g} s the target {what}"
-        self._fail(0, status, message)
+        self._fail(status, message)
         if retreat is None:
             return None
         self._known = self._seen
@@ -286,7 +242,7 @@ class ClosingRun(Captures):
         end = self.sample + round(away.duration / period)
         if end > self._chosen.num_control_periods:
             return None
-        del self.failed[0]  # unless the retreat comes to its end
+        self.failed = None  # unless the retreat comes to its end
         name, left = (self._numbered("retreat"), end), self._tries < retreat.tries
         touched = status != MISSED
 
@@ -294,7 +250,7 @@ class ClosingRun(Captures):
             last = self.before.whole_states(self.context)[0][4:7]
             path = Path(motion=self._motion, arm=self._true_arm)
             far = number(float(np.linalg.norm(last - path.center(self.sample - 1))))
-            self._fail(0, status, f"{message}; the servicer retreats to {far} m from it")
+            self._fail(status, f"{message}; the servicer retreats to {far} m from it")
             return None
 
         def again(*, touched: bool = False) -> Phase | None:
@@ -350,7 +306,7 @@ class ClosingRun(Captures):
     def _estimated(self) -> np.ndarray:
         """The state [q; v] that the servicer measures."""
         found: np.ndarray = self.before.diagram.GetOutputPort("estimated_state").Eval(self.context)
-        return found.reshape(len(self.before.scenarios) or 1, -1)[self.copy]
+        return found
 
     def _away(self, retreat: Retreat) -> Move:
         """Motion from the measured state to rest away from the target, within the limits and the
@@ -478,7 +434,7 @@ class ClosingRun(Captures):
                 begin,
                 margin=self._approach.margin,
             ):
-                self.scenario, self.handovers = scenario, [Handover(scenario)]
+                self.scenario, self.handover = scenario, Handover(scenario)
                 self.handover.sample = sample
                 return True
         return False
@@ -539,16 +495,7 @@ def _nothing(loop: ClosedLoop, root_context: Context) -> None:
     pass
 
 
-def _gripper(loop: ClosedLoop, root_context: Context, copy: int) -> tuple[Any, Context, int]:
-    """The gripper's system of a copy in a loop, its context, and the copy's number in it."""
-    block = loop.blocks[GRIPPER]
-    context = block.GetMyMutableContextFromRoot(root_context)
-    if isinstance(block, SideBySide):
-        return *block.each(context)[copy], 0
-    return block, context, copy
-
-
-def lately(log: RunLog) -> np.ndarray:
+def _lately(log: RunLog) -> np.ndarray:
     """The mean force (joints) of the joints' actuators over the last samples of a log."""
     applied = log.series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
     found: np.ndarray = applied.mean(axis=0)

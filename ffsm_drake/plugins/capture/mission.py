@@ -9,13 +9,12 @@ the payload.
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from pydrake.geometry import Meshcat
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.closing import ClosingRun
-from ffsm_drake.plugins.capture.first_tries import FirstTries
 from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
 from ffsm_drake.plugins.capture.phases import Captures
 from ffsm_drake.plugins.capture.pictures import show_apart
@@ -27,31 +26,25 @@ from ffsm_drake.systems.registry import Factory
 
 
 class MissionRollout:
-    """A ``Rollout`` of a scenario with a capture, or several with the same sample of the grasp."""
+    """A ``Rollout`` of a scenario with a capture."""
 
     def __init__(
         self,
-        scenario: Scenario | Sequence[Scenario],
+        scenario: Scenario,
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
-        self._blocks = blocks
+        self._blocks, self._scenario = blocks, scenario
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
-        self._scenarios = _as_tuple(scenario)
         self._approach = None
-        first = self._scenarios[0]
-        if first.grasp_time > 0.0:
+        if scenario.grasp_time > 0.0:
             show = None
             if meshcat is not None:
-                show = functools.partial(show_apart, Handover(first).path[:, :7])
-            self._approach = Rollout(
-                [dataclasses.replace(each, holds=False) for each in self._scenarios],
-                blocks=blocks,
-                meshcat=meshcat,
-                show=show,
-            )
+                show = functools.partial(show_apart, Handover(scenario).path[:, :7])
+            empty = dataclasses.replace(scenario, holds=False)
+            self._approach = Rollout(empty, blocks=blocks, meshcat=meshcat, show=show)
 
     @property
     def loop(self) -> ClosedLoop:
@@ -64,7 +57,7 @@ class MissionRollout:
             if rollout is not None:
                 rollout.release()
 
-    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
+    def accepts(self, scenario: Scenario) -> bool:
         """As ``Rollout.accepts``."""
         return self._stop.accepts(scenario)
 
@@ -86,39 +79,15 @@ class MissionRollout:
         """
         if self._approach is None:
             return grasped_at_start(self._stop.run(scenario, progress=progress, leg=leg))
-        (log,) = self._through(None if scenario is None else [scenario], progress, leg)
-        assert log is not None  # failures of a run alone are raised
-        return log
-
-    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
-        """As ``Rollout.run_all``."""
-        if self._approach is None:
-            logs = self._stop.run_all(scenarios)
-            return [None if log is None else grasped_at_start(log) for log in logs]
-        return self._through(scenarios, None)
-
-    def _through(
-        self,
-        given: Sequence[Scenario] | None,
-        progress: Progress | None,
-        leg: Leg | None = None,
-    ) -> list[RunLog | None]:
-        """Run scenarios, None: the built ones, through their phases."""
-        scenarios = given or self._scenarios
-        closes = ClosingRun if len(scenarios) == 1 else FirstTries
-        kind = Captures if scenarios[0].closing is None else closes
-        mission = kind(
-            [Handover(each) for each in scenarios],
+        scenario = scenario or self._scenario
+        mission = (Captures if scenario.closing is None else ClosingRun)(
+            Handover(scenario),
             progress,
             blocks=self._blocks,
             kept={True: self._stop, False: self._approach},
         )
-        mission.last, end = (None, None) if leg is None else (leg.last, leg.end)
-        logs = mission.run(mission.first())
-        if end is not None and not mission.ended:
-            end(mission.before, mission.context)
-        return logs
-
-
-def _as_tuple(scenario: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
-    return (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
+        mission.last = None if leg is None else leg.last
+        log = mission.run(mission.first())
+        if leg is not None and leg.end is not None and not mission.ended:
+            leg.end(mission.before, mission.context)
+        return log

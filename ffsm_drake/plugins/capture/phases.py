@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,20 +22,18 @@ CONTACTS = "forces.contacts"
 
 
 class Captures(Mission):
-    """Runs through the phases of a capture with grippers that close at once."""
+    """A run through the phases of a capture with a gripper that closes at once."""
 
     last: int | None = None  # sample at which the stop ends; None: the end of the run
 
-    def __init__(
-        self, handovers: Sequence[Handover], progress: Progress | None = None, **how: Any
-    ) -> None:
-        """Args: handover of each run; further ones, see ``Mission``."""
-        super().__init__([each.scenario for each in handovers], progress, **how)
-        self.handovers = list(handovers)
+    def __init__(self, handover: Handover, progress: Progress | None = None, **how: Any) -> None:
+        """Args: see ``Mission``."""
+        super().__init__(handover.scenario, progress, **how)
+        self.handover = handover
 
     def first(self) -> Phase:
         """The first phase."""
-        return self.approach(self.handovers[0].sample, self._hold)
+        return self.approach(self.handover.sample, self._hold)
 
     def approach(
         self,
@@ -46,7 +44,7 @@ class Captures(Mission):
         """The scenario's own phases and the approach, up to a sample, with some blocks: neighbours
         with the same blocks share a loop.
         """
-        scenario, shared, end = self.handovers[0].scenario, blocks or {}, 0.0
+        scenario, shared, end = self.handover.scenario, blocks or {}, 0.0
         phases, before = list[Phase](), dict[str, Factory]()
         for name, phase in {**phases_before(scenario), "approach": Phase()}.items():
             own = dict(phase.blocks)
@@ -64,75 +62,68 @@ class Captures(Mission):
         return phase
 
     def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
-        """Put the servicers at their starts; where the last phase ended; or with their targets."""
+        """Put the servicer at its start; where the last phase ended; or with its target."""
         if self.sample == 0:
-            starts = np.stack([each.start(loop) for each in self.handovers])
-            loop.set_whole_states(root_context, starts)
+            loop.set_whole_states(root_context, self.handover.start(loop)[None])
         elif phase.holds:
             self._grasp(phase, loop, root_context)
         else:
             super().begin(phase, loop, root_context)
 
     def meet(self) -> None:
-        """Find how each gripper meets its target."""
-        for copy, state in enumerate(self.before.whole_states(self.context)):
-            if copy not in self.ended:
-                self.handovers[copy].meet(self.before, state)
+        """Find how the gripper meets the target."""
+        self.handover.meet(self.before, self.before.whole_states(self.context)[0])
 
     def _grasp(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
-        """Grasp the targets; the runs continue from the states after the grasp."""
-        rows = loop.whole_states(root_context)
-        for copy, handover in enumerate(self.handovers):
-            if copy not in self.ended:
-                rows[copy] = handover.grasp(loop)
-        loop.set_whole_states(root_context, rows)
-        references = np.stack([each.reference for each in self.handovers])
-        loop.resume(root_context, self.before, self.context, references, afresh=phase.afresh)
+        """Grasp the target; the run continues from the state after the grasp."""
+        handover = self.handover
+        state = handover.grasp(loop)
+        loop.set_whole_states(root_context, state[None])
+        reference = handover.reference[None]
+        loop.resume(root_context, self.before, self.context, reference, afresh=phase.afresh)
         # to the blocks, which resume with nothing in the gripper
-        loop.set_payloads(root_context, [each.payload for each in self.handovers])
+        loop.set_payload(root_context, handover.payload)
         if CONTACTS in loop.blocks:
             hands: Any = loop.blocks[CONTACTS]
-            hands.hold(rows[0])
+            hands.hold(state)
 
     def _hold(self) -> Phase | None:
-        """The stop of the runs whose grippers hold the target."""
+        """The stop, if the gripper holds the target."""
         self.meet()
-        for copy in {*range(len(self.logs))} - self.ended:
-            handover = self.handovers[copy]
-            message, beyond = given_up(self.logs[copy][-1]), handover.beyond_envelope()
-            beyond = beyond or self._others_beyond(copy)
-            at = f"t = {handover.scenario.grasp_time:g} s"
-            if message or beyond:
-                self._fail(copy, MISSED, message or f"the target is missed at {at}: {beyond}")
-        self.ended |= set(self.failed)
-        if len(self.ended) == len(self.logs):
+        message, beyond = given_up(self.logs[-1]), self.handover.beyond_envelope()
+        beyond = beyond or self._others_beyond()
+        at = f"t = {self._scenario.grasp_time:g} s"
+        if message or beyond:
+            self._fail(MISSED, message or f"the target is missed at {at}: {beyond}")
+            self.ended = True
             return None
         return Phase(names=(("stop", self.last),), holds=True)
 
-    def _others_beyond(self, copy: int) -> str:
+    def _others_beyond(self) -> str:
         """As ``Handover.beyond_envelope``, of further hands."""
-        stop, capture = self._kept.get(True), self._scenarios[copy].capture
+        stop, capture = self._kept.get(True), self._scenario.capture
         if stop is None or capture is None or CONTACTS not in stop.loop.blocks:
             return ""
         hands: Any = stop.loop.blocks[CONTACTS]
-        beyond: str = hands.beyond(self.before.whole_states(self.context)[copy], capture.envelope)
+        beyond: str = hands.beyond(self.before.whole_states(self.context)[0], capture.envelope)
         return beyond
 
-    def _note(self, phase: Phase, logs: Sequence[RunLog | None]) -> None:
-        super()._note(phase, [None if log is None else _without_contact(log) for log in logs])
+    def _note(self, phase: Phase, log: RunLog) -> None:
+        super()._note(phase, _without_contact(log))
 
-    def _path(self, copy: int) -> np.ndarray:
-        """The motion of a target before its grasp, at the samples from the start."""
-        return self.handovers[copy].path
+    @property
+    def path(self) -> np.ndarray:
+        """Motion of the target (n, 13) before its grasp, at the samples from the start."""
+        return self.handover.path
 
-    def _joined(self, copy: int) -> RunLog:
-        log, made = super()._joined(copy), self.handovers[copy].log
+    def _joined(self) -> RunLog:
+        log, made = super()._joined(), self.handover.log
         if made is None:
-            truth = self._scenarios[copy].payload.truth
-            target = self._path(copy)[: log.time.size]
+            truth = self._scenario.payload.truth
+            target = self.path[: log.time.size]
             grasp = GraspLog(sample=log.time.size, payload=truth, target=target)
         else:
-            grasp = dataclasses.replace(made, stored=stored_at_start(self.logs[copy][-1]))
+            grasp = dataclasses.replace(made, stored=stored_at_start(self.logs[-1]))
         return dataclasses.replace(
             log, grasp=dataclasses.replace(grasp, legs=self._legs(grasp.sample))
         )

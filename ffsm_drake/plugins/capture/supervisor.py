@@ -19,7 +19,7 @@ import functools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
@@ -86,17 +86,7 @@ class SupervisorPart(Part):
 
     def build(self, setup: BlockSetup) -> LeafSystem:
         """The block."""
-        return _Supervisor([setup], begin=self._begin, waits=self._waits)
-
-    def build_wide(self, setups: Sequence[BlockSetup]) -> LeafSystem | None:
-        """The block of several copies of the spacecraft, see ``systems.side_by_side``; None if
-        their settings differ.
-        """
-        alike = {(each.scenario.holds, each.scenario.grasp_time) for each in setups}
-        first = setups[0].scenario.supervisor
-        if len(alike) > 1 or any(each.scenario.supervisor != first for each in setups):
-            return None
-        return _Supervisor(setups, begin=self._begin, waits=self._waits)
+        return _Supervisor(setup, begin=self._begin, waits=self._waits)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""
@@ -214,28 +204,21 @@ class _Supervisor(LeafSystem):
 
     Inputs: those of the block. Outputs: ``desired_state``, ``desired_acceleration``,
     ``generalized_force``, ``restart`` (1: the law starts afresh at this sample), ``mode``,
-    ``mode_cause``. Of several copies of the spacecraft ports and memory hold copy after copy.
+    ``mode_cause``.
     """
 
-    def __init__(self, setups: Sequence[BlockSetup], *, begin: float, waits: bool) -> None:
+    def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
         super().__init__()
-        self._scenarios = [setup.scenario for setup in setups]
-        self._models = [setup.nominal for setup in setups]
-        scenario, self._waits = self._scenarios[0], waits
+        self._scenario = scenario = setup.scenario
+        self._model, self._waits = setup.nominal, waits
         self._is_empty = not scenario.holds
-        self._begin, self._grasp_time = begin, begin + scenario.grasp_time
-        self._coordinates = coordinates = setups[0].coordinates
+        self._grasp_time = begin + scenario.grasp_time
+        self._coordinates = coordinates = setup.coordinates
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         assert scenario.supervisor is not None
-        self._settings, self._step = scenario.supervisor, setups[0].sample_time
+        self._settings, self._step = scenario.supervisor, setup.sample_time
         self._limit, self._largest = (
-            np.stack(
-                [
-                    actuation_limit(each, coordinates, helped=helped).upper
-                    for each in self._scenarios
-                ]
-            )
-            for helped in (False, True)
+            actuation_limit(scenario, coordinates, helped=helped).upper for helped in (False, True)
         )
         if not np.isfinite(self._limit).any():
             raise ScenarioError(
@@ -248,43 +231,31 @@ class _Supervisor(LeafSystem):
             for name, given in (("error", self._settings.error), ("rate", self._settings.rate))
         ]
         self._is_bounded = any(np.isfinite(bound).any() for bound in self._bounds)
-        self._ends = [begin + self._rest(each) for each in self._scenarios]
+        rest = scenario.planned_end  # of the scenario's own motion, s
+        self._end = begin + (make_motion(scenario, coordinates).end if rest is None else rest)
         self._declare()
-        self._motions = dict[int, tuple[bytes, PlannedMotion]]()  # a cache: of a copy's row
+        self._motion_of: tuple[bytes, PlannedMotion] | None = None  # a cache, of a new plan's row
         untie(self)
 
-    def _rest(self, scenario: Scenario) -> float:
-        """End of a scenario's own motion, s."""
-        end = scenario.planned_end
-        return make_motion(scenario, self._coordinates).end if end is None else end
-
     def _declare(self) -> None:
-        copies, nv, states = len(self._scenarios), self._nv, self._nq + self._nv
-        self._measured = self.DeclareVectorInputPort("estimated_state", copies * states)
-        self._planned = self.DeclareVectorInputPort("desired_state", copies * states)
-        self._planned_acceleration = self.DeclareVectorInputPort(
-            "desired_acceleration", copies * nv
-        )
-        self._command = self.DeclareVectorInputPort("generalized_force", copies * nv)
-        self._request = self.DeclareVectorInputPort("abort_request", copies)
-        first = Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP
-        sizes = {
-            "mode": 1,
-            "cause": 1,
-            "restart": 1,  # 1 while the law restarts at each sample, with the force of damping
+        nv, states = self._nv, self._nq + self._nv
+        self._measured = self.DeclareVectorInputPort("estimated_state", states)
+        self._planned = self.DeclareVectorInputPort("desired_state", states)
+        self._planned_acceleration = self.DeclareVectorInputPort("desired_acceleration", nv)
+        self._command = self.DeclareVectorInputPort("generalized_force", nv)
+        self._request = self.DeclareVectorInputPort("abort_request", 1)
+        first = {
+            "mode": [float(Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP)],
+            "cause": np.zeros(1),
+            "restart": np.zeros(1),  # 1 while the law restarts at each sample, with damping's force
             # saturated time, time below ``end_share``, number of new plans, request before
-            "counters": 4,
-            "force": nv,
-            "filtered": nv,
-            "held": states,  # measured at the last sample of damping
-            "plan": 3 + states,  # ``NewPlan``; duration 0: none
+            "counters": np.zeros(4),
+            "force": np.zeros(nv),
+            "filtered": np.zeros(nv),
+            "held": np.zeros(states),  # measured at the last sample of damping
+            "plan": np.zeros(3 + states),  # ``NewPlan``; duration 0: none
         }
-        self._first = {name: np.zeros(size) for name, size in sizes.items()}
-        self._first["mode"][:] = float(first)
-        self._groups = {
-            name: self.DeclareDiscreteState(np.tile(row, copies))
-            for name, row in self._first.items()
-        }
+        self._groups = {name: self.DeclareDiscreteState(row) for name, row in first.items()}
         own, read = self.xd_ticket(), self.input_port_ticket
         motion = {
             own,
@@ -298,13 +269,13 @@ class _Supervisor(LeafSystem):
         ):
             self.DeclareVectorOutputPort(
                 name,
-                copies * (within.stop - within.start),
+                within.stop - within.start,
                 functools.partial(weak_callback(self._calc_motion), within),
                 motion,
             )
         self.DeclareVectorOutputPort(
             "generalized_force",
-            copies * nv,
+            nv,
             weak_callback(self._calc_force),
             {own, read(self._command.get_index())},
         )
@@ -312,176 +283,151 @@ class _Supervisor(LeafSystem):
             self.DeclareStateOutputPort(name, self._groups[group])
         self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weak_callback(self._update))
 
-    def park(self, context: Context, copy: int) -> None:
-        """Put a copy's memory to its start (``systems.side_by_side``)."""
-        for name, rows in self._memory(context).items():
-            rows[copy] = self._first[name]
-            context.SetDiscreteState(self._groups[name], rows.ravel())
-
     def _memory(self, context: Context) -> dict[str, np.ndarray]:
-        """A copy of the discrete state: rows of each group."""
-        return {name: self._rows(context, name).copy() for name in self._groups}
+        """A copy of the discrete state, by group."""
+        return {name: self._now(context, name).copy() for name in self._groups}
 
-    def _rows(self, context: Context, name: str) -> np.ndarray:
+    def _now(self, context: Context, name: str) -> np.ndarray:
         values: np.ndarray = context.get_discrete_state(self._groups[name]).value()
-        return values.reshape(len(self._scenarios), -1)
-
-    def _of_each(self, port: InputPort, context: Context) -> np.ndarray:
-        """The values of an input, a row for each copy."""
-        values: np.ndarray = port.Eval(context)
-        return values.reshape(len(self._scenarios), -1)
+        return values
 
     def _calc_motion(self, within: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._motion(context)[:, within].ravel())
+        output.SetFromVector(self._motion(context)[within])
 
     def _motion(self, context: Context) -> np.ndarray:
-        """[q_d; v_d; a_d] of the plans in force; in rate damping the state last measured."""
-        planned = self._of_each(self._planned, context)
-        rows = np.hstack([planned, self._of_each(self._planned_acceleration, context)])
-        damps = self._rows(context, "mode")[:, 0] == Mode.RATE_DAMPING
-        plans = self._rows(context, "plan")
-        for copy in np.flatnonzero(damps | (plans[:, 1] > 0.0)).tolist():
-            rows[copy] = (
-                np.concatenate([self._rows(context, "held")[copy], np.zeros(self._nv)])
-                if damps[copy]
-                else self._along(copy, plans[copy], context.get_time())
-            )
-        return rows
+        """[q_d; v_d; a_d] of the plan in force; in rate damping the state last measured."""
+        if self._now(context, "mode")[0] == Mode.RATE_DAMPING:
+            return np.concatenate([self._now(context, "held"), np.zeros(self._nv)])
+        plan = self._now(context, "plan")
+        if plan[1] > 0.0:
+            return self._along(plan, context.get_time())
+        planned = self._planned, self._planned_acceleration
+        return np.concatenate([port.Eval(context) for port in planned])
 
-    def _along(self, copy: int, plan: np.ndarray, time: float) -> np.ndarray:
-        """[q_d; v_d; a_d] of a copy's new plan."""
+    def _along(self, plan: np.ndarray, time: float) -> np.ndarray:
+        """[q_d; v_d; a_d] of a new plan."""
         key, since = plan.tobytes(), time - plan[0]
-        if copy not in self._motions or self._motions[copy][0] != key:
+        if self._motion_of is None or self._motion_of[0] != key:
             made = NewPlan.from_row(plan.copy(), self._nq)
-            motion = made.motion(self._scenarios[copy], self._coordinates)
-            self._motions[copy] = key, motion
+            self._motion_of = key, made.motion(self._scenario, self._coordinates)
         sample = round(since / self._step) * self._step
-        return self._motions[copy][1].row(sample if abs(sample - since) < 1e-9 else since)
+        return self._motion_of[1].row(sample if abs(sample - since) < 1e-9 else since)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        command = self._of_each(self._command, context)
-        damped = self._rows(context, "restart") > 0.0
-        if damped.any():
-            command = np.where(damped, self._rows(context, "force"), command)
-        output.SetFromVector(command.ravel())
+        damped = self._now(context, "restart")[0] > 0.0
+        output.SetFromVector(self._now(context, "force") if damped else self._command.Eval(context))
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         memory, time = self._memory(context), context.get_time()
-        state, command = (self._of_each(each, context) for each in (self._measured, self._command))
-        was_damping = memory["mode"][:, 0] == Mode.RATE_DAMPING
-        causes = self._causes(context, state, command, memory, was_damping)
-        memory["restart"][~was_damping & (causes == Cause.NONE)] = 0.0
-        for copy in range(len(self._scenarios)):
-            row = {name: rows[copy] for name, rows in memory.items()}  # views
-            is_damping = bool(was_damping[copy])
-            if causes[copy] != Cause.NONE:
-                row["cause"][0] = causes[copy]
-                row["counters"][:2] = 0.0
-                mode = self._react(copy, time, state[copy], command[copy], row)
-            else:
-                mode = Mode.RATE_DAMPING if is_damping else self._mode_at(copy, time, row["plan"])
-            if mode == Mode.RATE_DAMPING:
-                mode = self._damp(copy, time, state[copy], row, begins=not is_damping)
-            row["mode"][0] = float(mode)
-        for name, rows in memory.items():
-            values.set_value(self._groups[name], rows.ravel())
+        state, command = self._measured.Eval(context), self._command.Eval(context)
+        was_damping = bool(memory["mode"][0] == Mode.RATE_DAMPING)
+        cause = self._cause(context, state, command, memory)
+        if cause != Cause.NONE:
+            memory["cause"][0] = cause
+            memory["counters"][:2] = 0.0
+            mode = self._react(time, state, command, memory)
+        elif was_damping:
+            mode = Mode.RATE_DAMPING
+        else:
+            memory["restart"][0] = 0.0
+            mode = self._mode_at(time, memory["plan"])
+        if mode == Mode.RATE_DAMPING:
+            mode = self._damp(time, state, memory, begins=not was_damping)
+        memory["mode"][0] = float(mode)
+        for name, row in memory.items():
+            values.set_value(self._groups[name], row)
 
     def _react(
-        self,
-        copy: int,
-        time: float,
-        state: np.ndarray,
-        command: np.ndarray,
-        row: dict[str, np.ndarray],
+        self, time: float, state: np.ndarray, command: np.ndarray, memory: dict[str, np.ndarray]
     ) -> Mode:
         """Rate damping; before the grasp a retreat at once, if there is a plan for it."""
         if not self._is_before_grasp(time):
             return Mode.RATE_DAMPING
-        plan = self._plan_anew(copy, time, state, int(row["counters"][2]))
+        plan = self._plan_anew(time, state, int(memory["counters"][2]))
         if plan is None:
             return Mode.RATE_DAMPING
-        row["counters"][2] += 1.0
-        row["plan"][:] = plan.as_row()
-        row["force"][:] = np.clip(command, -self._limit[copy], self._limit[copy])
-        row["restart"][0] = 1.0
+        memory["counters"][2] += 1.0
+        memory["plan"][:] = plan.as_row()
+        memory["force"][:] = np.clip(command, -self._limit, self._limit)
+        memory["restart"][0] = 1.0
         return Mode.RETREAT
 
     def _is_before_grasp(self, time: float) -> bool:
         return self._is_empty or time < self._grasp_time - 0.5 * self._step
 
-    def _causes(
+    def _cause(
         self,
         context: Context,
         state: np.ndarray,
         command: np.ndarray,
         memory: dict[str, np.ndarray],
-        is_damping: np.ndarray,
-    ) -> np.ndarray:
-        """Why to damp the rates of each copy now, if there is a reason and it does not; the
-        counters in ``memory`` are brought up to date.
+    ) -> Cause:
+        """Why to damp the rates now, if there is a reason and they are not damped; the counters in
+        ``memory`` are brought up to date.
         """
-        causes = np.full(len(self._scenarios), Cause.NONE, dtype=int)
-        if self._waits:
-            return causes
-        saturated, asked_before = memory["counters"][:, 0], memory["counters"][:, 3]
-        commands = ~is_damping & (memory["restart"][:, 0] == 0.0)  # the law's force was commanded
-        over = (np.abs(command) > self._largest).any(axis=1)
-        counted = np.maximum(0.0, saturated + np.where(over, self._step, -self._step))
-        saturated[commands] = counted[commands]
+        if self._waits or memory["mode"][0] == Mode.RATE_DAMPING:
+            return Cause.NONE
+        cause, counters = Cause.NONE, memory["counters"]
+        if memory["restart"][0] == 0.0:  # the law's force was commanded
+            over = bool((np.abs(command) > self._largest).any())
+            counters[0] = max(0.0, counters[0] + (self._step if over else -self._step))
         if self._is_bounded:
-            desired = self._motion(context)[:, : state.shape[1]]
+            desired = self._motion(context)[: state.size]
             errors = tracking_errors(desired, state, self._nq)
-            for cause, bound, error in zip(
+            for each, bound, error in zip(
                 (Cause.RATE, Cause.ERROR), self._bounds[::-1], errors[::-1], strict=True
             ):
-                causes[(np.abs(error) > bound).any(axis=1)] = cause
-        causes[saturated > self._settings.saturated_time + 1e-9] = Cause.SATURATED
+                if (np.abs(error) > bound).any():
+                    cause = each
+        if counters[0] > self._settings.saturated_time + 1e-9:
+            cause = Cause.SATURATED
         if self._request.HasValue(context):
-            asked = self._request.Eval(context) > 0.5
-            causes[asked & (asked_before == 0.0)] = Cause.REQUEST
-            asked_before[~is_damping] = asked[~is_damping]
-        causes[is_damping] = Cause.NONE
-        return causes
+            asked = bool(self._request.Eval(context)[0] > 0.5)
+            if asked and counters[3] == 0.0:
+                cause = Cause.REQUEST
+            counters[3] = asked
+        return cause
 
     def _damp(
-        self, copy: int, time: float, state: np.ndarray, row: dict[str, np.ndarray], *, begins: bool
+        self, time: float, state: np.ndarray, memory: dict[str, np.ndarray], *, begins: bool
     ) -> Mode:
         """Command tau = -sigma kappa Hhat v, until kappa Hhat v, low-passed, has been small for a
         time and there is a plan from then on.
         """
-        settings, limit = self._settings, self._limit[copy]
+        settings, limit = self._settings, self._limit
         q, v = np.split(state, [self._nq])
-        wanted = settings.damping * (self._models[copy].calc_mass_matrix(q) @ v)
+        wanted = settings.damping * (self._model.calc_mass_matrix(q) @ v)
         scale = 1.0 / max(1.0, float((np.abs(wanted) / limit).max()))
-        row["force"][:], row["held"][:], row["restart"][0] = -scale * wanted, state, 1.0
-        filtered = wanted if begins else row["filtered"]
+        memory["force"][:], memory["held"][:] = -scale * wanted, state
+        memory["restart"][0] = 1.0
+        filtered = wanted if begins else memory["filtered"]
         filtered = filtered + min(1.0, self._step / settings.filter_time) * (wanted - filtered)
-        row["filtered"][:], counters = filtered, row["counters"]
+        memory["filtered"][:], counters = filtered, memory["counters"]
         is_quiet = (np.abs(filtered) <= settings.end_share * limit).all()
         counters[1] = counters[1] + self._step if is_quiet else 0.0
         if counters[1] >= settings.end_time - 1e-9:
             counters[1] = 0.0  # without a plan damping continues
-            plan = self._plan_anew(copy, time, state, int(counters[2]))
+            plan = self._plan_anew(time, state, int(counters[2]))
             if plan is not None:
                 counters[2] += 1.0
-                row["plan"][:] = plan.as_row()
-                return self._mode_at(copy, time, row["plan"])
+                memory["plan"][:] = plan.as_row()
+                return self._mode_at(time, memory["plan"])
         return Mode.RATE_DAMPING
 
-    def _plan_anew(self, copy: int, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
+    def _plan_anew(self, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
         """A plan from the measured state after a number of others. If no plan is within its share
         of the limits: None, or with an empty gripper the plan with the least use of them, since
         rate damping would leave the light joints to the disturbance.
         """
         settings, (q, v) = self._settings, np.split(state, [self._nq])
-        most = settings.plan_share * settings.retry_factor**plans * self._limit[copy]
+        most = settings.plan_share * settings.retry_factor**plans * self._limit
         retreats, duration = self._is_before_grasp(time), _SHORTEST
         least, gentlest = np.inf, None
         while duration <= _LONGEST:
             plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
-            motion = plan.motion(self._scenarios[copy], self._coordinates)
+            motion = plan.motion(self._scenario, self._coordinates)
             rows = motion.rows(np.linspace(0.0, duration, _INSTANTS))
-            force = self._models[copy].calc_tracking_force(
+            force = self._model.calc_tracking_force(
                 *np.split(rows, [self._nq, self._nq + self._nv], axis=1)
             )
             share = float((np.abs(force) / most).max())
@@ -492,7 +438,7 @@ class _Supervisor(LeafSystem):
             duration *= _GROWTH
         return gentlest
 
-    def _mode_at(self, copy: int, time: float, plan: np.ndarray) -> Mode:
+    def _mode_at(self, time: float, plan: np.ndarray) -> Mode:
         """The mode outside rate damping."""
         if plan[1]:
             if plan[2]:
@@ -502,4 +448,4 @@ class _Supervisor(LeafSystem):
             return Mode.APPROACH
         if self._grasp_time > 0.0 and time < self._grasp_time + 0.5 * self._step:
             return Mode.GRASP
-        return Mode.STOP if time < self._ends[copy] - 1e-9 else Mode.HOLD
+        return Mode.STOP if time < self._end - 1e-9 else Mode.HOLD

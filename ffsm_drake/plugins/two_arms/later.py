@@ -11,7 +11,7 @@ its memory, in the velocities of the chain.
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -28,31 +28,27 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
 from ffsm_drake.systems.registry import Factory
-from ffsm_drake.systems.side_by_side import NotAlike
 
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 
 
 class LaterHandsRollout:
-    """A ``Rollout`` of a scenario with late hands; it runs alone."""
+    """A ``Rollout`` of a scenario with late hands."""
 
     def __init__(
         self,
-        scenario: Scenario | Sequence[Scenario],
+        scenario: Scenario,
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
-        first, *others = [scenario] if isinstance(scenario, Scenario) else scenario
-        if others:
-            raise NotAlike("a spacecraft with a closed chain runs alone")
-        self._scenario = first
+        self._scenario = scenario
         how: Any = {"blocks": blocks, "meshcat": meshcat}
         self._rollouts: dict[float, Any] = {}
-        for time in closing_times(first):
+        for time in closing_times(scenario):
             kind = Rollout if self._rollouts else make_rollout
-            self._rollouts[time] = kind(dataclasses.replace(first, closed=time), **how)
+            self._rollouts[time] = kind(dataclasses.replace(scenario, closed=time), **how)
 
     @property
     def loop(self) -> ClosedLoop:
@@ -65,7 +61,7 @@ class LaterHandsRollout:
         for rollout in self._rollouts.values():
             rollout.release()
 
-    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
+    def accepts(self, scenario: Scenario) -> bool:
         """As ``Rollout.accepts``."""
         return all(rollout.accepts(scenario) for rollout in self._rollouts.values())
 
@@ -77,13 +73,7 @@ class LaterHandsRollout:
     def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
         """As ``Rollout.run``; at the sample of a closing the log holds the velocity after it."""
         mission = _LaterHands(scenario or self._scenario, self._rollouts, progress)
-        (log,) = mission.run(mission.after(0.0))
-        assert log is not None  # failures of a run alone are raised
-        return log
-
-    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
-        """As ``Rollout.run_all``."""
-        return [self.run(each) for each in scenarios or [self._scenario]]
+        return mission.run(mission.after(0.0))
 
 
 class _LaterHands(Mission):
@@ -92,12 +82,12 @@ class _LaterHands(Mission):
     def __init__(
         self, scenario: Scenario, rollouts: Mapping[float, Any], progress: Progress | None
     ) -> None:
-        super().__init__([scenario], progress)
+        super().__init__(scenario, progress)
         self._rollouts = rollouts
 
     def after(self, time: float) -> Phase:
         """The phase from a closing on, by its time after the grasp (s)."""
-        (scenario,) = self._scenarios
+        scenario = self._scenario
         nexts, last = [each for each in self._rollouts if each > time], None
         if nexts:
             last = round((scenario.grasp_time + nexts[0]) / scenario.sample_time)
@@ -110,7 +100,7 @@ class _LaterHands(Mission):
 
     def _met(self, time: float) -> Phase | None:
         """The next phase, unless a hand is too far from its place."""
-        (scenario,) = self._scenarios
+        scenario = self._scenario
         state = self.before.whole_states(self.context)[0]
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
         beyond = self._rollouts[time].loop.blocks[_BLOCK].beyond(state, envelope)
@@ -118,17 +108,17 @@ class _LaterHands(Mission):
             return self.after(time)
         names = [name for name, each in scenario.contacts.items() if each.closes == time]
         at = f"t = {self.sample * scenario.sample_time:g} s"
-        self._fail(0, MISSED, f"the hand of contacts.{names[0]} misses its place at {at}: {beyond}")
+        self._fail(MISSED, f"the hand of contacts.{names[0]} misses its place at {at}: {beyond}")
         return None
 
-    def _loop_of(self, phase: Phase, scenarios: list[Scenario]) -> Any:
-        return self._rollouts[scenarios[0].closed or 0.0]
+    def _loop_of(self, phase: Phase, scenario: Scenario) -> Any:
+        return self._rollouts[scenario.closed or 0.0]
 
     def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
         """Close the hands of a phase on the target."""
         if self.sample == 0:
             return
-        log, block = self.logs[0][-1], loop.blocks[_BLOCK]
+        log, block = self.logs[-1], loop.blocks[_BLOCK]
         if log.grasp is not None:
             loop.set_payload(root_context, log.grasp.payload)
         state = self.before.whole_states(self.context)[0]
@@ -140,17 +130,16 @@ class _LaterHands(Mission):
 
     def _of_all(self, values: np.ndarray | None, count: int) -> np.ndarray:
         """Values (count, 6 for each contact that closes a loop) of all, from those of the first."""
-        (scenario,) = self._scenarios
-        closing = closing_contacts(dataclasses.replace(scenario, closed=math.inf))
+        closing = closing_contacts(dataclasses.replace(self._scenario, closed=math.inf))
         names, found = list(closing), np.zeros((count, len(closing), 6))
         if values is not None:
             first = sorted(names, key=lambda name: closing[name].closes)[: values.shape[1] // 6]
             found[:, sorted(map(names.index, first))] = values.reshape(count, -1, 6)
         return found.reshape(count, -1)
 
-    def _joined(self, copy: int) -> RunLog:
-        last, first = self.logs[copy][-1], self.logs[copy][0]
-        for k, log in enumerate(self.logs[copy]):  # zero for an open hand
+    def _joined(self) -> RunLog:
+        last, first = self.logs[-1], self.logs[0]
+        for k, log in enumerate(self.logs):  # zero for an open hand
             series = dict(log.series)
             for name in (WRENCHES, GAP):
                 series[name] = self._of_all(series.get(name), log.time.size)
@@ -159,5 +148,5 @@ class _LaterHands(Mission):
                     series[name] = np.zeros((log.time.size, last.series[name].shape[1]))
             if _OTHER in last.series and _OTHER not in series:
                 series[_OTHER] = series["disturbance_force"]
-            self.logs[copy][k] = dataclasses.replace(log, series=series)
-        return dataclasses.replace(super()._joined(copy), grasp=first.grasp)
+            self.logs[k] = dataclasses.replace(log, series=series)
+        return dataclasses.replace(super()._joined(), grasp=first.grasp)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate, simulate_many
+from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.capture.handover import Handover
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
-from ffsm_drake.runs.batches import batches_of
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion
@@ -95,14 +94,6 @@ def test_a_law_of_its_own():
     assert step[99] < 3.0 * max(step[98], step[100])
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["wait", "other_law"])
-def test_side_by_side_with_the_same_bits(name):
-    given = [phases(f"{name}=own_phases:{name}").replace(random_seed=seed) for seed in (1, 2)]
-    for one, scenario in zip(simulate_many(given), given, strict=True):
-        assert one.dataset.identical(run(scenario).dataset)
-
-
 @pytest.mark.parametrize(
     ("given", "error", "words"),
     [
@@ -177,12 +168,3 @@ def test_its_loop_is_linearised_with_the_approach():
     assert [leg.leg for leg in legs] == ["approach", "stop"]
     assert all(leg.status == "stable" for leg in legs)
     assert legs[1].time >= 3.0
-
-
-def test_runs_whose_phases_differ_do_not_share_them():
-    """Side by side go only runs with equal phases, settings and durations included."""
-    scenarios = [
-        phases(f"come={{system: own_phases:come, settings: {{by: [0, 0, {by}]}}}}", duration=7)
-        for by in (0.1, 0.1, 0.3)
-    ]
-    assert batches_of(scenarios) == [[0, 1], [2]]
