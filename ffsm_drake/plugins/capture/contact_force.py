@@ -17,6 +17,7 @@ the springs are stiff for the bare wrist (0.004 kg m^2 at 1e4 N m/rad: 1600 rad/
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -29,12 +30,11 @@ _LEAST = 1e-6  # N m, N; of a limit
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Jaws:
-    """A gripper from its first contact on, or several in rows."""
+    """A gripper from its first contact on."""
 
     closing: Closing
     compliance: Compliance
-    start: np.ndarray  # (..., 6) offset at the first contact
-    friction: np.ndarray | None = None  # (...) coefficient of each; None: that of ``closing``
+    start: np.ndarray  # (6) offset at the first contact
 
     def __post_init__(self) -> None:
         gripper, axis = self.compliance, np.array(self.closing.axis, dtype=float)
@@ -47,22 +47,21 @@ class Jaws:
     _D: np.ndarray = dataclasses.field(init=False, repr=False)
     _palm: np.ndarray = dataclasses.field(init=False, repr=False)
 
-    def closed(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The share (0 to 1) to which the jaws are closed at times (...; s) since the first
-        contact, and its rate.
+    def closed(self, time: float) -> tuple[float, float]:
+        """The share (0 to 1) to which the jaws are closed at a time (s) since the first contact,
+        and its rate.
         """
-        x = np.clip(np.asarray(time) / self.closing.time, 0.0, 1.0)
+        x = min(max(time / self.closing.time, 0.0), 1.0)
         return x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / self.closing.time
 
-    def limits(self, time: float | np.ndarray) -> np.ndarray:
-        """The largest torque (N m) and force (N) that friction bears (..., 2)."""
-        friction = self.closing.friction if self.friction is None else self.friction
-        force = 2.0 * friction * self.closing.preload * self.closed(time)[0]
-        return np.maximum(np.stack([force * self.closing.radius, force], axis=-1), _LEAST)
+    def limits(self, time: float) -> np.ndarray:
+        """The largest torque (N m) and force (N) that friction bears (2)."""
+        force = 2.0 * self.closing.friction * self.closing.preload * self.closed(time)[0]
+        return np.maximum([force * self.closing.radius, force], _LEAST)
 
     def act(
         self,
-        time: float | np.ndarray,
+        time: float,
         step: float,
         *,
         offset: np.ndarray,
@@ -73,82 +72,72 @@ class Jaws:
         """Force on the target over a step, and s at its end.
 
         Args:
-          time: of the step's end since the first contact (...), s.
+          time: of the step's end since the first contact, s.
           step: s.
-          offset, rate: x and x' (..., 6) at its start, gripper axes.
-          slid: s (..., 6) at its start.
-          mobility: (..., 6, 6) from an impulse between gripper and target to a change of rate.
+          offset, rate: x and x' (6) at its start, gripper axes.
+          slid: s (6) at its start.
+          mobility: (6, 6) from an impulse between gripper and target to a change of rate.
 
-        Returns: (..., 6) torque and force, gripper axes, N m and N; s (..., 6).
+        Returns: (6) torque and force, gripper axes, N m and N; s (6).
         """
-        closed, closing = (np.atleast_1d(each)[:, None] for each in self.closed(time))
-        start, offset, rate, slid_by = (
-            np.atleast_2d(each) for each in (self.start, offset, rate, slid)
-        )
-        center, center_rate = (1.0 - closed) * start, -closing * start
+        (closed, closing), start = self.closed(time), self.start
         K, D, palm = self._K, self._D, self._palm
-        implicit = (step * D + step * step * K)[:, None] * mobility.reshape(-1, 6, 6)
-        free = -K * (offset + step * rate - center - slid_by) - D * (rate - center_rate)
-
-        def along(vectors: np.ndarray) -> np.ndarray:
-            """Components (..., 1) along the palm's axis."""
-            found: np.ndarray = (vectors * palm).sum(axis=-1, keepdims=True)
-            return found
-
+        implicit = (step * D + step * step * K)[:, None] * mobility
+        free = -K * (offset + step * rate - (1.0 - closed) * start - slid)
+        free -= D * (rate + closing * start)
         # The palm first retracts with the initial penetration.
-        depth, sinks = np.minimum(along(start), 0.0), along(offset + step * rate)
+        depth, sinks = min(_sum(start * palm), 0.0), _sum((offset + step * rate) * palm)
         face = (1.0 - closed) * depth
-        pushed = -K[3] * (sinks - face) - D[3] * (along(rate) + closing * depth)
+        pushed = -K[3] * (sinks - face) - D[3] * (_sum(rate * palm) + closing * depth)
         stiff = step * D[3] + step * step * K[3]
-        limits = np.repeat(np.atleast_2d(self.limits(time)), 3, axis=-1)
+        limits = np.repeat(self.limits(time), 3)
         yields = (K + D / step) / (limits * limits)  # slip by force, along the normal
-        # for each, equations of the jaws' force and the palm's
-        matrix, wanted = np.zeros((len(offset), 7, 7)), np.hstack([free, pushed])
-        matrix[:, :6, :6] = implicit + np.eye(6)
-        matrix[:, :6, 6] = along(implicit)[..., 0]
-        on_palm = stiff * (mobility.reshape(-1, 6, 6) * palm[:, None]).sum(axis=-2)
-        matrix[:, 6, :6], matrix[:, 6, 6] = on_palm, 1.0 + along(on_palm)[:, 0]
+        # equations of the jaws' force and the palm's
+        matrix, wanted = np.zeros((7, 7)), np.append(free, pushed)
+        matrix[:6, :6] = implicit + np.eye(6)
+        matrix[:6, 6] = (implicit * palm).sum(axis=-1)
+        matrix[6, :6] = stiff * (mobility * palm[:, None]).sum(axis=0)
+        matrix[6, 6] = 1.0 + _sum(matrix[6, :6] * palm)
 
-        def without_palm(rows: np.ndarray) -> None:
-            matrix[rows, 6, :6], matrix[rows, 6, 6], wanted[rows, 6] = 0.0, 1.0, 0.0
+        def without_palm() -> None:
+            matrix[6, :6], matrix[6, 6], wanted[6] = 0.0, 1.0, 0.0
 
-        def solve(slip: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """The jaws' force and the palm's (n, 7), and the share of the limit (n), for sizes of
-            slips (n) in rows.
-            """
-            a = matrix[rows]
-            a[:, range(6), range(6)] += slip[:, None] * yields[rows]
-            solved = np.linalg.solve(a, wanted[rows][..., None])[..., 0]
-            return solved, np.sqrt(((solved[:, :6] / limits[rows]) ** 2).sum(axis=-1))
+        def solve(slip: float) -> tuple[np.ndarray, float]:
+            """The jaws' force and the palm's (7), and the share of the limit, for a slip's size."""
+            a = matrix.copy()
+            a[range(6), range(6)] += slip * yields
+            solved = np.linalg.solve(a, wanted)
+            return solved, math.sqrt(_sum((solved[:6] / limits) ** 2))
 
-        without_palm(np.flatnonzero((pushed <= 0.0) | (sinks >= face)))
-        slip, forces = _slip(solve, np.arange(len(offset)))
-        if (pulls := np.flatnonzero(forces[:, 6] < 0.0)).size:  # the palm does not hold
-            without_palm(pulls)
-            slip[pulls], forces[pulls] = _slip(solve, pulls)
-        force = forces[:, :6]
-        slid_by = slid_by - slip[:, None] * yields * force / (K + D / step)
-        return (force + forces[:, 6:] * palm).reshape(slid.shape), slid_by.reshape(slid.shape)
+        if pushed <= 0.0 or sinks >= face:
+            without_palm()
+        slip, forces = _slip(solve)
+        if forces[6] < 0.0:  # the palm does not hold
+            without_palm()
+            slip, forces = _slip(solve)
+        force = forces[:6]
+        return force + forces[6] * palm, slid - slip * yields * force / (K + D / step)
 
 
-def _slip(
-    solve: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]], rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The sizes of the slips (n) on the limit surface, and the resulting forces (n, 7), of rows.
-    The search uses that the inverse of the share is nearly linear in the size.
+def _sum(values: np.ndarray) -> float:
+    return float(values.sum())
+
+
+def _slip(solve: Callable[[float], tuple[np.ndarray, float]]) -> tuple[float, np.ndarray]:
+    """The size of the slip on the limit surface, and the resulting forces (7). The search uses that
+    the inverse of the share is nearly linear in the size.
     """
-    now = np.zeros(len(rows))
-    forces, shares = solve(now, rows)
-    going = np.flatnonzero(shares > 1.0)
-    now[going], before, excess = 1.0, now.copy(), 1.0 / shares - 1.0
+    now, before = 0.0, 0.0
+    forces, share = solve(now)
+    if share <= 1.0:
+        return now, forces
+    now, excess = 1.0, 1.0 / share - 1.0
     for _ in range(_ROUNDS):
-        if not going.size:
+        forces, share = solve(now)
+        left = 1.0 / share - 1.0
+        if abs(left) < 1e-9 or left == excess:
             break
-        forces[going], shares = solve(now[going], rows[going])
-        left = 1.0 / shares - 1.0
-        goes_on = (np.abs(left) >= 1e-9) & (left != excess[going])
-        going, left = going[goes_on], left[goes_on]
-        last, way = now[going], now[going] - before[going]
-        now[going] = np.maximum(last - left * way / (left - excess[going]), 0.0)
-        before[going], excess[going] = last, left
+        last, way = now, now - before
+        now = max(last - left * way / (left - excess), 0.0)
+        before, excess = last, left
     return now, forces

@@ -1,7 +1,5 @@
 """The contact of a closing gripper: MuJoCo's friction between pads, and laws of mechanics."""
 
-import dataclasses
-
 import mujoco
 import numpy as np
 import pytest
@@ -128,27 +126,6 @@ def test_the_palm_pushes_only_and_the_target_bounces_off():
     assert min(forces) > -0.01
     assert max(forces) > 10.0
     assert offset[5] > 0.0
-
-
-@pytest.mark.parametrize("count", [2, 3, 8, 17])
-def test_jaws_in_rows_have_the_bits_that_each_has_alone(count):
-    rng = np.random.default_rng(count)
-    closing, friction = Closing(preload=30.0), rng.uniform(0.01, 0.5, count)
-    start = 0.02 * rng.standard_normal((count, 6))
-    given = {
-        "offset": start + 0.01 * rng.standard_normal((count, 6)),
-        "rate": 0.2 * rng.standard_normal((count, 6)) * rng.integers(0, 2, count)[:, None],
-        "slid": np.zeros((count, 6)),
-        "mobility": np.matmul(root := rng.standard_normal((count, 6, 6)), root.swapaxes(1, 2)),
-    }
-    times = rng.uniform(0.0, 0.6, count)
-    jaws = Jaws(closing=closing, compliance=Compliance(), start=start, friction=friction)
-    force, slid = jaws.act(times, 1e-3, **given)
-    for row in range(count):
-        own = dataclasses.replace(closing, friction=friction[row])
-        alone = Jaws(closing=own, compliance=Compliance(), start=start[row])
-        found = alone.act(times[row], 1e-3, **{name: each[row] for name, each in given.items()})
-        assert np.array_equal(found, (force[row], slid[row]))
 
 
 def test_the_force_keeps_to_what_friction_bears():
