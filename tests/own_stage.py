@@ -1,4 +1,4 @@
-"""A user's stage of sensing, as pure functions."""
+"""A user's stage of sensing, and a force, as pure functions."""
 
 from dataclasses import dataclass
 
@@ -29,3 +29,27 @@ class Mean(Sampled):
     def step(self, inputs, memory, now):
         shown = 0.98 * inputs["state"] + 0.02 * memory["before"] + now.phase[0] * self.offset
         return {"estimated_state": shown}, {"before": inputs["state"]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pull(Sampled):
+    """A force towards where the spacecraft was, which grows with time."""
+
+    inputs, outputs = ("state",), ("generalized_force",)
+    stiffness: np.ndarray
+
+    @classmethod
+    def from_setup(cls, setup):
+        return cls(stiffness=np.linspace(0.1, 0.5, len(setup.coordinates.names) - 3))
+
+    def start(self, state=None):
+        return {"before": np.zeros(self.stiffness.size) if state is None else state[4 : self.end]}
+
+    @property
+    def end(self):
+        return 4 + self.stiffness.size
+
+    def step(self, inputs, memory, now):
+        moved = inputs["state"][4 : self.end] - memory["before"]
+        force = np.concatenate([[0.0, 0.0, 1e-3 * now.time], -self.stiffness * moved])
+        return {"generalized_force": force}, {"before": inputs["state"][4 : self.end]}

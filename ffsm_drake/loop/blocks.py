@@ -151,8 +151,8 @@ BLOCKS: dict[str, Ports] = {
 DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
 # Blocks that may occur several times.
 _SEVERAL = ("sensing.<name>", "forces.<name>")
-# Others act between samples, where a ``SampledSystem`` does not hold its outputs.
-_READ_AT_SAMPLES = ("sensing", "reference")
+# Blocks that may be ``Sampled``; the forces are held from a sample to the next.
+_SAMPLED = ("sensing", "reference", "forces")
 # Names of systems that are part of every loop.
 _TAKEN = (
     *("plant", "measurement", "states", "reference", "sensing", "controller", "actuation"),
@@ -322,16 +322,19 @@ def _make_block(
         for factory, setup in zip(factories, setups, strict=True)
     ]
     if all(isinstance(each, Sampled) for each in made):
-        if kind not in _READ_AT_SAMPLES:
-            kinds = " or ".join(_READ_AT_SAMPLES)
-            raise BlockError(f"{place}: a Sampled block can be {kinds}; write a Drake system")
-        setup = setups[0]
+        if kind not in _SAMPLED:
+            kinds = ", ".join(_SAMPLED)
+            raise BlockError(f"{place}: a Sampled block is one of {kinds}; write a Drake system")
+        setup, held = setups[0], kind == "forces"
+        if held and len(made) > 1:
+            raise NotAlike(f"{place}: a held force is for one copy")
         return SampledSystem(
             made,
             name=setup.name,
             sample_time=setup.sample_time,
             usual=usual_sizes(kind, setup.coordinates),
             place=place,
+            held=held,
         )
     if len(made) == 1:
         return made[0]

@@ -5,7 +5,7 @@ They can differ in the sections ``_FREE``, in numbers of the sections ``_OF_ONE_
 properties of the payload, and in frequency and damping of panels and pendulums.
 
 These runs are always separate: runs with error control, an implicit integrator, or a real-time
-clock; runs with flexible joints; runs with a capture.
+clock; runs with flexible joints, an environment or a capture.
 """
 
 import dataclasses
@@ -213,8 +213,14 @@ def group_of(scenario: Scenario) -> str | None:
         or config.target_realtime_rate > 0.0
         or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
         or scenario.grasps
+        or scenario.environment is not None
     ):
         return None
+    return kind_of_run(scenario)
+
+
+def kind_of_run(scenario: Scenario) -> str:
+    """Return a key that is equal for runs with the same diagram."""
     neutral = Scenario()
     payload = dataclasses.replace(
         scenario.payload, truth=MassProperties(), nominal=MassProperties()
@@ -222,6 +228,8 @@ def group_of(scenario: Scenario) -> str | None:
     common = dataclasses.replace(
         scenario,
         payload=payload,
+        # without an approach it gives the velocity at the start
+        capture=None if scenario.approach is None else scenario.capture,
         duration=scenario.num_control_periods * scenario.sample_time,
         model=_without_springs(scenario.model),
         **{name: getattr(neutral, name) for name in _FREE},

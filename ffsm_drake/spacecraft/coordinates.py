@@ -174,7 +174,8 @@ class StateSplit:
         """Return the plant's [q; v] from known and hidden states; hidden default: zero."""
         if not self.names:
             return state
-        result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))
+        size = self.known_state.size + self.hidden_state.size
+        result = np.zeros_like(state, shape=(*state.shape[:-1], size))
         result[..., self.known_state] = state
         if hidden_state is not None:
             result[..., self.hidden_state] = hidden_state

@@ -5,7 +5,7 @@ import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -273,6 +273,20 @@ def change_payload(
     set_payload(plant, context, body=scenario.payload.body, properties=properties)
     if scenario.model.flexible:
         flexible_parts().take_masses(plant, context, scenario.model, body=scenario.payload.body)
+
+
+@dataclasses.dataclass(frozen=True)
+class Carrier:
+    """Makes a plant's model for other payloads. No code that is traced depends on it."""
+
+    scenario: Scenario
+    constants: ClassVar[tuple[()]] = ()
+
+    def loaded(self, model: PlantModel, properties: MassProperties) -> PlantModel:
+        """Return a model with the other masses of the given one, and another true payload."""
+        context = model.context.Clone()
+        change_payload(model.plant, context, self.scenario, properties)
+        return dataclasses.replace(model, context=context)
 
 
 def _set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:

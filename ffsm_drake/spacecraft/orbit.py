@@ -3,11 +3,13 @@
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
 
 from ffsm_drake.scenario import Environment
+from ffsm_drake.tape.numbers import cosine, sine
 
 EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
 EARTH_RADIUS = 6378136.3  # m; at the equator (EGM2008)
@@ -18,6 +20,16 @@ def mean_motion(settings: Environment) -> float:
     if settings.mean_motion is not None:
         return settings.mean_motion
     return math.sqrt(EARTH_GRAVITY / (EARTH_RADIUS + (settings.altitude or 0.0)) ** 3)
+
+
+def turned_axes(first: np.ndarray, rate: Any, time: Any) -> np.ndarray:
+    """Hill's axes in the world frame at a time in s: rows r, t, h (3, 3).
+
+    Args: the axes at the start, the mean motion in rad/s, and the time.
+    """
+    c, s = cosine(rate * time), sine(rate * time)
+    turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ first
+    return turned
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,20 +44,18 @@ class Orbit:
         return mean_motion(self.settings)
 
     @functools.cached_property
-    def _first(self) -> np.ndarray:
+    def first(self) -> np.ndarray:
         """Hill's axes at the start."""
         return RollPitchYaw(self.settings.hill_rpy).ToRotationMatrix().matrix().T
 
     def axes(self, time: float) -> np.ndarray:
         """Hill's axes in the world frame at a time in s: rows r, t, h (3, 3)."""
-        c, s = math.cos(self.rate * time), math.sin(self.rate * time)
-        turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._first
-        return turned
+        return turned_axes(self.first, self.rate, time)
 
     def _up(self, time: float | np.ndarray) -> np.ndarray:
         """Hill's first axis (..., 3), from the Earth's centre outwards, at times (...)."""
         angle = np.multiply(self.rate, time)[..., None]
-        up: np.ndarray = np.cos(angle) * self._first[0] + np.sin(angle) * self._first[1]
+        up: np.ndarray = np.cos(angle) * self.first[0] + np.sin(angle) * self.first[1]
         return up
 
     def tide(self, position: np.ndarray, time: float | np.ndarray) -> np.ndarray:

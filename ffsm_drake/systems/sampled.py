@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from pydrake.common.value import Value
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -24,12 +25,14 @@ from ffsm_drake.common.errors import BlockError, choices
 from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.returned import MOST_MEMORY, mapping, numbers
+from ffsm_drake.scenario import MassProperties
 
 Arrays = Mapping[str, np.ndarray]  # by name
 Ports = Mapping[str, int] | tuple[str, ...]
 
 
 NO_PHASE: Sequence[Any] = ()
+NEXT = "next_"  # of a held output's value at this instant, for the record
 
 
 class Now(NamedTuple):
@@ -45,6 +48,9 @@ class Sampled:
 
     It steps on what its inputs are at a sample. An actuator (``acts``) steps on the command that a
     sample makes, and on other inputs as they are at the sample (``latched``).
+
+    A block that depends on the true payload has a method ``with_payload(properties)``, which
+    returns it for other ``MassProperties``.
 
     A subclass is a frozen dataclass. Its arrays of floats may hold symbols in ``step``; all else is
     constant. ``step`` must depend on its arguments and fields alone, and change neither.
@@ -176,7 +182,8 @@ class SampledSystem(Diagram):
 
     Discrete state, updated every ``sample_time``: the block's memory, a group for each name; of an
     actuator also its latched inputs and phase. Its memory is brought up to date at the next sample,
-    since its command changes at this one.
+    since its command changes at this one. Outputs that are ``held`` are state too; ``next_NAME``
+    has the value at this instant, unless the block has an output of this name.
     """
 
     def __init__(
@@ -188,6 +195,7 @@ class SampledSystem(Diagram):
         copies: int = 1,
         usual: Mapping[str, int] = {},
         place: str = "",
+        held: bool = False,
     ) -> None:
         """Args:
           blocks: the block of each copy, or a wide one of all.
@@ -196,6 +204,7 @@ class SampledSystem(Diagram):
           copies: number of copies, if there is a wide block.
           usual: numbers in the ports of the loop.
           place: name of the block in errors; default: the system's name.
+          held: hold the outputs from a sample to the next.
 
         Raises BlockError: a user-supplied block fails, or returns what it should not.
         """
@@ -203,17 +212,28 @@ class SampledSystem(Diagram):
         builder, place = DiagramBuilder(), place or name
         ports = (calling(place, getattr, blocks[0], name) for name in ("inputs", "outputs"))
         inputs, outputs = (sized(of, usual, place) for of in ports)
-        own = _Stepping(blocks, inputs, outputs, max(copies, len(blocks)), sample_time, place)
+        copies = max(copies, len(blocks))
+        own = _Stepping(blocks, inputs, outputs, copies, sample_time, place, held=held)
         own.set_name(f"{name}_at_samples")
         self._own = builder.AddSystem(own)
         parts = builder.AddNamedSystem("parts", Demultiplexer(own.widths))
-        builder.Connect(own.get_output_port(), parts.get_input_port())
+        builder.Connect(own.GetOutputPort("result"), parts.get_input_port())
         for index, each in enumerate(inputs):
             builder.ExportInput(own.get_input_port(index), each)
         for index, each in enumerate(outputs):
-            builder.ExportOutput(parts.get_output_port(index), each)
+            now = each
+            if own.HasOutputPort(each):
+                builder.ExportOutput(own.GetOutputPort(each), each)
+                now = NEXT + each
+            if now == each or now not in outputs:
+                builder.ExportOutput(parts.get_output_port(index), now)
         builder.BuildInto(self)
         self.set_name(name)
+
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        own = self.GetMutableSubsystemContext(self._own, context)
+        self._own.set_payload(own, properties)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
@@ -233,6 +253,8 @@ class _Stepping(LeafSystem):
         copies: int,
         sample_time: float,
         place: str,
+        *,
+        held: bool,
     ) -> None:
         super().__init__()
         self._blocks, self._sample_time, self._place = tuple(blocks), sample_time, place
@@ -249,7 +271,17 @@ class _Stepping(LeafSystem):
         self._memory = {each: self._state(value) for each, value in memory.items()}
         if self._is_phased and self._acts:
             self._phase = self.DeclareDiscreteState(phase)
+        self._held = {
+            each: self._state(np.zeros(size))
+            for each, size in outputs.items()
+            if held and not each.startswith(NEXT)
+        }
         reads = {self.input_port_ticket(port.get_index()) for port in ports.values()}
+        self._loaded = hasattr(first, "with_payload")
+        if self._loaded:
+            self._payload: Any = None  # of the blocks
+            self._given = self.DeclareAbstractParameter(Value[object](None))
+            reads.add(self.all_parameters_ticket())
         if memory or self._acts:
             reads.add(self.xd_ticket())
         if not self._acts:
@@ -260,10 +292,13 @@ class _Stepping(LeafSystem):
         ends = np.cumsum([0, *self.widths]).tolist()
         places = [slice(*pair) for pair in itertools.pairwise(ends)]
         self._kept = dict(zip(memory, places[len(outputs) :], strict=True))
+        self._places = dict(zip(outputs, places, strict=False))
         self._result = self.DeclareVectorOutputPort(
             "result", ends[-1], weak_callback(self._calc_result), reads
         )
-        if memory or self._acts:
+        for each, group in self._held.items():
+            self.DeclareStateOutputPort(each, group)
+        if memory or self._acts or held:
             self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
@@ -273,8 +308,22 @@ class _Stepping(LeafSystem):
     def _state(self, value: Sequence[float] | np.ndarray) -> Any:
         return self.DeclareDiscreteState(np.tile(np.ravel(value), self._copies))
 
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        if self._loaded:
+            context.get_mutable_abstract_parameter(self._given).set_value(properties)
+
+    def _take_payload(self, context: Context) -> None:
+        """Take the blocks for the payload of a context."""
+        given = context.get_abstract_parameter(self._given).get_value()
+        if given is not None and given != self._payload:
+            blocks: Any = self._blocks
+            self._payload, self._blocks = given, tuple(each.with_payload(given) for each in blocks)
+
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
+        if self._loaded:
+            self._take_payload(context)
         rows = np.reshape(state, (self._copies, -1))
         blocks = self._blocks * (self._copies // len(self._blocks))
         own = [
@@ -294,6 +343,8 @@ class _Stepping(LeafSystem):
         return tuple(tuple(block.phase(sample)) for block in self._blocks)
 
     def _calc_result(self, context: Context, output: BasicVector) -> None:
+        if self._loaded:
+            self._take_payload(context)
         time, rows, value = context.get_time(), list[Any](), context.get_discrete_state().value
         inputs = {name: port.Eval(context) for name, port in self._inputs.items()}
         inputs |= {name: value(group) for name, (_, group, _) in self._latched.items()}
@@ -343,6 +394,8 @@ class _Stepping(LeafSystem):
             result = self._result.Eval(context)
             for name, place in self._kept.items():
                 values.set_value(self._memory[name], result[place])
+            for name, group in self._held.items():
+                values.set_value(group, result[self._places[name]])
         for port, group, entries in self._latched.values():
             read = port.Eval(context)
             if entries is not None:

@@ -71,9 +71,6 @@ WIDE = {
     "coupled": ("postcapture", *COUPLED),
     "tvlqr": ("postcapture", "controller=tvlqr"),
     "torque": ("postcapture", "controller=torque_against_momentum"),
-    "orbit": ("postcapture", ORBIT),
-    "tide": ("postcapture", "environment={altitude: 7.0e5, gravity_gradient: false, tidal: true}"),
-    "panels in orbit": ("flexible_panels", ORBIT),
     "reduced": ("free_floating", "controller=tde_aismc"),
     "reduced torque": ("free_floating", "controller=computed_torque"),
     "task": ("free_floating",),
@@ -315,7 +312,7 @@ def test_mixed_lists_come_back_in_order_with_their_bits(kinds, batch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("others", [(), (ORBIT,), DRIFT])
+@pytest.mark.parametrize("others", [(), DRIFT])
 def test_a_run_that_diverges_leaves_the_others_alone(others):
     wild = ("controllers.tde_aismc.k_s_initial=400", "controllers.tde_aismc.k_s_max=null")
     tame, diverging = (
@@ -523,7 +520,7 @@ FILTERED = ("command_filter={low_pass: 20, notch: 5}", "reference.shaper={freque
 # Scenarios of which one value is changed, on every kind of block.
 BASES = {
     "plain": ("postcapture", *FILTERED),
-    "orbit": ("postcapture", ORBIT, *COUPLED),
+    "coupled": ("postcapture", *COUPLED),
     "drives": ("postcapture", "controller=tdc", *DRIVES),
     "wheels": ("thrusters_and_wheels",),
     "slow": ("slow_navigation",),
@@ -610,7 +607,6 @@ def test_runs_that_differ_in_any_value_go_side_by_side_or_apart(kind, data):
     ("kind", "change"),
     [
         ("plain", "command_filter.low_pass=10"),
-        ("orbit", "environment.altitude=6.0e5"),
         ("drives", "actuation.limit={joints: 30}"),
         ("drives", "actuation.drives.coulomb_friction={joints: 0.02}"),
         ("flexible", "model.flexible.port.frequency=0.3"),

@@ -2,6 +2,7 @@
 
 import collections
 import copy
+import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -31,6 +32,7 @@ LARGEST_DIFFERENCE = 1e-7
 _OF_LAST_BITS = 1e4
 BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
 _PARTS = {"flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters"}  # with signals
+_OWN = re.compile(r"sensing\..*|forces\.(?!disturbance|gripper).*")  # blocks of users
 _KEPT = 16  # kernels
 
 
@@ -47,7 +49,7 @@ class Compiled(Engine):
         """See Engine."""
         config = scenario.simulator_config
         steps = steps_of(scenario.sample_time, config.max_step_size)
-        replaced = {each for each in scenario.blocks.choices() if not each.startswith("sensing.")}
+        replaced = {each for each in scenario.blocks.choices() if not _OWN.fullmatch(each)}
         own = replaced | {name for name, is_there in (
             ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
@@ -137,6 +139,7 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - set(run.scenario.blocks.choices())
+        blocks -= {f"forces.{name}" for name in run.case.forces}
         others = (blocks - BLOCKS) | (set(parts) - _PARTS)
     finally:
         rollout.release()

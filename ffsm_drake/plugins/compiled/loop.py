@@ -29,7 +29,7 @@ from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.disturbance import force_at
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.quantization import quantize
-from ffsm_drake.systems.sampled import Now, Sampled, memory_of, sized
+from ffsm_drake.systems.sampled import NEXT, Now, Sampled, memory_of, sized
 from ffsm_drake.systems.sampled import phases_of as phases_at
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, none_caught, number
@@ -77,25 +77,30 @@ CARRIED = {
     "drift": "drift_after",
     "stored": "stored_after",
     "loaded": "loaded_after",
+    "pushed": "pushed_after",
     "waiting": "waiting_after",
     "applied": "told",
 }
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
-    "x", "t0", "law", "sensors", "actuators", "deviation", "drift", "share", "added", "reference",
-    "noise", "drift_noise", "phases", "frame", "planned", "stored", "loaded", "memory", "applied",
-    "waiting", "limit", "force_resolution", "sines",
+    "x", "t0", "law", "sensors", "actuators", "forces", "deviation", "drift", "share", "added",
+    "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored", "loaded", "pushed",
+    "memory", "applied", "waiting", "limit", "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
-    "t0", "law", "sensors", "actuators", "deviation", "share", "added", "reference", "phases",
-    "frame", "planned", "limit", "force_resolution", "sines", "t", "own", "step",
+    "t0", "law", "sensors", "actuators", "forces", "deviation", "share", "added", "reference",
+    "phases", "frame", "planned", "limit", "force_resolution", "sines", "t", "own", "step",
 }  # fmt: skip
-_DERIVATIVE = ("state", "applied_force", "acted", "t", "actuators", "sines", "own")
+_DERIVATIVE = ("state", "applied_force", "push", "acted", "t", "actuators", "sines", "own")
 _ACTED = (
     "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
     "phases",
 )  # fmt: skip
+
+
+# Outputs of forces, and the entries of the plant's v that they are along.
+_OF_FORCES = {"generalized_force": "forced", "hidden_force": "loose"}
 
 
 class Function(NamedTuple):
@@ -119,13 +124,16 @@ class Blocks:
     known: tuple[int, ...]
     hidden: tuple[int, ...]
     forced: tuple[int, ...]
+    loose: tuple[int, ...]  # of its v, hidden ones
     coordinates: Coordinates
     sensors: tuple[Sampled, ...]  # stages in a row
     actuators: tuple[Sampled, ...]  # in a row, after limits, quantisation and delay
     flows: tuple[Continuous, ...]  # beside them
+    forces: Mapping[str, Sampled]  # by name, held over a sample
     recorded: tuple[str, ...]  # outputs of actuators and flows
     num_errors: int  # parameters of the sensors
     num_actuators: int  # parameters of actuators and flows
+    num_forces: int  # parameters of the forces
     noisy: bool
     num_drifts: int  # errors of the sensors that drift
     framed: bool  # the path of a frame is prescribed
@@ -151,6 +159,11 @@ class Blocks:
         return [_at_start(each) for each in self.actuators]
 
     @functools.cached_property
+    def kept_pushing(self) -> list[dict[str, np.ndarray]]:
+        """The memory of each force at its start."""
+        return [_at_start(each) for each in self.forces.values()]
+
+    @functools.cached_property
     def flowing(self) -> dict[str, np.ndarray]:
         """The states of the flows at their start, which follow the plant's."""
         return {name: value for each in self.flows for name, value in _at_start(each).items()}
@@ -172,9 +185,10 @@ class Blocks:
         nx, nv = self.nq + self.nv, self.nv
         return {
             "own": self.tree.num_parameters, "law": self.num_parameters,
-            "sensors": self.num_errors, "actuators": self.num_actuators, "deviation": nx,
-            "limit": nv, "force_resolution": nv, "sines": 4 * nv, "share": self.num_drifts,
-            "added": self.num_drifts, "sample_time": 1, "step": 1,
+            "sensors": self.num_errors, "actuators": self.num_actuators,
+            "forces": self.num_forces, "deviation": nx, "limit": nv, "force_resolution": nv,
+            "sines": 4 * nv, "share": self.num_drifts, "added": self.num_drifts, "sample_time": 1,
+            "step": 1,
         }  # fmt: skip
 
     @property
@@ -185,22 +199,29 @@ class Blocks:
             "memory": _total(self.memory), "applied": self.nv, "drift": self.num_drifts,
             "waiting": self.waits * self.nv, "stored": sum(map(_total, self.kept)),
             "loaded": sum(map(_total, self.kept_acting)),
+            "pushed": sum(map(_total, self.kept_pushing)),
         }  # fmt: skip
 
     @property
     def results(self) -> dict[str, int]:
         """What a sample makes, and room for a step of the integrator."""
         nx, nv, states = self.nq + self.nv, self.nv, self.states
-        stages = range(len(SCHEMES[self.scheme].times))
+        stages, forces = range(len(SCHEMES[self.scheme].times)), len(self.forces)
         return {
             "is_new": nx if self.called and self._tells_new else 0,
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
             "applied_force": nv,
-            "disturbance_force": nv, "acted": sum(self.acted.values()),
-            "flown": sum(self.flown.values()), "y": states["x"],
+            "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
+            "push": nv + len(self.loose) if forces else 0,
+            "hidden_push": len(self.loose) if self._push_hidden else 0,
+            "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
             **{cell: states[name] for name, cell in CARRIED.items()},
             **{f"k{i}": states["x"] for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
+
+    @property
+    def _push_hidden(self) -> bool:
+        return any("hidden_force" in force.outputs for force in self.forces.values())
 
     @property
     def _tells_new(self) -> bool:
@@ -223,7 +244,7 @@ class Blocks:
     def row(self) -> dict[str, int]:
         """What a run reads at each sample."""
         noise = self.nq + self.nv if self.noisy else 0
-        phases = phases_of((*self.sensors, *self.actuators), 1).size
+        phases = phases_of((*self.sensors, *self.actuators, *self.forces.values()), 1).size
         return {
             "reference": self.nq + 2 * self.nv, "noise": noise,
             "drift_noise": self.num_drifts, "phases": phases,
@@ -248,6 +269,13 @@ class Blocks:
                 for (name, n), at in zip(of.items(), ends, strict=False)
                 if name in self.recorded
             }
+        if self.forces:
+            made |= {
+                f"force_{name}": ("each_force", at * self.nv, self.nv)
+                for at, name in enumerate(("disturbance", *self.forces))
+            }
+        if sizes["hidden_push"]:
+            made["external_hidden_force"] = ("hidden_push", 0, sizes["hidden_push"])
         return made
 
     def functions(self, registers: Registers, *, begins: bool, slopes: bool) -> dict[str, Function]:
@@ -344,9 +372,9 @@ class Blocks:
             "known": known,
             "hidden": cells.x[list(self.hidden)],
             "measurement": signals["estimated_state"],
-            "disturbance_force": force_at(now.time, cells.sines.reshape(4, -1)),
             "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
             "stored_after": kept,
+            **self._pushed(cells, now),
         }
 
     def _given(self, cells: Any, force: Any, now: Now) -> dict[str, Any]:
@@ -399,6 +427,38 @@ class Blocks:
             after += [own[name] for name in memory]
         return _row(after)
 
+    def _pushed(self, cells: Any, now: Now) -> dict[str, Any]:
+        """The forces of a sample: those of this instant and those that are held."""
+        each, after = [traced(force_at(now.time, cells.sines.reshape(4, -1)))], list[Any]()
+        held = traced(np.zeros(self.nv + len(self.loose)))
+        on_hidden = traced(np.zeros(len(self.loose)))
+        signals = {"state": cells.x[list(self.known)], "hidden_state": cells.x[list(self.hidden)]}
+        own, usual = tuple(self.forces.values()), usual_sizes("forces", self.coordinates)
+        blocks = with_symbols(own, cells.forces, traced([]), traced_model)
+        phases = cells.phases[phases_of((*self.sensors, *self.actuators), 1).size :]
+        stored = _stored(own, self.kept_pushing, cells.pushed, phases)
+        for block, (memory, phase) in zip(blocks, stored, strict=True):
+            ports, inputs = sized(block.outputs, usual, "forces"), sized(block.inputs, usual, "")
+            found, kept = _stepped(
+                block, ports, _read(block, inputs, signals), memory, now._replace(phase=phase)
+            )
+            if unknown := {name.removeprefix(NEXT) for name in found} - _OF_FORCES.keys():
+                raise NotTraceable(f"{type(block).__name__} with an output {min(unknown)}")
+            for name in set(found) & _OF_FORCES.keys():
+                entries = list(getattr(self, _OF_FORCES[name]))
+                held[entries] = held[entries] + found[name]
+            each.append(_at_instant(found, "generalized_force"))
+            if "hidden_force" in found:
+                on_hidden = on_hidden + _at_instant(found, "hidden_force")
+            after += [kept[name] for name in memory]
+        return {
+            "disturbance_force": functools.reduce(np.add, each),
+            "each_force": _row(each if own else ()),
+            "push": held if own else traced([]),
+            "hidden_push": on_hidden if self._push_hidden else traced([]),
+            "pushed_after": _row(after),
+        }
+
     def _flow(
         self, cells: Any, x: Any, held: Mapping[str, Any]
     ) -> tuple[list[Any], dict[str, Any]]:
@@ -447,6 +507,8 @@ class Blocks:
         disturbance = force_at(cells.t[0], cells.sines.reshape(4, -1))
         force = traced(np.zeros(v.size))
         force[list(self.forced)] = cells.applied_force + disturbance
+        if self.forces:
+            force = force + cells.push
         for name in filter(flown.__contains__, BESIDES):
             force[list(self.forced)] = force[list(self.forced)] + flown[name]
         given = list(q), list(v), list(force), list(cells.own)
@@ -456,6 +518,11 @@ class Blocks:
         step = cells.step[0]
         parts = [step * w * getattr(cells, f"k{i}") for i, w in enumerate(weights)]
         return {"y": cells.x + functools.reduce(np.add, parts)}
+
+
+def _at_instant(outputs: Mapping[str, Any], name: str) -> Any:
+    """A force at a sample, for the record."""
+    return outputs.get(NEXT + name, outputs[name])
 
 
 def _parts(values: Any, shapes: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], Any]:

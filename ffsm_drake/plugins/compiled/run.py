@@ -4,7 +4,7 @@ import collections
 import copy
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,13 @@ from pydrake.systems.framework import System
 
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.plugins import SERVICES, optional
-from ffsm_drake.loop.blocks import factory_of, settle_faults
+from ffsm_drake.loop.blocks import DISTURBANCE, factory_of, settle_faults
 from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
-from ffsm_drake.runs.batches import group_of
+from ffsm_drake.runs.batches import kind_of_run
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Block, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -51,12 +51,21 @@ class Case:
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         drift = errors.drift()
-        self.sensors = sensors = (measurement_of(errors), *self._own_stages())
+        self.sensors = sensors = (measurement_of(errors), *self._built("sensing").values())
         of_sensors, constants, _ = parameters_of(sensors, "the sensors")
+        self.forces = self._built("forces")
+        pushing = tuple(self.forces.values())
+        of_forces, of_pushing, _ = parameters_of(pushing, "the forces")
         self.actuators, self.flows = self._acting()
         acting = self.actuators, self.flows
         of_actuators, further, _ = parameters_of(acting, "the actuators")
-        self.constants = constants, further, *(len(each.phase(0)) for each in self.actuators)
+        self.constants = (
+            constants,
+            further,
+            of_pushing,
+            tuple(self.forces),
+            *(len(each.phase(0)) for each in (*self.actuators, *pushing)),
+        )
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
@@ -68,6 +77,7 @@ class Case:
             "own": own.parameters(self.true.context),
             "sensors": of_sensors,
             "actuators": of_actuators,
+            "forces": of_forces,
             "deviation": errors.deviation,
             "limit": limit,
             "force_resolution": resolution,
@@ -85,6 +95,7 @@ class Case:
             "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
             "stored": kept_at(sensors, start[known]),
             "loaded": kept_at(self.actuators, start[known]),
+            "pushed": kept_at(pushing, start[known]),
         }
         self.fixed = {
             "nq": len(self.coordinates.position_names),
@@ -95,10 +106,12 @@ class Case:
             "forced": tuple(
                 self.true.split.known_velocities(np.arange(own.tree.num_velocities)).tolist()
             ),
+            "loose": tuple(self.true.split.hidden.tolist()),
             "coordinates": self.coordinates,
             "recorded": self._recorded(),
             "num_errors": of_sensors.size,
             "num_actuators": of_actuators.size,
+            "num_forces": of_forces.size,
             "noisy": bool(errors.deviation.any()),
             "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
@@ -135,15 +148,25 @@ class Case:
             split=self.true.split,
         )
 
-    def _own_stages(self) -> Iterator[Sampled]:
-        """Further stages of sensing. Raises NotCovered: one is a Drake system."""
-        for name, choice in self.scenario.blocks.choices().items():
-            place = f"blocks.{name} '{choice.system}'"
-            setup = self._setup(name.rpartition(".")[2], choice.settings)
-            stage = call_factory(factory_of(name, self.scenario), setup, place=place)
-            if not isinstance(stage, Sampled):
-                raise NotCovered(name)
-            yield stage
+    def _built(self, kind: str) -> dict[str, Sampled]:
+        """The blocks of a kind in addition to the first one, by name. Raises NotCovered: one is a
+        Drake system.
+        """
+        scenario, found = self.scenario, dict[str, Sampled]()
+        choices = scenario.blocks.choices()
+        for block in (*section_parts(scenario), *choices):
+            first, _, name = block.partition(".")
+            if first != kind or not name or block == DISTURBANCE:
+                continue
+            choice = choices.get(block, Block())
+            made = call_factory(
+                factory_of(block, scenario), self._setup(name, choice.settings),
+                place=f"blocks.{block} '{choice.system}'",
+            )  # fmt: skip
+            if not isinstance(made, Sampled):
+                raise NotCovered(block)
+            found[name] = made
+        return found
 
     def run(self, scenario: Scenario) -> "Run":
         """The run with the scenario's controller; one with a law of this package is kept. Raises
@@ -177,13 +200,8 @@ class Case:
 
     @functools.cached_property
     def group(self) -> str:
-        """Equal for runs with the same diagram on Drake, but for the controller. Raises
-        NotCovered.
-        """
-        group = group_of(dataclasses.replace(self.scenario, controller=""))
-        if group is None:
-            raise NotCovered("a run that cannot go side by side with others")
-        return group
+        """Equal for runs with the same diagram on Drake, but for the controller."""
+        return kind_of_run(dataclasses.replace(self.scenario, controller=""))
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -207,7 +225,9 @@ class Case:
         """
         made = {
             "reference": self.motion.rows(self.times),
-            "phases": phases_of((*self.sensors, *self.actuators), self.samples),
+            "phases": phases_of(
+                (*self.sensors, *self.actuators, *self.forces.values()), self.samples
+            ),
         }
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
             made["frame"] = path.rows(self.times)
@@ -250,7 +270,8 @@ class Run:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
         self.parameters = self.case.parameters | {"law": law}
-        blocks = {each: getattr(self.case, each) for each in ("sensors", "actuators", "flows")}
+        kinds = ("sensors", "actuators", "flows", "forces")
+        blocks = {each: getattr(self.case, each) for each in kinds}
         self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
 
@@ -277,8 +298,9 @@ class Run:
 
     @property
     def key_on_disk(self) -> str | None:
-        """What the code is made from, besides this package; None for a user's law or sensor."""
-        own = (self.blocks.called or is_shipped(self.law)) and len(self.case.sensors) == 1
+        """What the code is made from, besides this package; None for a user's law or block."""
+        own = self.blocks.called or is_shipped(self.law)
+        own = own and not self.scenario.blocks.choices()
         return repr(self.code) if own else None
 
 

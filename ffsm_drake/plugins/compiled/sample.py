@@ -15,7 +15,7 @@ from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
-from ffsm_drake.plugins.compiled.parameters import reader_of, rows_of
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
 from ffsm_drake.plugins.compiled.run import Run, case_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties, Scenario
@@ -44,8 +44,6 @@ class TracedSample:
     measurements, and what drifts in the sensors.
     """
 
-    blocks = BLOCKS  # of the loops that it can be the sample of
-
     def __init__(self, scenario: Scenario) -> None:
         """Raises NotCovered."""
         Compiled().check(scenario)
@@ -54,8 +52,8 @@ class TracedSample:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:
             raise NotCovered("wheels")
-        if len(run.blocks.sensors) > 1:
-            raise NotCovered("further stages of sensing")
+        if scenario.blocks.choices():
+            raise NotCovered("blocks of a user")
         self._scenario, self.motion = scenario, run.case.motion
         self._frame = make_frame_motion(scenario, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
@@ -70,7 +68,11 @@ class TracedSample:
         self.hidden_names = run.case.true.split.names
         plant = len(self.known) + len(self.hidden)
         self.beside = slice(plant, blocks.states["x"])  # what feeds nothing back
-        self._sensors, timed = blocks.sensors, (*blocks.sensors, *blocks.actuators)
+        forces = tuple(blocks.forces.values())
+        # of the loops that it can be the sample of
+        self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.forces}
+        self._measured = {"stored": blocks.sensors, "pushed": forces}
+        timed = (*blocks.sensors, *blocks.actuators, *forces)
         period = math.lcm(*(each.phase_period for each in timed))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
@@ -101,8 +103,9 @@ class TracedSample:
         """The state of the run's start with another [q; v], which was measured before too (n)."""
         state = self.start.copy()
         state[self.known] = known
-        first = self._plain.places["stored"] - self._plain.places["x"]
-        state[first : first + self._sizes["stored"]] = kept_at(self._sensors, known)
+        for name, own in self._measured.items():
+            first = self._plain.places[name] - self._plain.places["x"]
+            state[first : first + self._sizes[name]] = kept_at(own, known)
         return state
 
     def after(self, index: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +136,13 @@ class TracedSample:
         if truth is not None:
             true = self._true(truth)
             own = reader_of(true.plant).parameters(true.context)
-            self._of(code, start, "own", own.size)[:] = own[:, None]
+            pushing = [
+                getattr(force, "with_payload", lambda _, force=force: force)(truth)
+                for force in self._measured["pushed"]
+            ]
+            changed = {"own": own, "forces": parameters_of(tuple(pushing), "the forces").values}
+            for name, values in changed.items():
+                self._of(code, start, name, values.size)[:] = values[:, None]
         self._of(code, start, "x", self.size)[:] = state[:, None]
         directions = np.eye(count, -(-count // width) * width)
         of_state = np.empty((self.size, directions.shape[1]))

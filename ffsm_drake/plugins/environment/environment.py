@@ -12,24 +12,22 @@ acceleration of p in a uniform rotation at 1 rad/s about an axis u through the o
 three inverse dynamics (``PlantModel``).
 """
 
-from collections.abc import Iterable, Sequence
-from functools import partial
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RotationMatrix
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.common.products import applied
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Environment, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
-from ffsm_drake.spacecraft.copies import CopiesModel, copies_of
 from ffsm_drake.spacecraft.free_floating import FreeFloating
-from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexible_plant
-from ffsm_drake.spacecraft.orbit import Orbit
+from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.orbit import Orbit, turned_axes
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.registry import own_actuators
+from ffsm_drake.systems.sampled import NEXT, Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # p_WB in q
@@ -44,203 +42,138 @@ _CROSS = np.array(
 )
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class OrbitalForce:
-    """The generalized force of the environment on a plant, or on several copies of it, as a
-    function of configuration and time.
+    """The generalized force of the environment on a plant, as a function of configuration and time;
+    ``orbital_force`` makes it.
     """
 
-    def __init__(self, settings: Environment, model: PlantModel) -> None:
-        """Args:
-        settings: the environment.
-        model: the plant with its masses; every call sets its context.
-        """
-        self._settings, self._model = settings, model
-        self._orbit = Orbit(settings)
-        self._rate = self._orbit.rate
-        self._velocity = np.zeros(model.plant.num_velocities())  # scratch pad: v of rotations
-        solar = settings.solar_pressure
-        self._pressure, self._arm = np.zeros(3), np.zeros(3)
-        if solar is not None:
-            sun = np.array(solar.sun, dtype=float)
-            self._pressure = (
-                -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
-            )
-            self._arm = np.array(solar.center_of_pressure, dtype=float)
+    model: PlantModel  # the plant with its masses; every call sets its context
+    rate: np.ndarray  # () mean motion, rad/s
+    axes: np.ndarray  # (3, 3) Hill's axes at the start
+    gravity_gradient: bool
+    tidal: bool
+    lit: bool  # by the sun
+    pressure: np.ndarray  # (3) force of sunlight, N
+    arm: np.ndarray  # (3) the centre of pressure from the base's origin, its axes, m
 
-    def calc(self, q: np.ndarray, time: float) -> np.ndarray:
-        """Generalized force (..., nv) in configurations q (..., nq) at a time in s, N m and N.
+    def calc(self, q: np.ndarray, time: Any) -> np.ndarray:
+        """Generalized force (nv) in a configuration q (nq) at a time in s, N m and N.
 
         Raises ValueError: q is not finite.
         """
-        H, settings = self._model.calc_mass_matrix(q), self._settings
-        if settings.gravity_gradient:
+        H = self.model.calc_mass_matrix(q)
+        if self.gravity_gradient:
             force = self._gravity_gradient(q, H, time)
-        elif settings.tidal:
+        elif self.tidal:
             force = self._tide(q, H, time)
         else:
-            force = np.zeros(H.shape[:-1])
-        if settings.solar_pressure is not None:
-            arm = np.array([self._turned_arm(each) for each in q.reshape(-1, q.shape[-1])])
-            force[..., :3] += np.cross(arm, self._pressure).reshape(force[..., :3].shape)
-            force[..., 3:6] += self._pressure
+            force = np.zeros_like(H[0])
+        if self.lit:
+            torque = np.cross(matrix_of(q[:4]) @ self.arm, self.pressure)
+            rest = np.zeros_like(force[6:])
+            force = force + np.concatenate([torque, self.pressure, rest])
         return force
 
-    def _turned_arm(self, q: np.ndarray) -> np.ndarray:
-        """The centre of pressure (3) from the base's origin, world axes, m."""
-        R_WB = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4]))).matrix()
-        turned: np.ndarray = R_WB @ self._arm
-        return turned
-
-    def _gravity_gradient(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
+    def _gravity_gradient(self, q: np.ndarray, H: np.ndarray, time: Any) -> np.ndarray:
         """About the centre of mass; with the tide about the origin, which gives both."""
-        plant, context, axes = self._model.plant, self._model.context, self._orbit.axes(time)
-        arm = q[..., _POSITION] if self._settings.tidal else -_center_of_mass(H)
+        axes = turned_axes(self.axes, self.rate, time)
+        arm = q[_POSITION] if self.tidal else -_center_of_mass(H)
         across = applied((axes @ _CROSS).reshape(9, 3), arm)  # axis x arm, one after another
-        velocity, force = self._velocity.reshape(H.shape[:-1]), np.zeros(H.shape[:-1])
+        force, rest = np.zeros_like(H[0]), np.zeros_like(H[0, 6:])
         for i, share in enumerate(_SHARES):
-            velocity[..., :3], velocity[..., 3:6] = axes[i], across[..., 3 * i : 3 * i + 3]
-            plant.SetVelocities(context, self._velocity)
-            force += share * plant.CalcBiasTerm(context).reshape(force.shape)
+            velocity = np.concatenate([axes[i], across[3 * i : 3 * i + 3], rest])
+            force = force + share * self.model.calc_bias(q, velocity)
         acceleration = applied((axes.T * _SHARES) @ axes, arm)
-        return self._rate * self._rate * (force + applied(H[..., 3:6], acceleration))
+        return self.rate * self.rate * (force + applied(H[:, 3:6], acceleration))
 
-    def _tide(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
+    def _tide(self, q: np.ndarray, H: np.ndarray, time: Any) -> np.ndarray:
         """On the centre of mass, as if the mass stood there."""
-        radial, center = self._orbit.axes(time)[0], q[..., _POSITION] + _center_of_mass(H)
+        radial = turned_axes(self.axes, self.rate, time)[0]
+        center = q[_POSITION] + _center_of_mass(H)
         acceleration = applied(3.0 * np.outer(radial, radial) - np.eye(3), center)
-        return self._rate * self._rate * applied(H[..., 3:6], acceleration)
+        return self.rate * self.rate * applied(H[:, 3:6], acceleration)
+
+
+def orbital_force(settings: Environment, model: PlantModel) -> OrbitalForce:
+    """Return the force of an environment on a plant."""
+    orbit, solar, pressure, arm = Orbit(settings), settings.solar_pressure, np.zeros(3), np.zeros(3)
+    if solar is not None:
+        sun = np.array(solar.sun, dtype=float)
+        pressure = -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
+        arm = np.array(solar.center_of_pressure, dtype=float)
+    return OrbitalForce(
+        model=model, rate=np.array(orbit.rate), axes=orbit.first, tidal=settings.tidal,
+        gravity_gradient=settings.gravity_gradient, lit=solar is not None, pressure=pressure,
+        arm=arm,
+    )  # fmt: skip
 
 
 def _center_of_mass(mass_matrix: np.ndarray) -> np.ndarray:
-    """Vector from the base's origin to the centre of mass (..., 3), world axes, m."""
+    """Vector from the base's origin to the centre of mass (3), world axes, m."""
     spacecraft = FreeFloating(
         mass_matrix=mass_matrix, base_position=np.empty(0), driven=np.empty(0, dtype=int)
     )
     return spacecraft.center_of_mass
 
 
-class EnvironmentForce(LeafSystem):
-    """The environment's force in the closed loop, held over each control sample, on one spacecraft
-    or several copies of it.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EnvironmentForce(Sampled):
+    """The environment's force in the closed loop, held over each control sample.
 
-    Inputs:
-      state: known [q; v] (nq + nv) of the plant.
-      hidden_state: state of the hidden coordinates, if there are any.
-    Outputs:
-      generalized_force: (nv), held.
-      next_generalized_force: the force at this instant, for the record.
-      hidden_force, next_hidden_force: the same, on hidden coordinates.
-    The held force is that at the middle of the sample, extrapolated linearly from the sample's
-    start and the one before: it is off by 3/8 of its second difference. State (discrete, period
-    ``sample_time``): the held force (nv, then the hidden ones), and the whole force at the last
-    sample. Parameter: the payload's mass, centre of mass and inertia (10), as ``MassProperties``.
-    Each holds copy after copy.
+    Inputs: ``state``, known [q; v] (nq + nv) of the plant, and ``hidden_state``, if there are
+    hidden coordinates. Outputs: ``generalized_force`` (nv), to be held, and
+    ``next_generalized_force``, the force at this instant; likewise ``hidden_force``. The held force
+    is that at the middle of the sample, extrapolated linearly from the sample's start and the one
+    before: it is off by 3/8 of its second difference. Memory: the whole force at the last sample.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], model: PlantModel) -> None:
-        """Args:
-        scenarios: a scenario of each copy, with the same environment.
-        model: a plant for the system's own use, with the true payloads; for several copies a
-          CopiesModel.
-        """
-        super().__init__()
-        self._model, self._scenarios, copies = model, tuple(scenarios), len(scenarios)
-        self._force = OrbitalForce(scenarios[0].environment or Environment(), model)
-        self._held_payloads = np.array([_packed(each.carried.truth) for each in scenarios])
-        whole, hidden = model.plant.num_velocities(), copies * len(model.split.names)
-        self._state = self.DeclareVectorInputPort(
-            "state", model.plant.num_multibody_states() - 2 * hidden
-        )
-        self._hidden_state = (
-            self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
-        )
-        self._acting = self.DeclareDiscreteState(np.zeros(whole - hidden))
-        self._acting_hidden = self.DeclareDiscreteState(np.zeros(hidden))
-        self._last = self.DeclareDiscreteState(np.zeros(whole))
-        self._payload = self.DeclareNumericParameter(BasicVector(self._held_payloads.ravel()))
-        depends = {self.all_input_ports_ticket(), self.time_ticket(), self.all_parameters_ticket()}
-        self._instant = self.DeclareVectorOutputPort(
-            "whole_force", whole, weak_callback(self._calc_whole), depends
-        )
-        now = weak_callback(self._calc_now)
-        self.DeclareStateOutputPort("generalized_force", self._acting)
-        self.DeclareVectorOutputPort(
-            "next_generalized_force", whole - hidden, partial(now, 0), depends
-        )
-        if hidden:
-            self.DeclareStateOutputPort("hidden_force", self._acting_hidden)
-            self.DeclareVectorOutputPort("next_hidden_force", hidden, partial(now, 1), depends)
-        period = scenarios[0].sample_time
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
+    force: OrbitalForce
+    carrier: Carrier
 
-    def set_payload(
-        self, context: Context, properties: MassProperties | Sequence[MassProperties]
-    ) -> None:
-        """Give the payload, or that of each copy, other mass properties."""
-        each = [properties] if isinstance(properties, MassProperties) else properties
-        packed = np.concatenate(list(map(_packed, each)))
-        context.get_mutable_numeric_parameter(self._payload).SetFromVector(packed)
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        nv, hidden = self._sizes
+        return {"state": 2 * nv + 1} | ({"hidden_state": 2 * hidden} if hidden else {})
 
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Begin at a known state [q; v] (nq + nv) of the plant, or at that of each copy."""
-        force = self._calc(context, self._model.split.whole(state))
-        for group, part in self._groups(force, force):
-            context.SetDiscreteState(group, part)
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        sizes = dict(zip(("generalized_force", "hidden_force"), self._sizes, strict=True))
+        each = [(name, size) for name, size in sizes.items() if size]
+        return dict(each) | {NEXT + name: size for name, size in each}
 
-    def park(self, context: Context, copy: int) -> None:
-        """No force was on a copy."""
-        for group in (self._acting, self._acting_hidden, self._last):
-            held = np.array(context.get_discrete_state(group).value())
-            self._rows(held)[copy] = 0.0
-            context.SetDiscreteState(group, held)
+    @property
+    def _sizes(self) -> tuple[int, int]:
+        """Numbers of known and hidden velocities."""
+        return len(self.force.model.coordinates.names), len(self.force.model.split.names)
 
-    def _rows(self, values: np.ndarray) -> np.ndarray:
-        """A port's values, of several copies as rows."""
-        copies = len(self._scenarios)
-        return values if copies == 1 else values.reshape(copies, -1)
+    def with_payload(self, properties: MassProperties) -> "EnvironmentForce":
+        """See Sampled."""
+        model = self.carrier.loaded(self.force.model, properties)
+        return dataclasses.replace(self, force=dataclasses.replace(self.force, model=model))
 
-    def _groups(self, acting: np.ndarray, last: np.ndarray) -> Iterable[tuple[int, np.ndarray]]:
-        """The values of each group of the state."""
-        groups = (self._acting, self._acting_hidden, self._last)
-        return zip(groups, map(np.ravel, (*self._split(acting), last)), strict=True)
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled; before the start the force was that of the state."""
+        split = self.force.model.split
+        if state is None:
+            return {"last": np.zeros(sum(self._sizes))}
+        return {"last": self._calc(split.whole(state), 0.0)}
 
-    def _split(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        hidden = self._model.split
-        return hidden.known_velocities(force), force[..., hidden.hidden]
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        split = self.force.model.split
+        whole = split.whole(inputs["state"], inputs.get("hidden_state"))
+        force = self._calc(whole, now.time)
+        held, outputs = force + 0.5 * (force - memory["last"]), dict[str, Any]()
+        for before, values in (("", held), (NEXT, force)):
+            outputs[f"{before}generalized_force"] = split.known_velocities(values)
+            outputs[f"{before}hidden_force"] = values[split.hidden]
+        return {name: outputs[name] for name in self.outputs}, {"last": force}
 
-    def _calc(self, context: Context, state: np.ndarray) -> np.ndarray:
-        payloads = context.get_numeric_parameter(self._payload).value().reshape(-1, 10)
-        for copy in np.flatnonzero((payloads != self._held_payloads).any(axis=1)).tolist():
-            self._change_payload(copy, payloads[copy])
-        num_positions = self._model.plant.num_positions() // len(self._scenarios)
-        return self._force.calc(state[..., :num_positions], context.get_time())
-
-    def _change_payload(self, copy: int, packed: np.ndarray) -> None:
-        """Give the payload of a copy in the system's own plant other mass properties."""
-        mass, center, inertia = float(packed[0]), packed[1:4].tolist(), packed[4:].tolist()
-        properties = MassProperties(mass=mass, center_of_mass=center, inertia=inertia)
-        model, scenario = self._model, self._scenarios[copy]
-        own = model.models[copy] if isinstance(model, CopiesModel) else model
-        change_payload(own.plant, own.context, scenario, properties)
-        if isinstance(model, CopiesModel):
-            model.take(copy)
-        self._held_payloads[copy] = packed
-
-    def _calc_whole(self, context: Context, output: BasicVector) -> None:
-        state, port = self._rows(self._state.Eval(context)), self._hidden_state
-        deflected = None if port is None else self._rows(port.Eval(context))
-        whole = self._model.split.whole(state, deflected)
-        output.SetFromVector(self._calc(context, whole).ravel())
-
-    def _calc_now(self, part: int, context: Context, output: BasicVector) -> None:
-        force = self._rows(self._instant.Eval(context))
-        output.SetFromVector(self._split(force)[part].ravel())
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        force = self._rows(self._instant.Eval(context))
-        last = self._rows(context.get_discrete_state(self._last).value())
-        for group, part in self._groups(force + 0.5 * (force - last), force):
-            values.set_value(group, part)
+    def _calc(self, state: np.ndarray, time: Any) -> np.ndarray:
+        return self.force.calc(state[: sum(self._sizes) + 1], time)
 
 
 class OrbitalEnvironment(Part):
@@ -255,26 +188,8 @@ class OrbitalEnvironment(Part):
 
     def build(self, setup: BlockSetup) -> EnvironmentForce:
         """The force on all that has mass."""
-        return EnvironmentForce([setup.scenario], make_flexible_plant(_locked(setup.scenario)))
-
-    def build_wide(self, setups: Sequence[BlockSetup]) -> EnvironmentForce | None:
-        """The force on several copies, see ``systems.side_by_side``; None in different orbits."""
-        scenarios = [setup.scenario for setup in setups]
-        if any(each.environment != scenarios[0].environment for each in scenarios):
-            return None
-        locked = [_locked(scenario) for scenario in scenarios]
-        model = copies_of([make_flexible_plant(each) for each in locked], locked[0])
-        return EnvironmentForce(scenarios, model)
-
-
-def _locked(scenario: Scenario) -> Scenario:
-    """With what its actuators let move held."""
-    for part in own_actuators(scenario):
-        scenario = part.locked(scenario)
-    return scenario
-
-
-def _packed(properties: MassProperties) -> np.ndarray:
-    """[mass, centre of mass, Ixx, Iyy, Izz, Ixy, Ixz, Iyz] (10)."""
-    inertia = (*properties.inertia, 0.0, 0.0, 0.0)[:6]
-    return np.array([properties.mass, *properties.center_of_mass, *inertia], dtype=float)
+        locked = setup.scenario
+        for part in own_actuators(locked):
+            locked = part.locked(locked)
+        settings, model = locked.environment or Environment(), make_flexible_plant(locked)
+        return EnvironmentForce(force=orbital_force(settings, model), carrier=Carrier(locked))

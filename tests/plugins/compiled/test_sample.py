@@ -133,15 +133,17 @@ def test_the_derivative_is_exact(law, given):
         ("tde_aismc", "postcapture", ()),
         ("tdc", "free_floating", SHORT),
         ("tvlqr", "free_floating", (*SHORT, "sensing.position_period={base_position: 3}")),
+        ("tdc", "flexible_panels", ("environment={altitude: null, mean_motion: 0.01}",)),
     ],
 )
 def test_the_loop_is_that_of_differences(law, name, overrides, monkeypatch):
     check_loop(name, law, overrides, 0.5, monkeypatch)
 
 
-def test_a_further_force_is_left_to_differences():
+def test_a_force_of_a_user_is_left_to_differences():
     """A compiled sample would not have it, and its effect in some samples is small."""
-    scenario = load_scenario("postcapture", ["controller=tdc", "environment.gravity_gradient=true"])
+    own = "blocks.forces.own.system=own_stage:Pull"
+    scenario = load_scenario("postcapture", ["controller=tdc", own])
     with Linearizer(scenario) as linearizer:
         assert not linearizer.is_exact
 

@@ -151,6 +151,40 @@ def drives(random):
     return "postcapture", given, [[f"payload.truth.mass={mass}"] for mass in (80.0, 100.0, 120.0)]
 
 
+def environments(random):
+    """Any of the orbit's forces, on flexible parts too, and a force of a user."""
+    name = str(random.choice(["postcapture", "flexible_panels", "free_floating", "envisat"]))
+    rpy, sun = np.round(random.normal(size=(2, 3)), 3).tolist()
+    kinds = {
+        kind: str(bool(random.random() < 0.6)).lower() for kind in ("gravity_gradient", "tidal")
+    }
+    kinds |= {"altitude": "null", "hill_rpy": rpy}
+    if random.random() < 0.5:
+        kinds["solar_pressure"] = f"{{sun: {sun}, area: 50, center_of_pressure: [0.1, 0.2, 1]}}"
+    given = ", ".join(f"{key}: {value}" for key, value in kinds.items())
+    own = ["blocks.forces.own.system=own_stage:Pull"] if random.random() < 0.5 else []
+    rates = [[f"environment.mean_motion={random.uniform(1e-3, 1e-2):.5f}"] for _ in range(3)]
+    return name, [f"environment={{{given}, mean_motion: 0.01}}", *own], rates
+
+
+def flexible_joints(random):
+    """A gear, or a joint without a drive, beside a pendulum; the seed by run."""
+    tank = "tank: {kind: pendulum, mass: 4, length: 0.3, frequency: 0.4}"
+    if random.random() < 0.5:
+        name, joint = "postcapture", f"joint_{random.integers(1, 6)}"
+        soft = f"kind: gear, joint: {joint}, stiffness: {random.uniform(1e3, 3e3):.0f}"
+        gains = [f"controllers.pd_plus.{gain}={{all: 20}}" for gain in ("k_d", "k_p")]
+        given = [f"actuation.drives.rotor_inertia.{joint}={random.uniform(10, 30):.1f}"]
+        given += ["controller=pd_plus", "sample_time=0.0025", *gains]
+    else:
+        name, joint = "ets_vii", f"joint_{random.integers(1, 7)}"
+        soft = f"kind: joint, joint: {joint}, frequency: {random.uniform(0.5, 3):.2f}"
+        given = [f"{posture}_posture={{joints: {{all: 0}}}}" for posture in ("initial", "target")]
+        given.append("controller=tdc")
+    given.append(f"model.flexible={{soft: {{{soft}}}, {tank}}}")
+    return name, given, [[f"random_seed={k}"] for k in range(3)]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["free_floating", "seven_joint"])
 @pytest.mark.parametrize(
@@ -163,8 +197,12 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "draw", [late_sensors, flexible_parts, captures, undriven_bases, wheels, drives]
-)
+    "draw",
+    [
+        late_sensors, flexible_parts, captures, undriven_bases, wheels, drives, environments,
+        flexible_joints,
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     random = np.random.default_rng(seed)
