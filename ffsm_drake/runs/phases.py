@@ -1,31 +1,35 @@
 """Phases of a mission as data, and the runner that goes through them with one log.
 
-A phase describes how its loop differs from the mission (target in the gripper or not, plan, motion,
-blocks such as the law), its end, and the next phase. The runner builds the loop, or uses a loop
-that exists.
+A phase begins where wiring, contacts or the plant change. Its kind has three functions: ``plan``
+returns how the loop differs from that of the mission, ``enter`` puts the loop where the phase
+begins, and ``judge`` returns an outcome, which leads to the next phase. All that passes from phase
+to phase is a ``Situation``.
 """
 
 import dataclasses
 import functools
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import Outcome
-from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import reference_from
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.setup import BlockSetup
 
-Begin = Callable[[ClosedLoop, Context], None]
 Progress = Callable[[float, float], None]
+Show = Callable[[DiagramBuilder, ClosedLoop], None]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,111 +49,241 @@ class Phase:
     # excluded; None: the end of the run
     names: tuple[tuple[str, int | None], ...] = ()
     holds: bool = False  # whether the target is in the gripper
+    closed: float = 0.0  # s after the grasp; the hands that closed up to then hold the target
     scenario: Scenario | None = None  # with its plan; None: the scenario of the mission
     motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
     # block -> factory that replaces a block of the mission
     blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
     joint_force: np.ndarray | None = None  # see ``add_closed_loop``
     afresh: tuple[str, ...] = ()  # blocks that start anew in this phase
-    begin: Begin = lambda loop, context: None  # other changes of its loop at its start
-    next: Callable[[], "Phase | None"] = lambda: None  # called unless the run has ended
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Situation:
+    """What passes from phase to phase."""
+
+    sample: int = 0  # the first of the next phase
+    loop: Any = None  # ClosedLoop of the last phase
+    context: Any = None  # of its diagram, at its end
+    logs: tuple[RunLog, ...] = ()  # of the phases
+    names: tuple[tuple[str, int], ...] = ()  # phases with an end, and the sample after it
+    failed: Outcome | None = None  # outcome of a run that failed between two phases
+    made: GraspLog | None = None  # the grasp
+    own: Any = None  # what the kinds of a mission keep
+
+    @property
+    def state(self) -> np.ndarray:
+        """The plant's own [q; v]."""
+        state: np.ndarray = self.loop.whole_states(self.context)[0]
+        return state
+
+    def failing(self, status: str, message: str) -> "Situation":
+        """The situation of a run that ends so, unless another phase follows."""
+        return dataclasses.replace(self, failed=Outcome(status=status, time=0.0, message=message))
+
+    def legs(self, samples: int) -> tuple[tuple[str, int], ...]:
+        """Name and number of samples of the phases before a number of samples."""
+        legs, first = list[tuple[str, int]](), 0
+        for name, last in self.names:
+            if (count := min(last, samples) - first) > 0:
+                legs.append((name, count))
+                first += count
+        return tuple(legs)
+
+
+class PhaseKind:
+    """A kind of phase."""
+
+    def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
+        """Return the phase that begins now; None: the run ends."""
+        raise NotImplementedError
+
+    def enter(
+        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
+    ) -> Situation:
+        """Put the loop of a phase where it begins. By default: where the last one ended."""
+        if now.sample > 0:
+            loop.set_whole_states(root_context, now.state[None])
+            loop.resume(root_context, now.loop, now.context, afresh=phase.afresh)
+        return now
+
+    def judge(self, now: Situation) -> tuple[str, Situation]:
+        """Return the outcome of a phase that came to its end."""
+        return "", now
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Stop(PhaseKind):
+    """The motion with the target held."""
+
+    until: int | None = None  # sample at which it ends; None: the end of the run
+    then: str = ""  # outcome there
+
+    def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
+        """See PhaseKind."""
+        return Phase(names=(("stop", self.until),), holds=True), now
+
+    def judge(self, now: Situation) -> tuple[str, Situation]:
+        """See PhaseKind."""
+        return self.then, now
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Mission:
-    """One run in a sequence of phases.
+    """The phases of a run."""
 
-    ``before`` is the loop of the last phase and ``context`` its context at the end, ``sample`` the
-    first one of the next phase; ``ended``: the run ended before its last phase did.
-    """
+    kinds: Mapping[str, PhaseKind]  # by the outcome that leads to it; "": the first
+    own: Any = None  # what the kinds keep at the start
+    # adds to the log of all phases what the kinds know
+    finish: Callable[[RunLog, Situation], RunLog] = lambda log, now: log
+    # adds series to the logs of the phases before they are joined
+    complete: Callable[[tuple[RunLog, ...]], tuple[RunLog, ...]] = lambda logs: logs
 
-    before: ClosedLoop
-    context: Context
-    loop: ClosedLoop  # loop of the present phase
+
+class PhasedRollout:
+    """A ``Rollout`` of a scenario with phases; plug-ins derive from it."""
 
     def __init__(
         self,
         scenario: Scenario,
-        progress: Progress | None = None,
         *,
         blocks: Mapping[str, Factory] | None = None,
-        kept: Mapping[bool, Rollout | None] | None = None,
+        meshcat: Meshcat | None = None,
     ) -> None:
-        """Args:
-        scenario: scenario of the run, as its log shall have it.
-        progress: see ``Rollout.run``.
-        blocks: factories that replace the scenario's blocks.
-        kept: by ``holds``, loops of phases that differ in nothing else.
-        """
-        self._scenario, self._progress = scenario, progress
-        self._blocks, self._kept = blocks or {}, kept or {}
-        self._start, self.sample = time.perf_counter(), 0
-        self._names: list[tuple[str, int]] = []  # phases with an end, and the sample after it
-        self.logs: list[RunLog] = []  # of the phases
-        self.failed: Outcome | None = None  # outcome of a run that failed between two phases
-        self.ended = False
-        self._own: list[Rollout] = []  # loops of this mission alone
+        """Arguments and errors: see ``Rollout``."""
+        self._blocks, self._scenario = blocks, scenario
+        # loops of phases that differ in nothing else: with an empty gripper (None), and with the
+        # hands on the target that have closed up to a time
+        self._loops = dict[float | None, Rollout]()
+        times = closing_times(scenario)
+        for closed in times:
+            plan = dataclasses.replace(scenario, closed=closed) if times[1:] else scenario
+            self._loops[closed] = Rollout(plan, blocks=blocks, meshcat=meshcat)
+            if closed == 0.0 and scenario.grasp_time > 0.0:
+                show = None if meshcat is None else self.show(scenario)
+                plan = dataclasses.replace(plan, holds=False)
+                self._loops[None] = Rollout(plan, blocks=blocks, meshcat=meshcat, show=show)
 
-    def run(self, phase: Phase | None) -> RunLog:
-        """Run a phase and the phases after it. Raises the errors of ``Rollout.run``."""
+    @staticmethod
+    def show(scenario: Scenario) -> Show | None:
+        """How the loop with an empty gripper is shown."""
+        return None
+
+    def mission(self, scenario: Scenario) -> Mission:
+        """The mission of a scenario."""
+        raise NotImplementedError
+
+    def held(self, closed: float = 0.0) -> ClosedLoop:
+        """The loop with the hands on the target that have closed up to a time after the grasp."""
+        return self._loops[closed].loop
+
+    @property
+    def loop(self) -> ClosedLoop:
+        """The closed loop with all hands on the target."""
+        return self.held(max(time for time in self._loops if time is not None))
+
+    def release(self) -> None:
+        """As ``Rollout.release``."""
+        for rollout in self._loops.values():
+            rollout.release()
+
+    def accepts(self, scenario: Scenario) -> bool:
+        """As ``Rollout.accepts``."""
+        return self._loops[0.0].accepts(self._plan(scenario, Phase(holds=True)))
+
+    def check(self) -> None:
+        """As ``Rollout.check``."""
+        for closed in sorted(self._loops, key=lambda closed: (closed is not None, closed)):
+            self._loops[closed].check()
+
+    def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
+        """As ``Rollout.run``; where a hand grasps, the log holds the velocity after it."""
+        start, scenario = time.perf_counter(), scenario or self._scenario
+        mission, alone = self.mission(scenario), list[Rollout]()
+        run = _Run(mission, scenario)
+
+        def joined() -> RunLog:
+            return run.joined(time.perf_counter() - start)
+
         try:
-            while phase is not None:
-                self._note(phase, self._through(phase))
-                phase = None if self.ended else phase.next()
-        except BlockError as error:
-            if error.log is not None and phase is not None:
-                self._note(phase, error.log)
-                error.log = self._joined()
-            raise
+            while (phase := run.plan()) is not None:
+                plan = self._plan(scenario, phase)
+                rollout = self._loop_of(phase, plan)
+                if rollout not in self._loops.values():
+                    alone.append(rollout)
+                try:
+                    log = rollout.run(plan, progress=progress, leg=run.leg(phase, rollout.loop))
+                except BlockError as error:
+                    if error.log is not None:
+                        run.note(phase, error.log)
+                        error.log = joined()
+                    raise
+                run.note(phase, log)
         finally:
-            for loop in self._own:
-                loop.release()
-        return self._joined()
+            for rollout in alone:
+                rollout.release()
+        return joined()
 
-    def _loop_of(self, phase: Phase, scenario: Scenario) -> Rollout:
-        """Return the loop of a phase; a new one is released at the end of the run."""
-        own: dict[str, Factory] = {}
+    def _plan(self, scenario: Scenario, phase: Phase) -> Scenario:
+        """The scenario of the loop of a phase."""
+        closed = phase.closed if len(closing_times(scenario)) > 1 else None
+        return dataclasses.replace(phase.scenario or scenario, holds=phase.holds, closed=closed)
+
+    def _loop_of(self, phase: Phase, plan: Scenario) -> Rollout:
+        """The loop of a phase: one that is kept, or a new one."""
+        own = dict(phase.blocks)
         if phase.motion is not None:
-            own["reference"] = functools.partial(_along, phase.motion)
-        own |= phase.blocks
-        if (kept := self._kept.get(phase.holds)) and not own and phase.scenario is None:
-            return kept
-        blocks = {**self._blocks, **own}
-        self._own.append(Rollout(scenario, blocks=blocks, joint_force=phase.joint_force))
-        return self._own[-1]
+            own = {"reference": functools.partial(_along, phase.motion), **own}
+        if not own and phase.scenario is None:
+            return self._loops[phase.closed if phase.holds else None]
+        return Rollout(plan, blocks={**(self._blocks or {}), **own}, joint_force=phase.joint_force)
 
-    def begin(self, phase: Phase, loop: ClosedLoop, root_context: Context) -> None:
-        """Put a phase's loop where the phase begins: where the last one ended."""
-        if self.sample > 0:
-            loop.set_whole_states(root_context, self.before.whole_states(self.context))
-            loop.resume(root_context, self.before, self.context, afresh=phase.afresh)
-        phase.begin(loop, root_context)
 
-    def _through(self, phase: Phase) -> RunLog:
-        scenario = dataclasses.replace(phase.scenario or self._scenario, holds=phase.holds)
-        loop = self._loop_of(phase, scenario)
-        self.loop = loop.loop
-        begin = functools.partial(self.begin, phase)
-        leg = Leg(first=self.sample, last=phase.names[-1][1], begin=begin, end=self._keep)
-        return loop.run(scenario, progress=self._progress, leg=leg)
+class _Run:
+    """A run on its way through the phases of a mission."""
 
-    def _keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        self.before, self.context = loop, root_context
+    def __init__(self, mission: Mission, scenario: Scenario) -> None:
+        self._mission, self._scenario = mission, scenario
+        self._now, self._kind = Situation(own=mission.own), mission.kinds.get("")
 
-    def _note(self, phase: Phase, log: RunLog) -> None:
-        """Keep the log of a phase, and whether the run has ended in it."""
-        for name, last in phase.names:
-            if last is not None:
-                self._names.append((name, last))
-                self.sample = last
-        self.logs.append(log)
-        self.ended |= not log.outcome.completed
+    def plan(self) -> Phase | None:
+        """The next phase; None: the run ends."""
+        if self._kind is None:
+            return None
+        phase, self._now = self._kind.plan(self._now)
+        return phase
 
-    def _fail(self, status: str, message: str) -> None:
-        self.failed = Outcome(status=status, time=0.0, message=message)
+    def leg(self, phase: Phase, loop: ClosedLoop) -> Leg:
+        """The leg of a phase in its loop."""
+        before = self._now
 
-    def _joined(self) -> RunLog:
-        """Return the log of all phases; NaN in the phases without a series."""
-        logs = self.logs
+        def begin(loop: ClosedLoop, root_context: Context) -> None:
+            assert self._kind is not None
+            self._now = self._kind.enter(before, phase, loop, root_context)
+
+        def end(loop: ClosedLoop, root_context: Context) -> None:
+            self._now = dataclasses.replace(self._now, loop=loop, context=root_context)
+
+        return Leg(first=before.sample, last=phase.names[-1][1], begin=begin, end=end)
+
+    def note(self, phase: Phase, log: RunLog) -> None:
+        """Keep the log of a phase, and find the kind of the next one."""
+        ends = tuple((name, last) for name, last in phase.names if last is not None)
+        now = dataclasses.replace(
+            self._now,
+            sample=ends[-1][1] if ends else self._now.sample,
+            logs=(*self._now.logs, log),
+            names=(*self._now.names, *ends),
+        )
+        kind, self._kind = self._kind, None
+        if kind is not None and log.outcome.completed and phase.names[-1][1] is not None:
+            outcome, now = kind.judge(now)
+            self._kind = self._mission.kinds.get(outcome) if outcome else None
+        self._now = now
+
+    def joined(self, total: float) -> RunLog:
+        """The log of all phases; NaN in the phases without a series. Args: wall time, s."""
+        logs = self._mission.complete(self._now.logs)
         last, time_of = logs[-1], np.concatenate([log.time for log in logs])
         empty = {
             name: np.full_like(values[:1], np.nan)
@@ -157,10 +291,11 @@ class Mission:
             for name, values in log.series.items()
         }
         spent = {key: sum(log.wall_time[key] for log in logs) for key in last.wall_time}
-        return dataclasses.replace(
+        outcome = self._now.failed or last.outcome
+        log = dataclasses.replace(
             last,
             scenario=self._scenario,
-            outcome=dataclasses.replace(self.failed or last.outcome, time=float(time_of[-1])),
+            outcome=dataclasses.replace(outcome, time=float(time_of[-1])),
             time=time_of,
             series={
                 name: np.concatenate(
@@ -169,17 +304,9 @@ class Mission:
                 for name, gap in empty.items()
             },
             parts={name: part for log in logs for name, part in log.parts.items()},
-            wall_time={**spent, "total": time.perf_counter() - self._start},
+            wall_time={**spent, "total": total},
         )
-
-    def _legs(self, samples: int) -> tuple[tuple[str, int], ...]:
-        """Return name and number of samples of the parts before a number of samples."""
-        legs, first = list[tuple[str, int]](), 0
-        for name, last in self._names:
-            if (count := min(last, samples) - first) > 0:
-                legs.append((name, count))
-                first += count
-        return tuple(legs)
+        return self._mission.finish(log, self._now)
 
 
 def _along(motion: PlannedMotion, setup: BlockSetup) -> Diagram:

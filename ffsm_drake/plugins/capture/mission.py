@@ -1,93 +1,128 @@
-"""Runs with a capture: the servicer without the target up to the grasp, then with the target.
+"""The phases of a run with a capture.
 
-Before and after the grasp there are two closed loops with one controller, each with its own nominal
-model. At the grasp the states of sensors, actuators and forces are kept, the law resumes
-(``ControlLaw.resume``), and the velocity of the servicer jumps. The gripper holds the target at the
-pose at which it meets it, so the position error of the arm becomes part of the mass properties of
-the payload.
+In its phases the servicer is without the target up to the grasp, then with the target. At the grasp
+the states of sensors, actuators and forces are kept, the law resumes (``ControlLaw.resume``), and
+the velocity of the servicer jumps. The gripper holds the target at the pose at which it meets it,
+so the position error of the arm becomes part of the mass properties of the payload.
 """
 
 import dataclasses
 import functools
 from collections.abc import Mapping
 
-from pydrake.geometry import Meshcat
+import numpy as np
 
+from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.plugins.capture.closing import ClosingRun
-from ffsm_drake.plugins.capture.handover import Handover, grasped_at_start
-from ffsm_drake.plugins.capture.phases import Captures
+from ffsm_drake.plugins.capture.before import phases_before
+from ffsm_drake.plugins.capture.grasping import Aim, grasped_at_start, with_grasp
+from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
+from ffsm_drake.plugins.capture.phases.approach import Approach
+from ffsm_drake.plugins.capture.phases.chase import Chase
+from ffsm_drake.plugins.capture.phases.close import Close, free_motion
+from ffsm_drake.plugins.capture.phases.held import Held
+from ffsm_drake.plugins.capture.phases.retreat import Again, Retreat
 from ffsm_drake.plugins.capture.pictures import show_apart
-from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Progress
-from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.plugins.capture.target_filter import Path
+from ffsm_drake.plugins.capture.tracked_target import drawn_path
+from ffsm_drake.runs.log import GraspLog, RunLog
+from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, PhaseKind, Show, Situation
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.registry import Factory
 
 
-class MissionRollout:
+class MissionRollout(PhasedRollout):
     """A ``Rollout`` of a scenario with a capture."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        *,
-        blocks: Mapping[str, Factory] | None = None,
-        meshcat: Meshcat | None = None,
-    ) -> None:
-        """Arguments and errors: see ``Rollout``."""
-        self._blocks, self._scenario = blocks, scenario
-        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
-        self._approach = None
-        if scenario.grasp_time > 0.0:
-            show = None
-            if meshcat is not None:
-                show = functools.partial(show_apart, Handover(scenario).path[:, :7])
-            empty = dataclasses.replace(scenario, holds=False)
-            self._approach = Rollout(empty, blocks=blocks, meshcat=meshcat, show=show)
+    @staticmethod
+    def show(scenario: Scenario) -> Show:
+        """The spacecraft, and the target apart."""
+        return functools.partial(show_apart, Aim(scenario).path[:, :7])
 
-    @property
-    def loop(self) -> ClosedLoop:
-        """The closed loop with the target held."""
-        return self._stop.loop
+    def mission(self, scenario: Scenario) -> Mission:
+        """The phases of a capture, and what follows a target that was not captured."""
+        if scenario.grasp_time == 0.0:
+            return Mission(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
+        chase = _chase(scenario)
+        kinds: dict[str, PhaseKind] = {
+            **_up_to(chase.aim.sample - chase.closing, scenario, self.held())
+        }
+        if scenario.closing is None:
+            kinds["met"] = Held()
+        else:
+            kinds |= {"met": Close(), "held": Held()}
+            if chase.capture.retreat is not None:
+                kinds |= dict.fromkeys(("missed", "bounced", "slipped"), Retreat())
+                kinds["seen"] = Again()
+        return Mission(kinds=kinds, own=chase, finish=_with_target)
 
-    def release(self) -> None:
-        """As ``Rollout.release``."""
-        for rollout in (self._stop, self._approach):
-            if rollout is not None:
-                rollout.release()
 
-    def accepts(self, scenario: Scenario) -> bool:
-        """As ``Rollout.accepts``."""
-        return self._stop.accepts(scenario)
+def _up_to(contact: int, scenario: Scenario, held: ClosedLoop) -> Mapping[str, Approach]:
+    """The scenario's own phases and the approach, up to the sample of the contact: neighbours
+    with the same blocks share a loop.
+    """
+    found, before, end = list[Approach](), dict[str, Factory](), 0.0
+    for name, phase in {**phases_before(scenario), "approach": Phase()}.items():
+        own = dict(phase.blocks)
+        last = contact
+        if name != "approach":
+            end += scenario.blocks.phases[name].duration
+            last = round(end / scenario.sample_time)
+        if found and own == before:
+            names = (*found[-1].names, (name, last))
+            found[-1] = dataclasses.replace(found[-1], names=names)
+        else:
+            afresh = tuple({**own, **before})
+            found.append(Approach(names=((name, last),), blocks=own, afresh=afresh, held=held))
+        before = own
+    return {
+        str(index or ""): each
+        if index == len(found) - 1
+        else dataclasses.replace(each, then=str(index + 1))
+        for index, each in enumerate(found)
+    }
 
-    def check(self) -> None:
-        """As ``Rollout.check``."""
-        for rollout in (self._approach, self._stop):
-            if rollout is not None:
-                rollout.check()
 
-    def run(
-        self,
-        scenario: Scenario | None = None,
-        *,
-        progress: Progress | None = None,
-        leg: Leg | None = None,
-    ) -> RunLog:
-        """As ``Rollout.run``; at the sample of the grasp the log holds the velocity after it. A
-        leg begins at the first sample.
-        """
-        if self._approach is None:
-            return grasped_at_start(self._stop.run(scenario, progress=progress, leg=leg))
-        scenario = scenario or self._scenario
-        mission = (Captures if scenario.closing is None else ClosingRun)(
-            Handover(scenario),
-            progress,
-            blocks=self._blocks,
-            kept={True: self._stop, False: self._approach},
+def _chase(scenario: Scenario) -> Chase:
+    """What a capture with an approach begins with."""
+    aim = Aim(scenario)
+    if scenario.closing is None:
+        return Chase(scenario=scenario, aim=aim, path=aim.path)
+    last = aim.sample - 1
+    path = np.vstack([aim.path[:last], free_motion(scenario, aim.path[last], last)])
+    measured, expected = scenario.measured, None
+    body = scenario.payload.nominal if measured else scenario.payload.truth
+    known = Path(motion=path, arm=np.array(body.center_of_mass))
+    place = np.array(scenario.initial_posture.base_position)  # at the grasp
+    if measured:
+        motion, expected = drawn_path(scenario, measured.filter, path[0])
+        path = free_motion(scenario, motion, 0)
+    return Chase(
+        scenario=scenario,
+        aim=aim,
+        path=path,
+        known=known,
+        expected=expected,
+        reach=float(np.linalg.norm(place - known.center(aim.sample))),
+    )
+
+
+def _with_target(log: RunLog, now: Situation) -> RunLog:
+    """The log with the target, and the external force on servicer and target together."""
+    series = dict(log.series)
+    contact = series.pop(f"force_{GRIPPER.partition('.')[2]}", None)
+    if contact is not None:
+        series["disturbance_force"] = series["disturbance_force"] - contact
+    log = dataclasses.replace(log, series=series)
+    if isinstance(now.made, MadeGrasp):
+        log = with_grasp(log, now.made)
+    else:
+        grasp = GraspLog(
+            sample=log.time.size,
+            payload=now.own.scenario.payload.truth,
+            target=now.own.moved[: log.time.size],
         )
-        mission.last = None if leg is None else leg.last
-        log = mission.run(mission.first())
-        if leg is not None and leg.end is not None and not mission.ended:
-            leg.end(mission.before, mission.context)
-        return log
+        log = dataclasses.replace(log, grasp=grasp)
+    assert log.grasp is not None
+    legs = now.legs(log.grasp.sample)
+    return dataclasses.replace(log, grasp=dataclasses.replace(log.grasp, legs=legs))

@@ -14,7 +14,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import short
 from ffsm_drake.plugins.actuators.drives import DriveSet
-from ffsm_drake.plugins.capture.handover import Handover
+from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.capture.momentum import momentum_budget, storage_remark
 from ffsm_drake.runs.limits import (
     INSTANTS,
@@ -199,7 +199,7 @@ def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Clos
     motion = make_motion(scenario, model.coordinates)
     found: list[Closest] = []
     if motion.begin > 0.0:
-        path = Handover(scenario).path
+        path = Aim(scenario).path
         chosen = np.unique(np.linspace(0, len(path) - 1, INSTANTS).round().astype(int))
         times = scenario.sample_time * chosen
         found += closest_of(scenario, times, _positions_of(motion, times), target=path[chosen, :7])

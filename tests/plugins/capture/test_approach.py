@@ -8,7 +8,7 @@ import pytest
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.plugins.capture.approach import approach_posture, given_approach
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
-from ffsm_drake.plugins.capture.handover import Handover
+from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.runs.limits import CLEARANCE, INSTANTS, closest_of, distances_in, limits_left
 from ffsm_drake.runs.rollout import make_rollout
@@ -31,7 +31,7 @@ def planned(scenario, instants=60):
     """Times, motion [q; v; a] and the target's poses of a planned approach."""
     alone = dataclasses.replace(scenario, holds=False)
     model = make_nominal_plant(alone)
-    path = Handover(scenario).path[:, :7]
+    path = Aim(scenario).path[:, :7]
     samples = np.linspace(0, len(path) - 1, instants).round().astype(int)
     times = samples * scenario.sample_time
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
@@ -66,7 +66,7 @@ def test_the_planned_approach_keeps_clear_and_is_gentle(seed):
     )
     assert share.max() <= 0.55
     # it ends where it would have from the posture given
-    assert np.allclose(q[-1, 7:], Handover(scenario).reference[7:12], atol=0.05)
+    assert np.allclose(q[-1, 7:], Aim(scenario).reference[7:12], atol=0.05)
 
 
 @pytest.mark.long
@@ -158,7 +158,7 @@ def test_what_the_arm_cannot_follow_is_met_half_way_through_the_closing():
     assert np.linalg.norm(left[:3]) > 0.01
     samples = round(1.0 / at_once.sample_time)
     turned = [
-        Handover(each).path[-1 - samples, :4] * np.sign(Handover(each).path[-1 - samples, 0])
+        Aim(each).path[-1 - samples, :4] * np.sign(Aim(each).path[-1 - samples, 0])
         for each in (at_once, closing)
     ]
     angle = 2.0 * np.linalg.norm(turned[0] - turned[1])

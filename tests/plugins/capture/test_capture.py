@@ -15,7 +15,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.analysis import analyze
 from ffsm_drake.plugins.capture.contact import coast, planned_contact
-from ffsm_drake.plugins.capture.handover import seen_from
+from ffsm_drake.plugins.capture.grasping import seen_from
 from ffsm_drake.plugins.capture.mission import MissionRollout
 from ffsm_drake.plugins.capture.page import grasp_of
 from ffsm_drake.runs.dataset import make_table

@@ -10,10 +10,10 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
-from ffsm_drake.plugins.capture.closing import ClosingRun
 from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.gripper import GripperForce
+from ffsm_drake.plugins.capture.phases import retreat
 from ffsm_drake.plugins.capture.supervisor import Mode
 from ffsm_drake.runs.metrics import phases_of
 
@@ -63,8 +63,8 @@ def test_a_target_is_drawn_in_and_captured():
 
 @pytest.mark.long
 def test_a_weak_gripper_lets_it_slip_and_the_servicer_retreats():
-    retreat = "capture.retreat={tries: 1, duration: 3, distance: 0.05}"
-    record = closed("capture.closing.preload=0.1", retreat)
+    again = "capture.retreat={tries: 1, duration: 3, distance: 0.05}"
+    record = closed("capture.closing.preload=0.1", again)
     assert record.ending.status == record.outcome.status == "slipped"
     assert record.ending.is_failure
     assert record.grasp is None
@@ -94,8 +94,8 @@ def test_the_loops_of_a_run_are_freed():
         return sum(isinstance(each, GripperForce) for each in gc.get_objects())
 
     before = alive()
-    retreat = "capture.retreat={tries: 1, duration: 1, distance: 0.05}"
-    record = closed("capture.envelope.position=0.01", retreat)
+    again = "capture.retreat={tries: 1, duration: 1, distance: 0.05}"
+    record = closed("capture.envelope.position=0.01", again)
     assert list(phases_of(record.dataset)) == ["approach", "retreat"]
     assert alive() == before
 
@@ -185,11 +185,10 @@ def test_the_next_try_goes_by_the_estimate_alone(monkeypatch):
     """Nothing that is planned after a miss knows the target's true inertia and centre of mass."""
     found = []
 
-    def planned(run, start, first):
-        found.append((run._known, run._motion, run.sample, run._chosen))
-        return False
+    def planned(now, start, first):
+        found.append((now.own.known, now.own.path, now.sample, now.own.scenario))
 
-    monkeypatch.setattr(ClosingRun, "_meet_again", planned)
+    monkeypatch.setattr(retreat, "next_try", planned)
     # unlike the nominal one, and turning fast enough to tell
     record = measured(
         "duration=24",

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate
-from ffsm_drake.plugins.capture.handover import Handover
+from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -66,7 +66,7 @@ def test_the_approach_after_it_is_that_without_it():
         make_motion(each, coordinates).rows(times + by) for each, by in ((alone, 0), (later, 1))
     ]
     assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-13)
-    assert_allclose(Handover(alone).path, Handover(later).path[100:], rtol=0.0, atol=1e-9)
+    assert_allclose(Aim(alone).path, Aim(later).path[100:], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.slow

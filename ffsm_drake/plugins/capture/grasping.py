@@ -1,4 +1,4 @@
-"""The way of a run from the loop before the grasp to the one after it."""
+"""The grasp of a target: the plan, how the gripper meets the target, and the grasp itself."""
 
 import dataclasses
 
@@ -16,31 +16,35 @@ from ffsm_drake.plugins.capture.contact import (
 )
 from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.scenario import Capture, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, hand_frame
 from ffsm_drake.systems.part import STORED_MOMENTUM
 
+Target = tuple[RigidTransform, np.ndarray]  # X_WP and [w_WP; v_WP] (6) of a target
 
-class Handover:
-    """Takes a run from the loop before the grasp to the one after it."""
 
-    log: MadeGrasp | None = None  # log of the grasp, once it is made
+class Aim:
+    """The planned grasp of a scenario."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario, self.payload = scenario, scenario.payload.truth  # as it lies in the gripper
-        self.sample = round(scenario.grasp_time / scenario.sample_time)
+    def __init__(self, scenario: Scenario, sample: int | None = None) -> None:
+        """Args: sample of the grasp; default: that of the scenario."""
+        self.scenario = scenario
+        first = round(scenario.grasp_time / scenario.sample_time)
+        self.sample = first if sample is None else sample
         model = make_nominal_plant(scenario)
         planned = planned_contact(scenario, model)
+        # [q; v] of the servicer after it
         self.reference = np.concatenate([planned.q, planned.grasp.velocity])
-        # The target's own motion up to where it is to be met.
-        self._twist = planned.target_velocity
-        self._X_WP, self.path = target_path(scenario, model, planned)
+        # the target where it is to be met, and its own motion (n, 13) at the samples before
+        X_WP, self.path = target_path(scenario, model, planned)
+        self.target: Target = X_WP, planned.target_velocity
         # motion (13) of the target where the arm is planned to meet it
-        pose = [*self._X_WP.rotation().ToQuaternion().wxyz(), *self._X_WP.translation()]
-        self.expected = np.concatenate([pose, self._twist])
+        pose = [*X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()]
+        self.expected = np.concatenate([pose, planned.target_velocity])
 
     def start(self, loop: ClosedLoop) -> np.ndarray:
         """The plant's own [q; v] of the servicer where the run starts."""
@@ -55,35 +59,53 @@ class Handover:
             position = configuration(loop.single, posture, key="capture.approach.posture")
         return loop.split.whole(np.concatenate([position, velocity]))
 
-    def find_target(self, motion: np.ndarray) -> None:
-        """The target is elsewhere than planned: at (13) [quaternion, p_WP; w_WP, v_WP]."""
-        quaternion = Quaternion(motion[:4] / np.linalg.norm(motion[:4]))
-        self._X_WP, self._twist = RigidTransform(quaternion, motion[4:7]), motion[7:]
 
-    def meet(self, loop: ClosedLoop, state: np.ndarray) -> None:
-        """Find how the gripper, at the plant's own [q; v], meets the target, with the loop in which
-        it is held.
-        """
-        scenario, plant = self.scenario, loop.single
-        self._q, self._v = np.split(state, [plant.num_positions()])
+def target_at(motion: np.ndarray) -> Target:
+    """The target in a motion (13) [quaternion, p_WP; w_WP, v_WP]."""
+    quaternion = Quaternion(motion[:4] / np.linalg.norm(motion[:4]))
+    return RigidTransform(quaternion, motion[4:7]), motion[7:]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Meeting:
+    """How a gripper meets a target."""
+
+    q: np.ndarray  # the plant's own
+    v: np.ndarray
+    lies: RigidTransform  # X_QP of the target's frame from where the model welds it
+    twist: np.ndarray  # (6) of the target, at Q
+    offset: np.ndarray  # (6) of the target from Q: rotation vector, position; world axes
+    mismatch: np.ndarray  # (6) of the target from the hand: angular velocity, velocity
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, target: Target, loop: ClosedLoop, state: np.ndarray
+    ) -> "Meeting":
+        """The meeting of a target and the gripper at the plant's own [q; v]."""
+        (X_WP, twist), plant = target, loop.single
+        q, v = np.split(state, [plant.num_positions()])
         context = plant.CreateDefaultContext()
-        plant.SetPositions(context, self._q)
+        plant.SetPositions(context, q)
         model = dataclasses.replace(loop.model(context), plant=plant)
-        # X_WQ: where the model welds the target's frame P
-        self._X_WQ = RigidTransform(payload_body(scenario, model).EvalPoseInWorld(context))
-        offset = self._X_WQ.translation() - self._X_WP.translation()
-        self._twist_Q = self._twist.copy()
-        self._twist_Q[3:] += np.cross(self._twist_Q[:3], offset)
-        turn = (self._X_WP.rotation() @ self._X_WQ.rotation().inverse()).ToAngleAxis()
-        self._offset = np.concatenate([turn.angle() * turn.axis(), -offset])
-        self._mismatch = mismatch_of(scenario, model, self._q, self._v, self._twist_Q)
+        X_WQ = RigidTransform(payload_body(scenario, model).EvalPoseInWorld(context))
+        offset = X_WQ.translation() - X_WP.translation()
+        twist = twist.copy()
+        twist[3:] += np.cross(twist[:3], offset)
+        turn = (X_WP.rotation() @ X_WQ.rotation().inverse()).ToAngleAxis()
+        return cls(
+            q=q,
+            v=v,
+            lies=X_WQ.InvertAndCompose(X_WP),
+            twist=twist,
+            offset=np.concatenate([turn.angle() * turn.axis(), -offset]),
+            mismatch=mismatch_of(scenario, model, q, v, twist),
+        )
 
-    def beyond_envelope(self) -> str:
-        """The part of the miss beyond ``capture.envelope``; empty where the gripper holds."""
-        envelope = (self.scenario.capture or Capture()).envelope
+    def beyond(self, envelope: Envelope) -> str:
+        """The part of the miss beyond an envelope; empty where the gripper holds."""
         (angle, distance), (rate, speed) = (
             np.linalg.norm(part.reshape(2, 3), axis=1).tolist()
-            for part in (self._offset, self._mismatch)
+            for part in (self.offset, self.mismatch)
         )
         sizes = {
             "position": (distance, "m"),
@@ -98,25 +120,20 @@ class Handover:
             if limits[name] is not None and size > limits[name]
         )
 
-    def grasp(self, loop: ClosedLoop) -> np.ndarray:
-        """Grasp the target, with the result in ``log``. Return [q; v] of the plant after it."""
-        scenario = self.scenario
+    def grasp(self, scenario: Scenario, loop: ClosedLoop, path: np.ndarray) -> MadeGrasp:
+        """Grasp the target after its path (n, 13) at the samples before; ``loop``: with it."""
         model = loop.true_model(scenario)
-        lies = self._X_WQ.InvertAndCompose(self._X_WP)
-        self.payload = payload = seen_from(scenario.payload.truth, lies)
+        payload = seen_from(scenario.payload.truth, self.lies)
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=payload)
-        contact = contact_at(
-            scenario, model, q=self._q, velocity=self._v, target_velocity=self._twist_Q
-        )
-        self.log = MadeGrasp(
-            sample=self.sample,
+        contact = contact_at(scenario, model, q=self.q, velocity=self.v, target_velocity=self.twist)
+        return MadeGrasp(
+            sample=len(path),
             contact=contact,
             payload=payload,
-            target=self.path,
-            offset=self._offset,
-            mismatch=self._mismatch,
+            target=path,
+            offset=self.offset,
+            mismatch=self.mismatch,
         )
-        return np.concatenate([self._q, contact.grasp.velocity])
 
 
 def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassProperties:
@@ -143,15 +160,15 @@ def grasped_at_start(log: RunLog) -> RunLog:
         payload=log.scenario.payload.truth,
         target=np.empty((0, 13)),
         mismatch=mismatch,
-        stored=stored_at_start(log),
     )
-    return dataclasses.replace(log, grasp=grasp)
+    return with_grasp(log, grasp)
 
 
-def stored_at_start(log: RunLog) -> np.ndarray | None:
-    """The momentum (3) that parts store at a log's start; None where none does."""
+def with_grasp(log: RunLog, grasp: MadeGrasp) -> RunLog:
+    """The log of a run with its grasp, and the momentum (3) that parts store then."""
     stored = log.with_role(STORED_MOMENTUM)
-    return None if stored is None else stored[0]
+    stored = None if stored is None else stored[grasp.sample]
+    return dataclasses.replace(log, grasp=dataclasses.replace(grasp, stored=stored))
 
 
 def mismatch_of(

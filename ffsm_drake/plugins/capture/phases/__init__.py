@@ -1,0 +1,1 @@
+"""Kinds of phases of a capture."""

@@ -1,0 +1,171 @@
+"""What passes from phase to phase of a capture, and what its phases have in common."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.plugins.capture.free_body import Target
+from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
+from ffsm_drake.plugins.capture.phases.moves import Move, along
+from ffsm_drake.plugins.capture.supervisor import Mode, SupervisorPart
+from ffsm_drake.plugins.capture.target_filter import Path
+from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget
+from ffsm_drake.runs.ending import MISSED, Outcome
+from ffsm_drake.runs.phases import Phase, Situation
+from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.registry import Factory
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Chase:
+    """What passes from phase to phase of a capture."""
+
+    scenario: Scenario  # of the mission
+    aim: Aim  # of the last try
+    path: np.ndarray  # (n, 13) motion of the target at the samples, as far as is known
+    known: Path | None = None  # as the servicer knows it
+    expected: Target | None = None  # a measured target at the start
+    tries: int = 1
+    moves: tuple[Move, ...] = ()  # of the last retreat
+    again: float | None = None  # s; begin of the approach after it
+    why: Outcome | None = None  # of it
+    reach: float = 0.0  # m; from the base to the centre of mass of the target at the grasp
+    # where the gripper moves the target: the sample at which it began to close, and the motions
+    # (13) from there on, to which the loop adds
+    pushed: tuple[int, list[np.ndarray]] = (0, [])
+
+    @property
+    def capture(self) -> Capture:
+        """The settings of the capture."""
+        assert self.scenario.capture is not None
+        return self.scenario.capture
+
+    @property
+    def closing(self) -> int:
+        """How many samples the closing lasts."""
+        closing = self.scenario.closing
+        return 0 if closing is None else round(closing.duration / self.scenario.sample_time)
+
+    @property
+    def approach(self) -> int:
+        """How many samples an approach lasts."""
+        assert self.scenario.approach is not None
+        return round(self.scenario.approach.duration / self.scenario.sample_time)
+
+    @property
+    def arm(self) -> np.ndarray:
+        """p_PC (3) of the true target, in P's axes."""
+        return np.array(self.scenario.payload.truth.center_of_mass)
+
+    @property
+    def moved(self) -> np.ndarray:
+        """``path`` with what the gripper has moved the target so far."""
+        first, motions = self.pushed
+        return np.vstack([self.path[:first], *motions]) if motions else self.path
+
+    def numbered(self, name: str) -> str:
+        """The name of a phase of the last try."""
+        return name if self.tries == 1 else f"{name}_{self.tries}"
+
+    def supervised(self, **how: Any) -> dict[str, Factory]:
+        """The block of the supervisor, made by ``SupervisorPart``; None: there is none."""
+        return {} if self.scenario.supervisor is None else {"supervisor": SupervisorPart(**how)}
+
+    def followed(
+        self, motion: PlannedMotion | None, *, follows: bool = True, sees: bool = True
+    ) -> dict[str, Factory]:
+        """The reference that follows the estimate of a measured target from a motion, or only
+        estimates it; ``sees``: whether there are images. Empty: the target is not measured.
+        """
+        measured, meets = self.scenario.measured, self.aim.sample
+        if measured is None or self.expected is None:
+            return {}
+        period = self.scenario.sample_time
+        approached = Approached(
+            begin=(meets - self.approach) * period,
+            contact=(meets - self.closing) * period,
+            meets=meets * period,
+            motion=self.aim.expected,
+        )
+        part = TrackedTarget(
+            self.scenario,
+            self.capture,
+            measured,
+            self.path,
+            self.expected,
+            motion=motion,
+            approached=approached if follows else None,
+            sees=sees,
+        )
+        return {"reference": part}
+
+
+def replaced(now: Situation, **changes: Any) -> Situation:
+    """The situation with another ``Chase``."""
+    return dataclasses.replace(now, own=dataclasses.replace(now.own, **changes))
+
+
+def phase_of(
+    now: Situation,
+    *names: tuple[str, int | None],
+    follows: bool = True,
+    sees: bool = True,
+    holds: bool = False,
+    afresh: tuple[str, ...] = (),
+    blocks: dict[str, Factory] | None = None,
+    **how: Any,
+) -> Phase:
+    """A phase on the plan of the last try, after the moves of a retreat. Args: see
+    ``Chase.followed``; fields.
+    """
+    chase: Chase = now.own
+    plan, motion = dataclasses.replace(chase.aim.scenario, holds=holds), None
+    own: dict[str, Factory] = {}
+    if chase.moves:
+        motion = along(chase.moves, plan, now.loop.coordinates, again=chase.again)
+        own = chase.supervised(begin=chase.moves[0].begin if chase.again is None else chase.again)
+    own |= blocks or {}
+    if chase.expected is not None:
+        own |= chase.followed(motion, follows=follows, sees=sees)
+        motion = None
+    elif not holds:
+        afresh = (*afresh, "reference")
+    return Phase(
+        names=names, scenario=plan, motion=motion, blocks=own, holds=holds, afresh=afresh, **how
+    )
+
+
+def measured_state(now: Situation) -> np.ndarray:
+    """The state [q; v] that the servicer measures."""
+    found: np.ndarray = now.loop.diagram.GetOutputPort("estimated_state").Eval(now.context)
+    return found
+
+
+def given_up(now: Situation) -> str:
+    """Return how the supervisor abandoned an approach; empty: it did not."""
+    approach = now.logs[-1]
+    modes = approach.series.get("mode", np.zeros(1)).ravel()
+    if modes[-1] == Mode.APPROACH:
+        return ""
+    since = float(approach.time[np.flatnonzero(modes != Mode.APPROACH)[0]])
+    return f"the supervisor abandoned the approach at t = {since:g} s"
+
+
+def met(now: Situation) -> tuple[str, Situation]:
+    """The outcome of an approach to the contact with a gripper that closes in time."""
+    chase: Chase = now.own
+    if since := given_up(now):
+        return failed(now, MISSED, f"is not met: {since}")
+    target = target_at(chase.path[now.sample])
+    meeting = Meeting.of(chase.aim.scenario, target, now.loop, now.state)
+    if beyond := meeting.beyond(chase.capture.envelope):
+        return failed(now, MISSED, f"is missed: {beyond}")
+    return "met", now
+
+
+def failed(now: Situation, status: str, what: str) -> tuple[str, Situation]:
+    """The outcome of a try that failed."""
+    time = now.sample * now.own.scenario.sample_time
+    return status, now.failing(status, f"at t = {time:g} s the target {what}")

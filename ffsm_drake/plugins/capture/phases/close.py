@@ -1,0 +1,98 @@
+"""The gripper closes on the target (``capture.closing``)."""
+
+import math
+from typing import Any
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context
+
+from ffsm_drake.common.numbers import number
+from ffsm_drake.loop.blocks import GRIPPER
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.capture.contact import coast
+from ffsm_drake.plugins.capture.gripper import Gripper, Met
+from ffsm_drake.plugins.capture.phases.chase import Chase, failed, phase_of, replaced
+from ffsm_drake.runs.ending import BOUNCED, SLIPPED
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.capture import Compliance
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+
+_LATELY = 20  # samples before the contact, over which the joints' force is averaged
+
+
+class Close(PhaseKind):
+    """The gripper closes; limp joints keep their last force."""
+
+    def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
+        """See PhaseKind."""
+        chase: Chase = now.own
+        assert chase.capture.closing is not None
+        limp = chase.capture.closing.joints == "limp"
+        part = Gripper(chase.capture.compliance or Compliance())
+        phase = phase_of(
+            now,
+            (chase.numbered("closing"), now.sample + chase.closing),
+            blocks={GRIPPER: part, **chase.supervised(waits=True)},
+            joint_force=_lately(now.logs[-1]) if limp else None,
+            sees=False,
+        )
+        return phase, now
+
+    def enter(
+        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
+    ) -> Situation:
+        """Begin to close."""
+        now = super().enter(now, phase, loop, root_context)
+        chase: Chase = now.own
+        force: Any = loop.blocks[GRIPPER]
+        force.begin(
+            force.GetMyMutableContextFromRoot(root_context),
+            payload=chase.scenario.payload.truth,
+            target=chase.path[now.sample],
+            state=loop.whole_states(root_context)[0],
+        )
+        return replaced(now, pushed=(now.sample, force.motions))
+
+    def judge(self, now: Situation) -> tuple[str, Situation]:
+        """Whether the gripper holds the target."""
+        chase: Chase = now.own
+        force: Any = now.loop.blocks[GRIPPER]
+        met: Met = force.met(force.GetMyContextFromRoot(now.context), now.state)
+        onward = free_motion(chase.scenario, met.motion, now.sample)
+        first, _ = chase.pushed
+        now = replaced(now, path=np.vstack([chase.moved[: now.sample], onward]), pushed=(0, []))
+        turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
+        closing = chase.capture.closing
+        assert closing is not None
+        if math.isinf(met.left) and max(turning, moving) <= closing.rest:
+            return "held", now
+        away = float(np.linalg.norm(met.offset[3:]))
+        status = SLIPPED
+        if met.left < first * chase.scenario.sample_time + closing.time:
+            status = BOUNCED
+        how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
+        motion = f"{number(moving)} m/s and {number(turning)} rad/s"
+        return failed(now, status, f"{how}: {number(away)} m away, moving at {motion} from it")
+
+
+def free_motion(scenario: Scenario, motion: np.ndarray, sample: int) -> np.ndarray:
+    """The free target's motion (n, 13) from a sample to the end of the run."""
+    return coast(
+        scenario,
+        RigidTransform(Quaternion(motion[:4]), motion[4:7]),
+        motion[7:],
+        time=sample * scenario.sample_time,
+        samples=scenario.num_control_periods + 1 - sample,
+        onward=True,
+    )
+
+
+def _lately(log: RunLog) -> np.ndarray:
+    """The mean force (joints) of the joints' actuators over the last samples of a log."""
+    applied = log.series["applied_force"][-_LATELY:, NUM_BASE_VELOCITIES:]
+    found: np.ndarray = applied.mean(axis=0)
+    return found

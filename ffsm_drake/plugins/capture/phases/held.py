@@ -1,0 +1,110 @@
+"""The stop with the target in the gripper."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.capture.approach import given_approach
+from ffsm_drake.plugins.capture.contact import payload_body
+from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
+from ffsm_drake.plugins.capture.phases.approach import CONTACTS
+from ffsm_drake.plugins.capture.phases.chase import Chase, measured_state, phase_of, replaced
+from ffsm_drake.runs.limits import closest_of
+from ffsm_drake.runs.phases import Phase, Situation, Stop
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import posture_of
+from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.reference import make_motion
+
+_PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # tried, times a stop's
+_INSTANTS = 30  # of a stop, at which clearance and force are looked at
+
+
+class Held(Stop):
+    """The target is grasped, and stopped."""
+
+    def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
+        """After a gripper that closes in time the stop is planned from the measured state."""
+        if now.own is None or not now.own.closing:
+            return super().plan(now)
+        now = replaced(now, aim=Aim(_at_rest_in_gripper(now), sample=now.sample))
+        how: Any = {"follows": False, "sees": False, "afresh": ("controller",)}
+        return phase_of(now, ("stop", self.until), holds=True, **how), now
+
+    def enter(
+        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
+    ) -> Situation:
+        """Grasp the target; the run continues from the state after the grasp."""
+        if now.sample == 0:
+            return now
+        chase: Chase = now.own
+        target = target_at(chase.path[now.sample]) if chase.closing else chase.aim.target
+        meeting = Meeting.of(chase.aim.scenario, target, now.loop, now.state)
+        made = meeting.grasp(chase.aim.scenario, loop, chase.path[: now.sample])
+        assert made.contact is not None
+        state = np.concatenate([meeting.q, made.contact.grasp.velocity])
+        loop.set_whole_states(root_context, state[None])
+        reference = chase.aim.reference[None]
+        loop.resume(root_context, now.loop, now.context, reference, afresh=phase.afresh)
+        # to the blocks, which resume with nothing in the gripper
+        loop.set_payload(root_context, made.payload)
+        if CONTACTS in loop.blocks:
+            hands: Any = loop.blocks[CONTACTS]
+            hands.hold(state)
+        return dataclasses.replace(now, made=made)
+
+
+def _at_rest_in_gripper(now: Situation) -> Scenario:
+    """The scenario of a stop with the target at rest in the gripper, in the measured state."""
+    chase: Chase = now.own
+    scenario = chase.aim.scenario
+    model = make_nominal_plant(scenario)
+    q, v = np.split(measured_state(now), [model.plant.num_positions()])
+    body = payload_body(scenario, model)
+    w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
+    arm = body.EvalPoseInWorld(model.context).rotation() @ chase.arm
+    capture = dataclasses.replace(
+        chase.capture,
+        rate=w.tolist(),
+        velocity=(v_P + np.cross(w, arm)).tolist(),
+        axes="world",
+        servicer="given",
+        servicer_velocity=dict(zip(model.coordinates.names, v.tolist(), strict=True)),
+        approach=given_approach(scenario),
+    )
+    scenario = dataclasses.replace(
+        scenario, initial_posture=posture_of(q, model.coordinates), capture=capture
+    )
+    return _with_clear_stop(scenario, model.coordinates)
+
+
+def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
+    """The scenario with a stop that keeps clear (a slow stop of a tumbling target swings far).
+
+    Its duration is the nearest to ``reference.duration`` with a plan within clearance and limits of
+    force; the scenario's own without one.
+    """
+    duration = scenario.reference.duration
+    if duration is None or scenario.reference.kind == "optimal":
+        return scenario
+    model = make_nominal_plant(scenario)
+    limit = actuation_limit(scenario, coordinates, helped=True).upper
+    nq, nv = len(coordinates.position_names), len(coordinates.names)
+    for factor in _PACES:
+        reference = dataclasses.replace(scenario.reference, duration=factor * duration)
+        paced = dataclasses.replace(scenario, reference=reference)
+        motion = make_motion(paced, coordinates)
+        if motion.end > scenario.duration:
+            continue
+        times = np.linspace(motion.begin, motion.end, _INSTANTS)
+        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
+        if (np.abs(model.calc_tracking_force(q, v, a)) <= limit).all() and all(
+            each.keeps(scenario.clearance) for each in closest_of(scenario, times, q)
+        ):
+            return paced
+    return scenario

@@ -1,0 +1,174 @@
+"""Away from a target that was not captured, and to it again (``capture.retreat``)."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from ffsm_drake.common.numbers import number
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.plugins.capture.approach import approach_posture, gentle_duration, outwards
+from ffsm_drake.plugins.capture.phases.again import INSTANTS, is_clear, next_try
+from ffsm_drake.plugins.capture.phases.chase import Chase, measured_state, met, phase_of, replaced
+from ffsm_drake.plugins.capture.phases.moves import Move
+from ffsm_drake.plugins.capture.target_filter import Path
+from ffsm_drake.runs.ending import MISSED
+from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
+from ffsm_drake.spacecraft.plant import base_rpy, posture_of
+from ffsm_drake.systems.planned_motion import PlannedMotion
+
+_AGAIN = ("controller", "supervisor")  # they begin anew
+
+
+class Again(PhaseKind):
+    """To the target again, which has been looked at since the last try."""
+
+    touched = False  # whether the gripper has touched the target since it was seen
+
+    def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
+        """See PhaseKind."""
+        now = replaced(now, known=_seen(now))
+        phase, found = self._to_next_try(now, now.own.moves[0], now.sample)
+        return phase, found if phase else _apart(found)
+
+    def enter(
+        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
+    ) -> Situation:
+        """The reference forgets what it displaced and, after a touch, how the target moved."""
+        now = super().enter(now, phase, loop, root_context)
+        if now.own.expected is not None:
+            block: Any = loop.blocks["reference"]
+            touched = self.touched and now.own.why.status != MISSED
+            block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
+        return now
+
+    def judge(self, now: Situation) -> tuple[str, Situation]:
+        """Whether the gripper meets the target."""
+        return met(now)
+
+    def _to_next_try(self, now: Situation, away: Move, end: int) -> tuple[Phase | None, Situation]:
+        """The way to the next try, from the end of a retreat; None: there is none."""
+        chase: Chase = now.own
+        assert chase.capture.retreat is not None
+        left = chase.tries < chase.capture.retreat.tries
+        found = next_try(now, away.goal, end) if left else None
+        if found is None:
+            return None, now
+        aim, across = found
+        begin, name = aim.sample - chase.approach, chase.numbered("retreat")
+        now = replaced(
+            now,
+            aim=aim,
+            tries=chase.tries + 1,
+            moves=(away, across),
+            again=begin * chase.scenario.sample_time,
+        )
+        names = (name, begin), (now.own.numbered("approach"), aim.sample - chase.closing)
+        return phase_of(now, *names, afresh=_AGAIN), now
+
+
+class Retreat(Again):
+    """Away from the target, and to it again; a measured target is looked at in between."""
+
+    touched = True
+
+    def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
+        """See PhaseKind."""
+        failed, now = now, replaced(now, known=_seen(now), why=now.failed)
+        chase: Chase = now.own
+        away = _away(now)
+        end = now.sample + round(away.duration / chase.scenario.sample_time)
+        if end > chase.scenario.num_control_periods:
+            return None, failed
+        now = dataclasses.replace(now, failed=None)  # unless the retreat comes to its end
+        if chase.expected is None:
+            phase, now = self._to_next_try(now, away, end)
+            if phase is not None:
+                return phase, now
+        now = replaced(now, moves=(away,), again=None)
+        if now.sample == end:
+            return None, _apart(now)
+        names = (chase.numbered("retreat"), end)
+        return phase_of(now, names, follows=False, afresh=_AGAIN), now
+
+    def judge(self, now: Situation) -> tuple[str, Situation]:
+        """Whether the gripper meets the target, or the servicer is away from it."""
+        chase: Chase = now.own
+        if chase.again is not None:
+            return met(now)
+        assert chase.capture.retreat is not None
+        if chase.expected is not None and chase.tries < chase.capture.retreat.tries:
+            return "seen", now
+        return "apart", _apart(now)
+
+
+def _apart(now: Situation) -> Situation:
+    """The situation of a run that ends away from its target."""
+    chase: Chase = now.own
+    assert chase.why is not None
+    path = Path(motion=chase.path, arm=chase.arm)
+    far = number(float(np.linalg.norm(now.state[4:7] - path.center(now.sample - 1))))
+    message = f"{chase.why.message}; the servicer retreats to {far} m from it"
+    return now.failing(chase.why.status, message)
+
+
+def _seen(now: Situation) -> Path:
+    """The path of the target as the servicer estimates it: from now, by the present estimate."""
+    chase: Chase = now.own
+    assert chase.known is not None
+    if chase.expected is None:
+        return dataclasses.replace(chase.known, motion=chase.path)
+    block: Any = now.loop.blocks["reference"]
+    context = block.GetMyContextFromRoot(now.context)
+    path: Path = block.known_path(context, now.sample, len(chase.path) - now.sample)
+    return dataclasses.replace(path, motion=np.vstack([chase.path[: now.sample], path.motion]))
+
+
+def _away(now: Situation) -> Move:
+    """Motion from the measured state to rest away from the target, within the limits and the time
+    of the run: straight away from it, or in the nearest clear direction to a face, an edge or a
+    corner of a cube.
+    """
+    chase: Chase = now.own
+    scenario, coordinates = chase.scenario, now.loop.coordinates
+    retreat = chase.capture.retreat
+    assert chase.known is not None
+    assert retreat is not None
+    q, v = np.split(measured_state(now), [len(coordinates.position_names)])
+    from_target = q[4:7] - chase.known.center(now.sample)
+    apart = float(np.linalg.norm(from_target))
+    # to ``distance`` beyond where the base is at the grasp
+    far = max(0.0, chase.reach + retreat.distance - apart)
+    straight, moves = from_target / np.linalg.norm(from_target), list[Move]()
+    for direction in (straight, *(each for each in outwards(straight) if each @ straight > 0.5)):
+        goal = dataclasses.replace(
+            approach_posture(scenario),
+            base_position=(q[4:7] + far * direction).tolist(),
+            base_rpy=base_rpy(q).tolist(),
+        )
+        move = Move(
+            begin=now.sample * scenario.sample_time,
+            duration=retreat.duration,
+            start=posture_of(q, coordinates),
+            goal=goal,
+            velocity=v,
+        )
+        moves.append(_paced(now, move))
+        last = now.sample + round(moves[-1].duration / scenario.sample_time)
+        samples = np.linspace(now.sample, min(last, len(chase.path) - 1), 2 * INSTANTS)
+        if is_clear(now, moves[-1].motion(scenario, coordinates), samples, now.sample):
+            return moves[-1]
+    return moves[0]
+
+
+def _paced(now: Situation, move: Move) -> Move:
+    """A retreat that lasts as long as the limits ask for and the run leaves."""
+    scenario, coordinates = now.own.scenario, now.loop.coordinates
+
+    def motion_in(duration: float) -> PlannedMotion:
+        return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
+
+    left = (scenario.num_control_periods - now.sample) * scenario.sample_time
+    duration = gentle_duration(scenario, motion_in, move.duration)
+    return dataclasses.replace(move, duration=max(min(duration, left), move.duration))
