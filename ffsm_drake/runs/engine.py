@@ -6,6 +6,7 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError, choices
 from ffsm_drake.common.plugins import ENGINES, load, offered
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.registry import Factory
 
 DRAKE = "drake"
 FAILS = "the run fails or diverges"
@@ -37,6 +38,15 @@ class Engine:
         ``signals``: those that the logs need; None: all.
         """
         raise NotImplementedError
+
+    def lanes(self, scenario: Scenario, factory: Factory, number: int, samples: int) -> Any:
+        """Return runs whose law, of a factory, is given actions between the samples.
+
+        Args: the scenario, the law's factory, the number of runs, the most samples of an action.
+
+        Raises NotCovered.
+        """
+        raise NotCovered("actions of an agent")
 
 
 def on_drake(found: NotCovered | None) -> str:

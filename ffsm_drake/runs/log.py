@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,7 @@ class RunLog:
     tracks_frame: bool = False
     sliding_unit: str = ControlLaw.sliding_unit
     engine: str = DRAKE  # name of what computed the run
+    make_model: Callable[[Scenario], PlantModel] = make_flexible_plant
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a signal at the samples (n, its width), or (n) for a single number."""
@@ -106,7 +107,7 @@ class RunLog:
     @functools.cached_property
     def model(self) -> PlantModel:
         """The true plant, flexible parts included."""
-        return make_flexible_plant(self.scenario)
+        return self.make_model(self.scenario)
 
     @functools.cached_property
     def part_figures(self) -> dict[str, list[Figure]]:

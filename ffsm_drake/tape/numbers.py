@@ -257,6 +257,10 @@ def number(value: Any) -> Any:
     return float(value)
 
 
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim > 0 and value.dtype != object
+
+
 def is_one(value: Any) -> bool:
     """Whether it is the constant 1."""
     return not isinstance(value, Traceable) and value == 1.0
@@ -282,9 +286,11 @@ def _difference(one: Symbol, other: Symbol) -> Any:
 
 
 def one(kind: str, function: Callable[[float], float]) -> Callable[[Any], Any]:
-    """A function of a number or symbol."""
+    """A function of a number or symbol; one that ``math`` has also of an array of numbers."""
 
     def of(x: Any) -> Any:
+        if _is_array(x):
+            return getattr(np, function.__name__)(x)
         x = number(x)
         return x.tape.record(kind, x) if isinstance(x, Symbol) else function(x)
 
@@ -292,9 +298,11 @@ def one(kind: str, function: Callable[[float], float]) -> Callable[[Any], Any]:
 
 
 def two(kind: str, function: Callable[[float, float], float]) -> Callable[[Any, Any], Any]:
-    """A function of two numbers or symbols."""
+    """A function of two numbers or symbols, likewise."""
 
     def of(x: Any, y: Any) -> Any:
+        if _is_array(x) or _is_array(y):
+            return getattr(np, function.__name__)(x, y)
         x, y = number(x), number(y)
         for each in (x, y):
             if isinstance(each, Symbol):
@@ -327,7 +335,9 @@ def truth_of(value: Any) -> Any:
 
 
 def select(condition: Any, then: Any, otherwise: Any) -> Any:
-    """One of two numbers or truths."""
+    """One of two numbers, arrays of them, or truths."""
+    if _is_array(condition):
+        return np.where(condition, then, otherwise)
     condition = truth_of(condition)
     if not isinstance(condition, Truth):
         return then if condition else otherwise

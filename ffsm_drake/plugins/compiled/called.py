@@ -37,7 +37,7 @@ class Laws:
         self._cells_of = (
             [*inputs.values(), ("memory", 0, kept)],
             [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept)],
-            [("lost", 0, 1)],
+            [("lost", 0, 1), ("begun", 0, 1)],
         )
 
     def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
@@ -55,16 +55,16 @@ class Laws:
     def _called(
         self, cells: np.ndarray, entries: Sequence[np.ndarray], sample: int, other: Any
     ) -> bool:
-        reads, writes, lost = entries
+        reads, writes, (lost, begun) = entries
         try:
             rows, made = (
                 np.ascontiguousarray(cells[reads].T),
                 np.full((cells.shape[1], writes.size), np.nan),
             )
-            are_lost = cells[lost[0]].view(np.int64)
+            are_lost, samples = cells[lost].view(np.int64), cells[begun] + sample
             for lane in range(len(self._controllers)):
                 if not are_lost[lane]:
-                    self.step(lane, rows[lane], made[lane], is_first=sample == 0)
+                    self.step(lane, rows[lane], made[lane], is_first=samples[lane] == 0.0)
             cells[writes] = made.T
             return True
         except BaseException as error:  # Python prints and forgets what a callback raises

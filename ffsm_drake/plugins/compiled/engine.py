@@ -2,6 +2,7 @@
 
 import collections
 import copy
+import dataclasses
 import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -13,6 +14,7 @@ from ffsm_drake.plugins.compiled.apart import Refused, apart, reason_of
 from ffsm_drake.plugins.compiled.called import Trial
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
+from ffsm_drake.plugins.compiled.lanes import Lanes
 from ffsm_drake.plugins.compiled.logs import COMPILED, logs_of
 from ffsm_drake.plugins.compiled.loop import SCHEMES, steps_of
 from ffsm_drake.plugins.compiled.run import Case, Run, case_of
@@ -25,6 +27,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.faults import detects
+from ffsm_drake.systems.registry import Factory
 
 # From Drake's run, as a share of a signal's largest value. High gains amplify rounding: where the
 # last bits of the initial state change a signal by a share d, it may differ by so many times d.
@@ -34,6 +37,7 @@ BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance
 _PARTS = {"flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters"}  # with signals
 _OWN = re.compile(r"sensing\..*|forces\.(?!disturbance|gripper).*")  # blocks of users
 _KEPT = 16  # kernels
+_TRIAL = 0.5  # s, of a run under actions that is compared with Drake's
 
 
 class Compiled(Engine):
@@ -64,6 +68,25 @@ class Compiled(Engine):
         ) if is_there}  # fmt: skip
         if own:
             raise NotCovered(", ".join(sorted(own)))
+
+    def lanes(self, scenario: Scenario, factory: Factory, number: int, samples: int) -> Lanes:
+        """See Engine."""
+        self.check(scenario)
+        trial = dataclasses.replace(scenario, duration=min(scenario.duration, _TRIAL))
+        run = Run(trial, law=factory)
+        if own := scenario.blocks.choices():
+            raise NotCovered(f"the block {min(own)} under actions")
+        if not is_shipped(run.law):
+            raise NotCovered(f"the law {scenario.controller} under actions")
+        (found,) = results_of([run])
+        if isinstance(found, NotCovered):
+            raise found
+        kernel = _kernels[run.key, False]
+        assert isinstance(kernel, Kernel)
+        run = Run(scenario, Case(scenario, further=samples), factory)
+        if why := kernel.blocks.called:
+            run = run.with_called_law(why)
+        return Lanes(kernel, run, number, samples)
 
     def run_all(
         self, scenarios: Sequence[Scenario], signals: Collection[str] | None = None
@@ -135,7 +158,7 @@ def results_of(
 def _compiled(run: Run, *, alone: bool) -> Kernel:
     """Trace and compile. Raises NotCovered."""
     held_to_drake(run.blocks.tree, plant=run.case.true.plant)
-    rollout = make_rollout(run.scenario)
+    rollout = make_rollout(run.scenario, blocks=run.given)
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - set(run.scenario.blocks.choices())
@@ -186,7 +209,7 @@ def _is_judged(kernel: Kernel, runs: Sequence[Run], logs: list[RunLog | None]) -
     for index, (run, log) in enumerate(zip(runs, logs, strict=True)):
         if log is None:
             continue
-        rollout = make_rollout(run.scenario)
+        rollout = make_rollout(run.scenario, blocks=run.given)
         try:
             expected = rollout.run(run.scenario)
         finally:
@@ -200,7 +223,8 @@ def _is_judged(kernel: Kernel, runs: Sequence[Run], logs: list[RunLog | None]) -
 
 def _compare(kernel: Kernel, run: Run, log: RunLog, expected: RunLog) -> None:
     """Raise NotCovered for a log that differs from Drake's by more than rounding."""
-    if missing := set(log.series) ^ set(expected.series):
+    own = getattr(run.law, "logged", ())
+    if missing := (log.series.keys() - own) ^ expected.series.keys():
         raise NotCovered(f"the signals {', '.join(sorted(missing))}")
     of_rounding: Mapping[str, float] | None = None
     for name, difference in _differences(log, expected).items():

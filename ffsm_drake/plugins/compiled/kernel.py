@@ -1,7 +1,8 @@
 """One function of machine code that runs simulations, as many at once as a register holds.
 
 All numbers of its runs stand in one array of cells, each a register wide. At every control sample
-it reads rows of each run (reference, noise) and writes rows of its signals.
+it reads rows of each run (reference, noise) and writes rows of its signals. Its last sample changes
+no state, so that a further call can go on with it.
 """
 
 import ctypes
@@ -37,9 +38,10 @@ class Kernel:
         lanes = Registers(1) if alone else registers()
         self.blocks, self.width = blocks, lanes.width
         self.parts: Parts = {}  # whose signals follow from the log
-        self._text = _Runs(blocks, lanes, steps=steps)
-        self._code = self._text.code(f"runs of {self.width}", key)
-        self._run = self._code.function("run", 2, ctypes.c_int64, ctypes.c_void_p)
+        text = _Runs(blocks, lanes, steps=steps)
+        self.places, self.size, self.read = text.places, text.size, text.read
+        self._code = text.code(f"runs of {self.width}", key)
+        self.call = self._code.function("run", 2, ctypes.c_int64, ctypes.c_void_p)
 
     def run(
         self,
@@ -62,10 +64,9 @@ class Kernel:
         its bound, a number is not finite, or the call of its law fails. Raises what ends a call,
         such as KeyboardInterrupt.
         """
-        text, samples = self._text, len(rows[0]["reference"])
-        cells = np.zeros((text.size, self.width))
+        samples, cells = len(rows[0]["reference"]), np.zeros((self.size, self.width))
         for name, values in runs.items():
-            first = text.places[name]
+            first = self.places[name]
             cells[first : first + values.shape[1]] = values.T
         sizes = {
             name: size
@@ -73,17 +74,17 @@ class Kernel:
             if signals is None or name in signals
         }
         kept = [_arrays(sizes, samples) for _ in rows]
-        places = [[own[name].ctypes.data for own in rows] for name in text.read]
+        places = [[own[name].ctypes.data for own in rows] for name in self.read]
         places += [
             [own[name].ctypes.data if name in own else 0 for own in kept]
             for name in self.blocks.log
         ]
         given = np.array(places, dtype=np.uint64)
-        call = None if laws is None else laws.function(cells, text.places)
-        self._run(cells.ctypes.data, given.ctypes.data, samples - 1, call)
+        call = None if laws is None else laws.function(cells, self.places)
+        self.call(cells.ctypes.data, given.ctypes.data, samples - 1, call)
         if laws is not None and laws.stopped is not None:
             raise laws.stopped
-        lost = cells[text.places["lost"]].view(np.int64)
+        lost = cells[self.places["lost"]].view(np.int64)
         return [None if is_lost else own for own, is_lost in zip(kept, lost.tolist(), strict=True)]
 
 
@@ -193,28 +194,36 @@ class _Text:
                 yield self._copy(f"%{prefix}{after}", f"%{prefix}{name}", states[name])
 
     def _moved(self, functions: Mapping[str, Function], before: str, after: str) -> Iterator[str]:
-        """The integrator's steps up to the next sample, as a block ``move`` between two others."""
-        blocks, scheme = self._blocks, SCHEMES[self._blocks.scheme]
+        """The integrator's steps from ``%times`` to the next sample, as a block ``move`` between
+        two others.
+        """
+        scheme = SCHEMES[self._blocks.scheme]
         yield "move:"
-        yield f"  %j = phi i64 [0, %{before}], [%following, %move]"
+        yield f"  %j = phi i64 [0, %{before}], [%following, %arrived]"
         yield "  %within = uitofp i64 %j to double"
         yield "  %shift = fmul double %within, %the_step"
-        yield "  %start = fadd double %time, %shift"
+        yield from self._after("%times", "%shift", "%start")
         for i, time in enumerate(scheme.times):
             later, at = self._new(), self._new()
             yield f"  {later} = fmul double %the_step, {_number(time)}"
-            yield f"  {at} = fadd double %start, {later}"
-            yield from self._spread(at, f"%t{i}")
+            yield from self._after("%start", later, at)
+            yield f"  store {self._registers.reals} {at}, ptr %t{i}, align 8"
         for i, _ in enumerate(scheme.times):
             names = {"state": "x" if i == 0 else "y", "t": f"t{i}", "rates": f"k{i}"}
             names |= {f"d_{name}": f"d_{cell}" for name, cell in names.items()}
             yield self._call(functions, "derivative", **names)
             yield self._call(functions, f"point{i}")
-        for prefix in ("", "d_") if self._slopes else ("",):
-            yield self._copy(f"%{prefix}y", f"%{prefix}x", blocks.states["x"])
         yield "  %following = add i64 %j, 1"
+        yield from self._arrived()
+        yield "  br label %arrived"
+        yield "arrived:"
         yield f"  %more = icmp ult i64 %following, {self._steps}"
         yield f"  br i1 %more, label %move, label %{after}"
+
+    def _arrived(self) -> Iterator[str]:
+        """The end of a step."""
+        for prefix in ("", "d_") if self._slopes else ("",):
+            yield self._copy(f"%{prefix}y", f"%{prefix}x", self._blocks.states["x"])
 
     def _call(self, functions: Mapping[str, Function], name: str, **others: str) -> str:
         given = ", ".join(f"ptr %{others.get(each, each)}" for each in functions[name].arrays)
@@ -228,18 +237,24 @@ class _Text:
 
     def _spread(self, value: str, target: str) -> Iterator[str]:
         """A number in every lane."""
-        reals, one, all_lanes = self._registers.reals, self._new(), self._new()
+        reals, one = self._registers.reals, self._new()
         mask = f"<{self._registers.width} x i32> zeroinitializer"
         yield f"  {one} = insertelement {reals} poison, double {value}, i64 0"
-        yield f"  {all_lanes} = shufflevector {reals} {one}, {reals} poison, {mask}"
-        yield f"  store {reals} {all_lanes}, ptr {target}, align 8"
+        yield f"  {target} = shufflevector {reals} {one}, {reals} poison, {mask}"
+
+    def _after(self, times: str, span: str, target: str) -> Iterator[str]:
+        """Each lane's time after a span."""
+        spans = self._new()
+        yield from self._spread(span, spans)
+        yield f"  {target} = fadd {self._registers.reals} {times}, {spans}"
 
 
 class _Runs(_Text):
-    """Whole runs with their logs.
+    """Runs with their logs, from a sample of each lane on.
 
-    The addresses in ``places`` are those of each lane's arrays: rows that it reads, and signals
-    that it writes, unless the address is 0.
+    The addresses in ``places`` are those of each lane's arrays from this sample on: rows that it
+    reads, and signals that it writes, unless the address is 0. A lane is ``lost`` if it leaves its
+    bound, or a number is not finite; its ``x`` and time ``seen_at`` then stay.
     """
 
     _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last, ptr %call"
@@ -249,13 +264,19 @@ class _Runs(_Text):
         super().__init__(blocks, registers, steps=steps)
         self.read = [name for name, size in blocks.row.items() if size]
         logged = _ROWS * sum(size for *_, size in blocks.log.values())
-        # ``lost`` has bits as soon as a lane is
-        for name, size in (blocks.row | {"bound": 1, "lost": 1, "log": logged}).items():
+        # ``lost`` has bits as soon as a lane is; ``begun`` and ``acted_on`` count samples, before
+        # the first one and with an action of the law
+        own = dict.fromkeys(("bound", "lost", "begun", "acted_on", "seen_at"), 1)
+        own |= {"log": logged, "spare": sum(blocks.results.values())}
+        for name, size in (blocks.row | own).items():
             self.places[name] = self.size
             self.size += size
 
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
         blocks, width, place = self._blocks, self._registers.width, 0
+        reals = self._registers.reals
+        yield f"  %before = load {reals}, ptr %begun, align 8"
+        yield from self._spread("%the_sample_time", "%sample_times")
         yield "  br label %begin"
         yield "begin:"
         yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
@@ -266,8 +287,9 @@ class _Runs(_Text):
             yield from self._lanes(name, f"%{name}", place)
             place += width
         yield "  %sample = uitofp i64 %k to double"
-        yield "  %time = fmul double %sample, %the_sample_time"
-        yield from self._spread("%time", "%t0")
+        yield from self._after("%before", "%sample", "%passed")
+        yield f"  %times = fmul {reals} %passed, %sample_times"
+        yield f"  store {reals} %times, ptr %t0, align 8"
         if blocks.called:
             yield self._call(functions, "sensed")
             yield "  %goes_on = call i64 %call(i64 %k, ptr %cells)"
@@ -276,17 +298,10 @@ class _Runs(_Text):
             yield "sampled:"
             yield self._call(functions, "acted")
         else:
-            yield "  %is_first = icmp eq i64 %k, 0"
-            yield "  br i1 %is_first, label %first, label %later"
-            for label, name in (("first", "first"), ("later", "sample")):
-                yield f"{label}:"
-                yield self._call(functions, name)
-                yield "  br label %sampled"
-            yield "sampled:"
+            yield from self._sampled(functions)
         yield f"  %row = urem i64 %k, {_ROWS}"
         yield from self._logged()
         yield from self._lost()
-        yield from self._kept()
         yield "  %is_last = icmp eq i64 %k, %last"
         yield "  %ends = or i1 %is_last, %no_lane"
         yield f"  %is_full = icmp eq i64 %row, {_ROWS - 1}"
@@ -302,6 +317,7 @@ class _Runs(_Text):
             place += width
         yield "  br i1 %ends, label %end, label %onward"
         yield "onward:"
+        yield from self._kept()
         yield "  br label %move"
         yield from self._moved(functions, "onward", "stepped")
         yield "stepped:"
@@ -322,34 +338,117 @@ class _Runs(_Text):
             yield self._copy(source, target, size)
             place += _ROWS * size
 
+    def _sampled(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        """A sample of lanes, some of which may be at their first."""
+        reals, truths, width = self._registers.reals, self._registers.truths, self._registers.width
+        size = sum(self._blocks.results.values())
+        made = f"%{next(iter(self._blocks.results))}"
+        yield f"  %are_first = fcmp oeq {reals} %passed, zeroinitializer"
+        yield f"  %first.lanes = bitcast {truths} %are_first to i{width}"
+        yield f"  %none_is = icmp eq i{width} %first.lanes, 0"
+        yield "  br i1 %none_is, label %later, label %first"
+        yield "first:"
+        yield self._call(functions, "first")
+        yield f"  %all_are = icmp eq i{width} %first.lanes, -1"
+        yield "  br i1 %all_are, label %sampled, label %both"
+        yield "both:"
+        yield self._copy(made, "%spare", size)
+        yield self._call(functions, "sample")
+        yield from self._chosen("both", made, "%are_first", "%spare", made, size)
+        yield "  br label %sampled"
+        yield "later:"
+        yield self._call(functions, "sample")
+        yield "  br label %sampled"
+        yield "sampled:"
+
+    def _chosen(
+        self, before: str, target: str, mask: str, then: str, otherwise: str, size: int
+    ) -> Iterator[str]:
+        """So many cells from one place for the lanes of a mask, for the others from another."""
+        reals, truths, name = self._registers.reals, self._registers.truths, f"%{before}"
+        yield f"  br label {name}.each"
+        yield f"{before}.each:"
+        yield f"  {name}.i = phi i64 [0, {name}], [{name}.next, {name}.each]"
+        for i, place in enumerate((then, otherwise, target)):
+            yield f"  {name}.at{i} = getelementptr {reals}, ptr {place}, i64 {name}.i"
+        for i in range(2):
+            yield f"  {name}.own{i} = load {reals}, ptr {name}.at{i}, align 8"
+        both = f"{reals} {name}.own0, {reals} {name}.own1"
+        yield f"  {name}.one = select {truths} {mask}, {both}"
+        yield f"  store {reals} {name}.one, ptr {name}.at2, align 8"
+        yield f"  {name}.next = add i64 {name}.i, 1"
+        yield f"  {name}.more = icmp ult i64 {name}.next, {size}"
+        yield f"  br i1 {name}.more, label {name}.each, label {name}.end"
+        yield f"{before}.end:"
+
     def _lost(self) -> Iterator[str]:
         """The lanes with a velocity beyond the bound, or a number that is not finite: it minus
         itself is not zero.
         """
         reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
-        yield f"  %bounds = load {reals}, ptr %bound, align 8"
-        yield f"  %lost.before = load {wholes}, ptr %lost, align 8"
-        lost = "%lost.before"
+        yield from self._bounded("%times")
+        yield f"  %goes = icmp eq {wholes} %lost.before, zeroinitializer"
+        yield f"  %one_more = uitofp {self._registers.truths} %goes to {reals}"
+        yield f"  %acted_on.before = load {reals}, ptr %acted_on, align 8"
+        yield f"  %acted_on.now = fadd {reals} %acted_on.before, %one_more"
+        yield f"  store {reals} %acted_on.now, ptr %acted_on, align 8"
+        lost = "%beyond"
         for cell, first, size in self._blocks.log.values():
             for entry in range(first, first + size):
-                at, value, rest, bits, more = (self._new() for _ in range(5))
-                yield f"  {at} = getelementptr {reals}, ptr %{cell}, i64 {entry}"
-                yield f"  {value} = load {reals}, ptr {at}, align 8"
+                value, rest, bits, more = (self._new() for _ in range(4))
+                yield from self._loaded(cell, entry, value)
                 yield f"  {rest} = fsub {reals} {value}, {value}"
                 yield f"  {bits} = bitcast {reals} {rest} to {wholes}"
                 yield f"  {more} = or {wholes} {lost}, {bits}"
                 lost = more
-                if cell == "known" and entry >= self._blocks.nq:
-                    speed, beyond, mask, more = (self._new() for _ in range(4))
-                    yield f"  {speed} = call {reals} @llvm.fabs.v{width}f64({reals} {value})"
-                    yield f"  {beyond} = fcmp ogt {reals} {speed}, %bounds"
-                    yield f"  {mask} = sext {self._registers.truths} {beyond} to {wholes}"
-                    yield f"  {more} = or {wholes} {lost}, {mask}"
-                    lost = more
         yield f"  store {wholes} {lost}, ptr %lost, align 8"
         yield f"  %are_lost = icmp ne {wholes} {lost}, zeroinitializer"
         yield f"  %lanes = bitcast {self._registers.truths} %are_lost to i{width}"
         yield f"  %no_lane = icmp eq i{width} %lanes, -1"
+
+    def _bounded(self, times: str, prefix: str = "") -> Iterator[str]:
+        """The lost lanes at ``x``, as ``%beyond``, and the times at which the others are seen."""
+        reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
+        name, lost = f"%{prefix}", f"%{prefix}lost.before"
+        yield f"  {name}bounds = load {reals}, ptr %bound, align 8"
+        yield f"  {lost} = load {wholes}, ptr %lost, align 8"
+        yield f"  {name}are_out = icmp ne {wholes} {lost}, zeroinitializer"
+        yield f"  {name}at = load {reals}, ptr %seen_at, align 8"
+        chosen = f"{reals} {name}at, {reals} {times}"
+        yield f"  {name}at.now = select {self._registers.truths} {name}are_out, {chosen}"
+        yield f"  store {reals} {name}at.now, ptr %seen_at, align 8"
+        velocities = self._blocks.known[self._blocks.nq :]
+        for i, entry in enumerate(velocities):
+            value, speed, beyond, mask = (self._new() for _ in range(4))
+            more = f"{name}beyond" if i == len(velocities) - 1 else self._new()
+            yield from self._loaded("x", entry, value)
+            yield f"  {speed} = call {reals} @llvm.fabs.v{width}f64({reals} {value})"
+            yield f"  {beyond} = fcmp ugt {reals} {speed}, {name}bounds"
+            yield f"  {mask} = sext {self._registers.truths} {beyond} to {wholes}"
+            yield f"  {more} = or {wholes} {lost}, {mask}"
+            lost = more
+
+    def _loaded(self, cell: str, entry: int, target: str) -> Iterator[str]:
+        reals, at = self._registers.reals, self._new()
+        yield f"  {at} = getelementptr {reals}, ptr %{cell}, i64 {entry}"
+        yield f"  {target} = load {reals}, ptr {at}, align 8"
+
+    def _arrived(self) -> Iterator[str]:
+        wholes = self._registers.wholes
+        yield f"  %frozen = load {wholes}, ptr %lost, align 8"
+        yield f"  %are_frozen = icmp ne {wholes} %frozen, zeroinitializer"
+        yield "  br label %arrive"
+        yield "arrive:"
+        yield from self._chosen("arrive", "%x", "%are_frozen", "%x", "%y", self._blocks.states["x"])
+        if self._steps > 1:  # Drake looks after every step; the next sample after the last one
+            yield "  %passed_by = uitofp i64 %following to double"
+            yield "  %until = fmul double %passed_by, %the_step"
+            yield from self._after("%times", "%until", "%step.ends")
+            yield from self._bounded("%step.ends", "step.")
+            yield f"  %is_within = icmp ult i64 %following, {self._steps}"
+            lost = f"{wholes} %step.beyond, {wholes} %frozen"
+            yield f"  %step.lost = select i1 %is_within, {lost}"
+            yield f"  store {wholes} %step.lost, ptr %lost, align 8"
 
     def _lanes(self, name: str, cells: str, place: int, *, back: bool = False) -> Iterator[str]:
         """Copy so many numbers (NAME.count) of each lane's array, from NAME.first on, into cells,
@@ -389,7 +488,8 @@ class _Sample(_Text):
 
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
         yield from self._row("%row")
-        yield from self._spread("%time", "%t0")
+        yield from self._spread("%time", "%times")
+        yield f"  store {self._registers.reals} %times, ptr %t0, align 8"
         yield self._call(functions, "sample")
         yield from self._kept()
         yield "  br label %move"

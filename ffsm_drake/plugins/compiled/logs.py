@@ -1,5 +1,6 @@
 """Runs of a kernel, and their logs."""
 
+import dataclasses
 import time
 from collections.abc import Collection, Mapping, Sequence
 
@@ -8,6 +9,7 @@ import numpy as np
 from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel
+from ffsm_drake.plugins.compiled.models import posed_model
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.log import RunLog
@@ -37,43 +39,59 @@ def logs_of(
     return [
         None
         if made is None
-        else _log(run, made | _planned(run.case, signals), parts=kernel.parts, wall_time=wall_time)
+        else _completed(run, made | _kept(run.case, signals), kernel.parts, wall_time)
         for run, made in zip(runs, found, strict=False)
     ]
 
 
-def _planned(case: Case, signals: Collection[str] | None) -> dict[str, np.ndarray]:
-    """Those signals that do not depend on a run."""
+def planned_signals(case: Case) -> dict[str, np.ndarray]:
+    """The signals that do not depend on a run."""
     desired = np.split(case.planned["reference"], [-case.fixed["nv"]], axis=1)
     found = dict(zip(("desired_state", "desired_acceleration"), desired, strict=True))
     if "frame" in case.planned:
         found["desired_frame"] = case.planned["frame"]
+    return found
+
+
+def _kept(case: Case, signals: Collection[str] | None) -> dict[str, np.ndarray]:
+    found = planned_signals(case)
     needed = found if signals is None else found.keys() & {*signals}
     return {name: values.copy() for name, values in found.items() if name in needed}
 
 
-def _log(
-    run: Run,
-    series: Mapping[str, np.ndarray],
-    *,
-    parts: Parts,
-    wall_time: dict[str, float],
+def _completed(
+    run: Run, series: Mapping[str, np.ndarray], parts: Parts, wall_time: dict[str, float]
 ) -> RunLog:
-    scenario, duration = run.scenario, (run.samples - 1) * run.scenario.sample_time
-    log = RunLog(
-        scenario=scenario,
-        outcome=Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s"),
+    duration = (run.samples - 1) * run.scenario.sample_time
+    outcome = Outcome(status=COMPLETED, time=duration, message=f"completed {duration:g} s")
+    time = run.case.times.copy()
+    log = dataclasses.replace(log_of(run, series, outcome, time, parts), wall_time=wall_time)
+    if not run.scenario.grasps:
+        return log
+    grasped: RunLog = service("grasped_at_start", "capture")(log)
+    return grasped
+
+
+def engine_of(run: Run) -> str:
+    """The name of the engine, and why the law is called."""
+    return f"{COMPILED} (law called: {called})" if (called := run.blocks.called) else COMPILED
+
+
+def log_of(
+    run: Run, series: Mapping[str, np.ndarray], outcome: Outcome, time: np.ndarray, parts: Parts
+) -> RunLog:
+    """The log of a run, or of one with another seed."""
+    return RunLog(
+        scenario=run.scenario,
+        outcome=outcome,
         coordinates=run.coordinates,
         split=run.case.true.split,
         tracks_frame=bool(getattr(run.law, "tracks_frame", False)),
         sliding_unit=str(run.law.sliding_unit),
-        engine=f"{COMPILED} (law called: {called})" if (called := run.blocks.called) else COMPILED,
+        engine=engine_of(run),
         parts=parts,
-        time=run.case.times.copy(),
+        time=time,
         series=series,
-        wall_time=wall_time,
+        wall_time={},
+        make_model=posed_model,
     )
-    if not scenario.grasps:
-        return log
-    grasped: RunLog = service("grasped_at_start", "capture")(log)
-    return grasped

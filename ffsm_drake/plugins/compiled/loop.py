@@ -257,6 +257,7 @@ class Blocks:
         sizes = self.results | self.states
         made = {name: (cell, 0, sizes[cell]) for name, cell in _SAMPLED.items() if sizes[cell]}
         held = {signal.name: signal.held for signal in SIGNALS}
+        held |= dict.fromkeys(getattr(self.law, "logged", ()), True)
         first = 0
         for name, value in self.memory.items():
             if name in held:

@@ -3,13 +3,16 @@
 import dataclasses
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ffsm_drake.plugins.compiled.parameters import reader_of
 from ffsm_drake.plugins.equations import equations, frames
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.frames import quaternion_of
 from ffsm_drake.plugins.equations.tree import Place, Tree
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import ReducedModel
-from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.tape.arrays import traced
 from ffsm_drake.tape.numbers import NotTraceable
 
@@ -57,6 +60,19 @@ def _known(frame: Any) -> Place:
     return frame
 
 
+class PosedModel(PlantModel):
+    """A model that computes a frame's poses in many configurations at once."""
+
+    def calc_frame_pose(self, q: Any, frame: Any) -> Any:
+        """See PlantModel."""
+        if q.ndim == 1 or isinstance(frame, str):
+            return super().calc_frame_pose(q, frame)
+        reader, columns = reader_of(self.plant), list(np.moveaxis(q, -1, 0))
+        rotation, origin = frames.pose(reader.tree, reader.place_of(frame), columns)
+        made = np.broadcast_arrays(*quaternion_of(rotation), *origin)
+        return np.stack(made, axis=-1)
+
+
 class _Unknown:
     """In place of a plant and its context, whose numbers would be constants of the code."""
 
@@ -80,3 +96,9 @@ def traced_model(model: PlantModel, own: Any) -> TracedModel:
         plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
         own=list(own), tree=reader_of(model.plant).tree,
     )  # fmt: skip
+
+
+def posed_model(scenario: Scenario) -> PosedModel:
+    """Return ``make_flexible_plant`` of a scenario, for many configurations at once."""
+    made = make_flexible_plant(scenario)
+    return PosedModel(**{each.name: getattr(made, each.name) for each in dataclasses.fields(made)})

@@ -29,7 +29,7 @@ from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
-from ffsm_drake.systems.registry import call_factory, section_parts
+from ffsm_drake.systems.registry import Factory, call_factory, section_parts
 from ffsm_drake.systems.sampled import Sampled
 from ffsm_drake.systems.sensing.block import measurement_of
 from ffsm_drake.systems.sensing.errors import SensorErrors
@@ -41,16 +41,17 @@ _KEPT = 64  # cases
 class Case:
     """What runs share that differ in their controllers at most."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+    def __init__(self, scenario: Scenario, *, further: int = 0) -> None:
+        """Args: the scenario; samples after its end of which rows are known."""
+        self.scenario, self._further = scenario, further
         self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
         self.coordinates: Coordinates = self.nominal.coordinates
-        self.samples = scenario.num_control_periods + 1
+        self.samples = scenario.num_control_periods + 1 + further
         self._gains_are_checked = False
         self._runs = dict[str, Run]()
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
-        drift = errors.drift()
+        self._drift = drift = errors.drift()
         self.sensors = sensors = (measurement_of(errors), *self._built("sensing").values())
         of_sensors, constants, _ = parameters_of(sensors, "the sensors")
         self.forces = self._built("forces")
@@ -58,10 +59,10 @@ class Case:
         of_forces, of_pushing, _ = parameters_of(pushing, "the forces")
         self.actuators, self.flows = self._acting()
         acting = self.actuators, self.flows
-        of_actuators, further, _ = parameters_of(acting, "the actuators")
+        of_actuators, others, _ = parameters_of(acting, "the actuators")
         self.constants = (
             constants,
-            further,
+            others,
             of_pushing,
             tuple(self.forces),
             *(len(each.phase(0)) for each in (*self.actuators, *pushing)),
@@ -92,7 +93,7 @@ class Case:
         known = self.true.split.known_part(np.arange(start.size))
         self.states = {
             "x": np.concatenate([start, kept_at(self.flows, start[known])]),
-            "drift": drift.start * self.noise.start if drift.start.any() else drift.start,
+            "drift": self._drift_at_start(),
             "stored": kept_at(sensors, start[known]),
             "loaded": kept_at(self.actuators, start[known]),
             "pushed": kept_at(pushing, start[known]),
@@ -120,6 +121,21 @@ class Case:
             "waits": force.delay,
             "scheme": config.integration_scheme,
         }
+
+    def _drift_at_start(self) -> np.ndarray:
+        start = self._drift.start
+        return start * self.noise.start if start.any() else start
+
+    def with_seed(self, seed: int) -> "Case":
+        """The same with another seed."""
+        scenario = dataclasses.replace(self.scenario, random_seed=seed)
+        if scenario.faults is not None:
+            return Case(scenario, further=self._further)
+        other = copy.copy(self)
+        other.scenario = scenario
+        vars(other).pop("noise", None)
+        other.states = self.states | {"drift": other._drift_at_start()}
+        return other
 
     def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
         """The actuators after limits, quantisation and delay, and the flows beside them."""
@@ -242,10 +258,17 @@ class Case:
 class Run:
     """One run: what its code depends on, and its numbers."""
 
-    def __init__(self, scenario: Scenario, case: Case | None = None) -> None:
-        """Args: the scenario, and what it shares with other runs."""
+    def __init__(
+        self, scenario: Scenario, case: Case | None = None, law: Factory | None = None
+    ) -> None:
+        """Args: the scenario, what it shares with other runs, and the factory of another law."""
         self.scenario, self.case = scenario, Case(scenario) if case is None else case
-        controller = self.case.controller_of(scenario)
+        self.given = {} if law is None else {"controller": law}  # in place of the scenario's
+        controller = (
+            self.case.controller_of(scenario)
+            if law is None
+            else make_controller(scenario, self.case.nominal, law)
+        )
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
         self.controller, self.law = controller, controller.law

@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -37,6 +37,7 @@ from ffsm_drake.systems.setup import BlockSetup
 
 WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
 _UNLIMITED = 100.0  # N m or N; replaces a missing force limit
+_MOST = 1e3  # an error in tolerances, and a force in limits
 
 
 class Exchange:
@@ -66,7 +67,7 @@ class Exchange:
     def told(self, error: np.ndarray, force: np.ndarray) -> None:
         """Keep the law's error and force at a sample."""
         if self._count <= self._periods:
-            self._since.append((error, force))
+            self._since.append((error.copy(), np.array(force)))
 
     def spent(self) -> list[np.ndarray]:
         """Errors and forces since the last step, a row for each sample."""
@@ -83,8 +84,47 @@ class _Steered(ActingLaw):
     def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         return self.exchange.ask(seen, sample), {}
 
-    def told(self, error: np.ndarray, force: np.ndarray) -> None:
+    def told(self, error: np.ndarray, force: np.ndarray) -> State:
         self.exchange.told(error, force)
+        return {}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Reward:
+    """The terms of a reward at a sample."""
+
+    tolerance: np.ndarray  # (n) of the errors
+    limit: np.ndarray  # (nv) of the force
+    counts: np.ndarray  # (n) which of the errors count
+
+    def terms(self, error: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tracking and effort (...), of errors (..., n) and forces (..., nv)."""
+        excess, effort = (
+            np.where(size < _MOST, size, _MOST)  # also for NaN
+            for size in (np.abs(error) / self.tolerance, np.abs(force) / self.limit)
+        )
+        excess = excess[..., self.counts]
+        sums = excess.sum(axis=-1), (effort**2).sum(axis=-1)
+        return -sums[0] / excess.shape[-1], -sums[1] / effort.shape[-1]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _Remembered(ActingLaw):
+    """The law of actions in its memory, where it leaves the observation and the reward's terms."""
+
+    logged: ClassVar[tuple[str, ...]] = ("seen", "terms")
+    reward: Reward
+    num_seen: int
+
+    def initial_state(self) -> State:
+        own = {"action": self.acts.size, "seen": self.num_seen, "terms": 2}
+        return {**super().initial_state(), **{name: np.zeros(n) for name, n in own.items()}}
+
+    def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        return state["action"], {"action": state["action"], "seen": seen, "terms": state["terms"]}
+
+    def told(self, error: np.ndarray, force: np.ndarray) -> State:
+        return {"terms": np.stack(self.reward.terms(error, force), axis=-1)}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,15 +139,20 @@ class Steering:
 
     def __call__(self, setup: BlockSetup, exchange: Exchange) -> ControlLaw:
         """The law of a run, with actions from ``exchange``."""
-        inner = None if self.kind == "force" else inner_law(self.law, setup)
-        return _Steered(
-            exchange=exchange,
-            kind=self.kind,
-            acts=self.acts,
-            scale=self.scale,
-            inner=inner,
-            task=TaskSpace.from_setup(setup) if self.tracks_frame else None,
-        )
+        return _Steered(exchange=exchange, **self._settings(setup))
+
+    def remembered(self, setup: BlockSetup, reward: Reward, num_seen: int) -> ControlLaw:
+        """The law of a run with actions in its memory; ``num_seen`` numbers are observed."""
+        return _Remembered(reward=reward, num_seen=num_seen, **self._settings(setup))
+
+    def _settings(self, setup: BlockSetup) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            "acts": self.acts,
+            "scale": self.scale,
+            "inner": None if self.kind == "force" else inner_law(self.law, setup),
+            "task": TaskSpace.from_setup(setup) if self.tracks_frame else None,
+        }
 
 
 class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -167,7 +212,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.scenario = scenario.replace(controller=law)
         self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
         self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
-        self._limit = _finite(actuation_limit(self.scenario, coordinates).upper)
+        self._limit = limit = _finite(actuation_limit(self.scenario, coordinates).upper)
         self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
         factory = find_factory("controller", law, python_path=scenario.python_path)
         self.steering = Steering(
@@ -180,16 +225,16 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         of_frame = {"tracks_frame": self.steering.tracks_frame}
         errors = error_names(self.scenario, coordinates, **of_frame)
         self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
-        self._counted = coordinates.is_driven.copy()
+        counts = coordinates.is_driven.copy()
         if self.steering.tracks_frame:  # its pose counts in place of the joints
             if action == "setpoint":
                 raise FfsmError(f"action: {law} tracks a frame; must be force or residual")
-            self._counted &= np.array([group != "joints" for group in coordinates.group_of])
-        of_errors = len(errors) - self._counted.size
-        self._counted = np.append(self._counted, np.ones(of_errors, dtype=bool))
+            counts &= np.array([group != "joints" for group in coordinates.group_of])
+        counts = np.append(counts, np.ones(len(errors) - counts.size, dtype=bool))
+        tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
+        self.reward = Reward(tolerance=tolerance, limit=limit, counts=counts)
         self.action_space = _box(len(self.action_names), 1.0, dtype)
         self.observation_space = _box(len(self.observation_names), FURTHEST, dtype)
-        self._tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
         self._exchange: Exchange | None = None
         self._seen: np.ndarray = np.zeros(len(self.observation_names), dtype)
         self.log: RunLog | None = None  # log of the last complete episode
@@ -224,10 +269,8 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A new run; ``seed`` is its ``random_seed``, by default drawn."""
-        super().reset(seed=seed)
         self.close()
-        drawn = int(self.np_random.integers(2**31)) if seed is None else seed
-        scenario = self.scenario.replace(random_seed=drawn)
+        scenario = self.scenario.replace(random_seed=self.drawn(seed))
         exchange = Exchange(self.samples_per_step, scenario.num_control_periods)
         self._exchange = exchange
         law = functools.partial(self.steering, exchange=exchange)
@@ -235,6 +278,11 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         exchange.run.start(rollout.run, rollout.release, owner=self)
         self._take()
         return self._seen.copy(), {}
+
+    def drawn(self, seed: int | None) -> int:
+        """The ``random_seed`` of a new run."""
+        super().reset(seed=seed)
+        return int(self.np_random.integers(2**31)) if seed is None else seed
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """As Gymnasium's."""
@@ -256,15 +304,8 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def reward_terms(self, spent: list[np.ndarray]) -> dict[str, Any]:
         """Reward terms of a step, from ``Exchange.spent``."""
-        if not spent:
-            return {"tracking": 0.0, "effort": 0.0}
-        errors, forces = spent
-        excess, effort = (
-            np.fmin(np.abs(each) / size, 1e3)  # also for NaN
-            for each, size in ((errors, self._tolerance), (forces, self._limit))
-        )
-        sizes = {"tracking": excess[..., self._counted], "effort": effort**2}
-        return {name: -each.mean(axis=-1).mean() for name, each in sizes.items()}
+        terms = self.reward.terms(*spent) if spent else (np.zeros(1), np.zeros(1))
+        return dict(zip(("tracking", "effort"), (each.mean() for each in terms), strict=True))
 
     def reward_of(self, terms: Mapping[str, Any]) -> Any:
         """Weighted sum of reward terms."""

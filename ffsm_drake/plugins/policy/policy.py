@@ -96,8 +96,9 @@ class ActingLaw(ControlLaw):
     def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """The action (..., na) for what is seen (..., n), and memory for the next sample."""
 
-    def told(self, error: np.ndarray, force: np.ndarray) -> None:
-        """Hear of the errors that are observed at a sample, and of the force."""
+    def told(self, error: np.ndarray, force: np.ndarray) -> State:
+        """Memory from the errors that are observed at a sample, and from the force."""
+        return {}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         error, rate = sample.e, sample.e_dot
@@ -117,8 +118,7 @@ class ActingLaw(ControlLaw):
             own = {**own, **after}
             if self.kind == "residual":
                 force = force + change
-        self.told(error.copy(), np.array(force))
-        return force, own
+        return force, {**own, **self.told(error, force)}
 
 
 def inner_law(name: str, setup: BlockSetup) -> ControlLaw:
