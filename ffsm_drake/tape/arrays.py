@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.tape import numbers
-from ffsm_drake.tape.numbers import NotTraceable, Tape, Traceable, one, select, two
+from ffsm_drake.tape.numbers import Loop, NotTraceable, Tape, Traceable, one, select, two
 
 
 def _ceil(x: Any) -> Any:
@@ -154,6 +154,51 @@ def traced(values: Any) -> Any:
 def inputs(tape: Tape, array: str, shape: Sequence[int]) -> Any:
     """An array of symbols: an input of a traced function."""
     return traced(tape.inputs(array, math.prod(shape))).reshape(shape)
+
+
+def repeated(
+    step: Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]],
+    state: Mapping[str, Any],
+    fixed: Mapping[str, Any],
+    *,
+    most: int,
+) -> Mapping[str, Any]:
+    """Return the state after steps of a loop, while its first array, of one number, is not zero.
+
+    Args:
+      step: returns the state after one from that before it and what is fixed; of arrays by name.
+      state: before the first step.
+      fixed: what every step reads.
+      most: steps.
+    """
+    given = [*state.values(), *fixed.values()]
+    symbols = [each for array in given for each in _objects(array).ravel()]
+    tape = next((each.tape for each in symbols if isinstance(each, Traceable)), None)
+    if tape is None:
+        for _ in range(most):
+            if not next(iter(state.values())):
+                break
+            state = step(state, fixed)
+        return state
+    own = Tape()
+    before, read = (
+        _parted(inputs(own, which, (sum(map(np.size, of.values())),)), of)
+        for which, of in (("state", state), ("fixed", fixed))
+    )
+    made = step(before, read)
+    after = [numbers.number(each) for name in state for each in _objects(made[name]).ravel()]
+    size = len(after)
+    found = tape.repeat(Loop(own, after, len(symbols) - size, most), symbols[:size], symbols[size:])
+    return _parted(traced(found), state)
+
+
+def _parted(values: Any, shapes: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers one after the other as arrays in the shapes of others."""
+    found, first = {}, 0
+    for name, like in shapes.items():
+        found[name] = values[first : first + np.size(like)].reshape(np.shape(like))
+        first += np.size(like)
+    return found
 
 
 def wrapped(made: Any) -> Any:

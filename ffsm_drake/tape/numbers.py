@@ -4,6 +4,7 @@ Functions written for floats take symbols too. A comparison of symbols is a ``Tr
 number's value, such as ``if x > 0.0`` or ``float(x)``, raises NotTraceable.
 """
 
+import dataclasses
 import functools
 import math
 import operator
@@ -39,10 +40,11 @@ def none_caught() -> Iterator[None]:
 class Operation(NamedTuple):
     """An operation on numbers: operands are indices of operations before it, or constants.
 
-    ``input`` has an array's name and a row.
+    ``input`` has an array's name and a row. ``loop`` has the name of a ``Loop``, its state and what
+    it reads; ``entry`` a loop, and a place in its state at the end.
     """
 
-    kind: str  # input, a truth of TRUTHS, select, or a function of numbers
+    kind: str  # input, a truth of TRUTHS, select, loop, entry, or a function of numbers
     operands: tuple["int | float | str", ...]
 
 
@@ -54,6 +56,7 @@ class Tape:
 
     def __init__(self) -> None:
         self.operations: list[Operation] = []
+        self.loops: dict[str, Loop] = {}
         self._known: dict[tuple[Any, ...], Any] = {}
 
     def inputs(self, array: str, rows: int) -> "list[Symbol]":
@@ -70,6 +73,14 @@ class Tape:
             self.operations.append(Operation(kind, plain))
         return self._known[key]
 
+    def repeat(self, round_: "Loop", state: Sequence[Any], fixed: Sequence[Any]) -> list[Any]:
+        """The state (n) after rounds of a loop, in each of which it reads the same numbers too."""
+        same = (name for name, other in self.loops.items() if other.is_like(round_))
+        name = next(same, f"loop{len(self.loops)}")
+        self.loops.setdefault(name, round_)
+        loop = self.record("loop", name, *map(number, (*state, *fixed)))
+        return [self.record("entry", loop, float(place)) for place in range(len(state))]
+
     def place_of(self, operand: "Traceable | float | str") -> int | float | str:
         """The index of an operand's operation; of a number itself."""
         if not isinstance(operand, Traceable):
@@ -77,6 +88,27 @@ class Tape:
         if operand.tape is not self:
             raise NotTraceable("a number of another sample, kept outside of the law's memory")
         return operand.index
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """A round of a loop: from inputs ``state`` and ``fixed`` of its own tape to the state after it.
+    It is repeated while the state's first number is not zero.
+    """
+
+    tape: Tape
+    after: Sequence[Any]
+    num_fixed: int
+    most: int  # rounds
+
+    def is_like(self, other: "Loop") -> bool:
+        """Whether it does the same."""
+        places = (list(map(each.tape.place_of, each.after)) for each in (self, other))
+        return (
+            (self.most, self.num_fixed) == (other.most, other.num_fixed)
+            and self.tape.operations == other.tape.operations
+            and operator.eq(*places)
+        )
 
 
 class Traceable:
@@ -216,11 +248,15 @@ class Truth(Traceable):
     def __and__(self, other: Any) -> Any:
         if isinstance(other, Truth):
             return self.tape.record("and", self, other)
+        if isinstance(other, np.ndarray):
+            return NotImplemented
         return self if other else False
 
     def __or__(self, other: Any) -> Any:
         if isinstance(other, Truth):
             return self.tape.record("or", self, other)
+        if isinstance(other, np.ndarray):
+            return NotImplemented
         return True if other else self
 
     def __invert__(self) -> "Truth":

@@ -11,6 +11,7 @@ from typing import Any
 from ffsm_drake.tape import numbers
 from ffsm_drake.tape.numbers import (
     TRUTHS,
+    NotTraceable,
     Symbol,
     Tape,
     Traceable,
@@ -99,6 +100,8 @@ def tangents(tape: Tape, results: Sequence[Any], seeds: Mapping[int, Any]) -> li
                 found.get(each, 0.0) if isinstance(each, int) else 0.0 for each in operands[-2:]
             ]
             total = select(_CHOSEN[kind](*values), *slopes)
+        elif kind in ("loop", "entry"):
+            raise NotTraceable("the derivative of a loop")
         else:
             partial, total = _PARTIAL[kind](Symbol(tape, index), *values), 0.0
             for operand, slope in zip(operands, partial, strict=True):

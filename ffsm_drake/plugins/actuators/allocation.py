@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
+from ffsm_drake.common.choice import is_known
 from ffsm_drake.common.products import times
+from ffsm_drake.plugins.actuators.simplex import least_cost, vertex_at
 
 _SMALLEST = 1e-9  # least determinant of a basis relative to the lengths of its columns
 _SLACK = 1e-9  # relative; tolerance of a bound
@@ -27,6 +29,10 @@ _SLACK = 1e-9  # relative; tolerance of a bound
 _DISTINCT = 1e-7
 _DISTINCT_PROGRAM = 1e-4  # in the linear program; its solver ignores differences of 1e-7
 _TOUCHES = 1e-10  # relative to the largest cost
+# On symbols: added to the diagonal of the normal equations, relative to its sum. Each refinement
+# leaves about a share of 1e-4 of the error.
+_SHIFT = 1e-12
+_REFINEMENTS = 4
 
 
 class Allocation:
@@ -65,7 +71,8 @@ class Allocation:
         self._shares = dict[bytes, np.ndarray]()
         # squares: of an even sequence the sums are alike again
         spread = np.modf(0.618034 * np.arange(count) ** 2)[0]
-        _, optimal = vertices(cost * (1.0 + _DISTINCT * spread))
+        self._distinct_cost = cost * (1.0 + _DISTINCT * spread)
+        _, optimal = vertices(self._distinct_cost)
         self._program_cost = cost * (1.0 + _DISTINCT_PROGRAM * spread)
         self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
 
@@ -80,6 +87,8 @@ class Allocation:
           leak: (6), the wrench already present, for example of a thruster stuck on; the other
             thrusters must be able to cancel it.
         """
+        if not is_known(wrench):
+            return self._solve_traced(wrench, np.zeros(6) + leak)
         wanted = wrench.reshape(-1, 6)
         left, bound = wanted - leak, self._largest * (1.0 + _SLACK)
         least = -_SLACK * (1.0 + np.abs(left).max(axis=1))
@@ -106,6 +115,39 @@ class Allocation:
             if key not in self._shares:
                 self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
             yield self._shares[key]
+
+    def _solve_traced(self, wrench: Any, leak: np.ndarray) -> tuple[Any, Any]:
+        """``solve`` for symbols (6), without branches and tables: the same forces but for
+        rounding.
+        """
+        wrenches, largest, left = self._wrenches, self._largest, wrench - leak
+        worth = self._prices @ left
+        best = worth.max()
+        is_worse = worth < best - _SLACK * (1.0 + best)
+        may_fire = (self._touches | is_worse[:, None]).all(axis=0)
+        used = np.where(may_fire, wrenches, 0.0)
+        normal = used @ wrenches.T + _SHIFT * np.trace(wrenches @ wrenches.T) * np.eye(6)
+        solution = np.linalg.solve(normal, left)
+        for _ in range(_REFINEMENTS):
+            rest = left - used @ (wrenches.T @ solution)
+            solution = solution + np.linalg.solve(normal, rest)
+        forces = used.T @ solution
+        none, least = np.zeros(largest.size), -_SLACK * (1.0 + np.abs(left).max())
+        is_negative = forces.min() < least
+        of_a_basis, _ = least_cost(
+            wrenches, left, largest=none + np.inf, cost=self._distinct_cost, most=1.0,
+            slack=0.0, start=vertex_at(wrenches, np.zeros(6), none, none + np.inf), needed=is_negative,
+        )  # fmt: skip
+        forces = np.where(is_negative, of_a_basis, forces)
+        is_within = (forces.min() >= least) & (forces <= largest * (1.0 + _SLACK)).all()
+        most = np.maximum(1.0, np.abs(wrench).max() / largest.sum())
+        held = self._solve_within_bounds(-leak, 0.0)[0] if leak.any() else none
+        within, part = least_cost(
+            wrenches, wrench / most, largest=largest, cost=self._program_cost, most=most,
+            slack=_SLACK, start=vertex_at(wrenches, -leak, held, largest), needed=np.logical_not(is_within),
+        )  # fmt: skip
+        found = np.where(is_within, np.maximum(forces, 0.0), within)
+        return found, np.where(is_within, 1.0, part / most)
 
     def _of_a_basis(self, wrench: np.ndarray) -> np.ndarray:
         """The forces (n) of six thrusters, a basis of the best vertex, that give a wrench (6)."""

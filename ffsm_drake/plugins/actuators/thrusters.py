@@ -190,7 +190,8 @@ class ThrusterSet:
         all_known = not may_be(~known)
         solvable = wrench if all_known else np.where(known, wrench, 0.0)
         forces, part = self._allocation.solve(solvable, self._leak)
-        wanted, given = np.zeros((*part.shape, len(self.names))), part[..., None]
+        given = np.expand_dims(part, -1)
+        wanted = np.zeros_like(forces, shape=(*given.shape[:-1], len(self.names)))
         wanted[..., self._works] = forces
         open_for = np.maximum(memory.open_for, self._opened(wanted))
         if not all_known:

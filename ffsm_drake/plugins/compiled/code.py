@@ -12,7 +12,7 @@ from typing import Any
 
 from ffsm_drake.plugins.compiled.angles import sine_and_cosine
 from ffsm_drake.plugins.compiled.registers import Registers
-from ffsm_drake.tape.numbers import TRUTHS, Operation, Symbol, Tape, needed
+from ffsm_drake.tape.numbers import TRUTHS, Loop, Operation, Symbol, Tape, needed
 
 _PART = 400  # operations
 _PLAIN = {"add": "fadd", "subtract": "fsub", "multiply": "fmul", "divide": "fdiv"}
@@ -26,6 +26,7 @@ _COMPARED = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une", "max": "ogt", "
 _LIBRARY = dict.fromkeys(
     ("tan", "exp", "log", "tanh", "sinh", "cosh", "expm1", "log1p", "asin", "acos", "atan"), 1
 ) | {"atan2": 2, "pow": 2}
+_READ = ("input", "entry")  # kinds of values that are in an array
 _Places = Mapping[int, Sequence[tuple[str, int]]]  # of results: operation -> arrays and entries
 
 
@@ -60,35 +61,81 @@ def of_lanes(
                 places.setdefault(value.index, []).append((array, entry))
             else:
                 body += _store(registers, registers.real(value), f"{array}.b", entry, "fixed")
-    operations = tape.operations
-    inner = [
-        index
-        for index in needed(operations, places)
-        if operations[index].kind != "input" or index in places
-    ]
+    operations, texts = tape.operations, list[str]()
+    wanted = needed(operations, places)
+    inner = [each for each in wanted if operations[each].kind not in _READ or each in places]
+    loops = {each: operations[each].operands for each in inner if operations[each].kind == "loop"}
+    for own in dict.fromkeys(str(operands[0]) for operands in loops.values()):
+        texts.append(_loop(registers, f"{name}.{own}", tape.loops[own]))
     parts = [inner[first : first + _PART] for first in range(0, len(inner), _PART)]
     slots, size = _slots(operations, parts)
+    rooms = {"kept": max(size, 1)}
+    rooms |= {f"loop.{index}": len(operands) - 1 for index, operands in loops.items()}
     pointers = ", ".join(f"ptr noalias %{each}.b" for each in (*inputs, *results))
-    given = ", ".join(f"ptr %{each}.b" for each in (*inputs, *results, "kept"))
-    texts = []
+    inner_pointers = ", ".join((pointers, *(f"ptr noalias %{each}.b" for each in rooms)))
+    given = ", ".join(f"ptr %{each}.b" for each in (*inputs, *results, *rooms))
     for number, part in enumerate(parts):
-        lines = "\n".join(_Part(registers, operations, slots, places, part).lines())
+        lines = "\n".join(_Part(registers, name, operations, slots, places, part).lines())
         texts.append(
-            f"define internal void @{name}.{number}({pointers}, ptr noalias %kept.b) noinline "
+            f"define internal void @{name}.{number}({inner_pointers}) noinline "
             f"{{\n{lines}\n  ret void\n}}\n"
         )
         body.append(f"  call void @{name}.{number}({given})")
-    lines = "\n".join(body)
-    room = f"%kept.b = alloca [{max(size, 1)} x {registers.reals}], align 64"
-    texts.append(
-        f"define internal void @{name}({pointers}) {{\n  {room}\n{lines}\n  ret void\n}}\n"
-    )
+    lines = "\n".join((*(_room(registers, *each) for each in rooms.items()), *body))
+    texts.append(f"define internal void @{name}({pointers}) {{\n{lines}\n  ret void\n}}\n")
     return "\n".join(texts)
+
+
+def _room(registers: Registers, name: str, size: int) -> str:
+    return f"  %{name}.b = alloca [{size} x {registers.reals}], align 64"
+
+
+def _loop(registers: Registers, name: str, loop: Loop) -> str:
+    """An internal function of a pointer to the state before a loop, which becomes that after it,
+    and then to what is fixed.
+    """
+    size, reals = len(loop.after), registers.reals
+    arrays, made = {"state": size, "fixed": loop.num_fixed}, {"after": loop.after}
+    return f"""{of_lanes(registers, f"{name}.round", loop.tape, arrays, made)}
+define internal void @{name}(ptr noalias %state.b) noinline {{
+{_room(registers, "after", size)}
+  %fixed.b = getelementptr {reals}, ptr %state.b, i64 {size}
+  br label %head
+head:
+  %k = phi i64 [0, %0], [%next, %taken]
+  %first = load {reals}, ptr %state.b, align 8
+  %goes = fcmp une {reals} %first, {registers.real(0.0)}
+  %lanes = bitcast {registers.truths} %goes to i{registers.width}
+  %any = icmp ne i{registers.width} %lanes, 0
+  %within = icmp ult i64 %k, {loop.most}
+  %on = and i1 %any, %within
+  br i1 %on, label %round, label %end
+round:
+  call void @{name}.round(ptr %state.b, ptr %fixed.b, ptr %after.b)
+  br label %take
+take:
+  %i = phi i64 [0, %round], [%following, %take]
+  %before.p = getelementptr {reals}, ptr %state.b, i64 %i
+  %after.p = getelementptr {reals}, ptr %after.b, i64 %i
+  %before = load {reals}, ptr %before.p, align 8
+  %after = load {reals}, ptr %after.p, align 8
+  %now = select {registers.truths} %goes, {reals} %after, {reals} %before
+  store {reals} %now, ptr %before.p, align 8
+  %following = add i64 %i, 1
+  %more = icmp ult i64 %following, {size}
+  br i1 %more, label %take, label %taken
+taken:
+  %next = add i64 %k, 1
+  br label %head
+end:
+  ret void
+}}
+"""
 
 
 def _used(operation: Operation) -> list[int]:
     """The operations that one takes values of."""
-    if operation.kind == "input":
+    if operation.kind in _READ:
         return []
     return [each for each in operation.operands if isinstance(each, int)]
 
@@ -109,7 +156,7 @@ def _slots(
     slots, free, size = dict[int, int](), list[int](), 0
     for number, part in enumerate(parts):
         for index in part:
-            if index in last and operations[index].kind != "input":
+            if index in last and operations[index].kind not in _READ:
                 if not free:
                     free, size = [size], size + 1
                 slots[index] = free.pop()
@@ -123,12 +170,13 @@ class _Part:
     def __init__(
         self,
         registers: Registers,
+        name: str,
         operations: Sequence[Operation],
         slots: Mapping[int, int],
         places: _Places,
         part: Sequence[int],
     ) -> None:
-        self._operations, self._slots, self._places = operations, slots, places
+        self._operations, self._slots, self._places, self._name = operations, slots, places, name
         self._registers, self._part = registers, part
         self._here = set[int]()  # values in registers
         self._turns = set[int]()  # angles with sine and cosine
@@ -155,8 +203,13 @@ class _Part:
             if each not in self._here:
                 yield from self._fetched(each)
         (kind, operands), reals = operation, self._registers.reals
-        if kind == "input":
+        if kind in _READ:
             yield from self._fetched(index)
+        elif kind == "loop":
+            for place, each in enumerate(operands[1:]):
+                value = self._operand(each)
+                yield from _store(self._registers, value, f"loop.{index}.b", place, "s")
+            yield f"  call void @{self._name}.{operands[0]}(ptr %loop.{index}.b)"
         elif kind in _COMPARED or kind in TRUTHS or kind == "select":
             yield from self._chosen(name, kind, list(map(self._operand, operands)))
         elif kind in _LIBRARY:
@@ -215,8 +268,9 @@ class _Part:
         self._here.add(index)
         operation = self._operations[index]
         array, entry = "kept", self._slots.get(index, 0)
-        if operation.kind == "input":
-            array, entry = str(operation.operands[0]), int(operation.operands[1])
+        if operation.kind in _READ:
+            own, entry = operation.operands[0], int(operation.operands[1])
+            array = str(own) if operation.kind == "input" else f"loop.{own}"
         reals = self._registers.reals
         yield f"  %p{index} = getelementptr {reals}, ptr %{array}.b, i64 {entry}"
         if operation.kind in TRUTHS:

@@ -59,7 +59,6 @@ class Compiled(Engine):
             ("contacts", scenario.contacts),
             ("supervisor", scenario.supervisor is not None),
             ("fault detection", detects(scenario)),
-            ("actuation.thrusters", scenario.actuation.thrusters is not None),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
