@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.common.choice import is_known
 from ffsm_drake.tape import numbers
 from ffsm_drake.tape.numbers import Loop, NotTraceable, Tape, Traceable, one, select, two
 
@@ -172,14 +173,14 @@ def repeated(
       most: steps.
     """
     given = [*state.values(), *fixed.values()]
-    symbols = [each for array in given for each in _objects(array).ravel()]
-    tape = next((each.tape for each in symbols if isinstance(each, Traceable)), None)
-    if tape is None:
+    if all(map(is_known, given)):
         for _ in range(most):
             if not next(iter(state.values())):
                 break
             state = step(state, fixed)
         return state
+    symbols = [each for array in given for each in _objects(array).ravel()]
+    tape = next(each.tape for each in symbols if isinstance(each, Traceable))
     own = Tape()
     before, read = (
         _parted(inputs(own, which, (sum(map(np.size, of.values())),)), of)

@@ -132,19 +132,22 @@ class Allocation:
             rest = left - used @ (wrenches.T @ solution)
             solution = solution + np.linalg.solve(normal, rest)
         forces = used.T @ solution
-        none, least = np.zeros(largest.size), -_SLACK * (1.0 + np.abs(left).max())
-        is_negative = forces.min() < least
+        least = -_SLACK * (1.0 + np.abs(left).max())
+        is_negative, none = forces.min() < least, np.zeros(largest.size)
+        start = vertex_at(wrenches, np.zeros(6), none, none + np.inf)
         of_a_basis, _ = least_cost(
-            wrenches, left, largest=none + np.inf, cost=self._distinct_cost, most=1.0,
-            slack=0.0, start=vertex_at(wrenches, np.zeros(6), none, none + np.inf), needed=is_negative,
+            wrenches, left, largest=none + np.inf, cost=self._distinct_cost, most=1.0, slack=0.0,
+            start=start, needed=is_negative,
         )  # fmt: skip
         forces = np.where(is_negative, of_a_basis, forces)
         is_within = (forces.min() >= least) & (forces <= largest * (1.0 + _SLACK)).all()
         most = np.maximum(1.0, np.abs(wrench).max() / largest.sum())
-        held = self._solve_within_bounds(-leak, 0.0)[0] if leak.any() else none
+        if leak.any():
+            held, _ = self._solve_within_bounds(-leak, 0.0)
+            start = vertex_at(wrenches, -leak, held, largest)
         within, part = least_cost(
             wrenches, wrench / most, largest=largest, cost=self._program_cost, most=most,
-            slack=_SLACK, start=vertex_at(wrenches, -leak, held, largest), needed=np.logical_not(is_within),
+            slack=_SLACK, start=start, needed=np.logical_not(is_within),
         )  # fmt: skip
         found = np.where(is_within, np.maximum(forces, 0.0), within)
         return found, np.where(is_within, 1.0, part / most)

@@ -23,6 +23,7 @@ from ffsm_drake.scenario import Fault
 from ffsm_drake.systems.continuous import ContinuousSystem
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled, SampledSystem
 from ffsm_drake.systems.setup import CompositeBlock
+from ffsm_drake.tape.arrays import repeated
 
 # Control samples in which wheels recover the torque impulse of pulses beyond their capability.
 # Commands beyond their limits are not recovered: the controller reads applied_force and repeats
@@ -146,10 +147,17 @@ class BaseActuators(Sampled):
 
     def phase(self, sample: Any) -> Sequence[Any]:
         """See Sampled."""
-        if np.ndim(sample):
-            return [*np.array([self.phase(each) for each in sample.tolist()], dtype=float).T]
-        broken = self._faults_at(sample) if self._may_break else ()
-        return [float(sample % self.frame == 0), *broken]
+        begins = (sample % self.frame == 0) * 1.0
+        if not self._may_break:
+            return [begins]
+        changes, effects = self._broken
+        return [begins, *effects[np.searchsorted(changes, sample, side="right")].T]
+
+    @functools.cached_property
+    def _broken(self) -> tuple[list[int], np.ndarray]:
+        """The control samples at which faults begin, and ``_faults_at`` before and from each on."""
+        changes = sorted({since for *_, since in self.faults})
+        return changes, np.array([self._faults_at(each) for each in (-1, *changes)])
 
     @property
     def phase_period(self) -> int:
@@ -277,21 +285,24 @@ class BaseActuators(Sampled):
         """Fire thrusters for the requested torque and force (..., 2, 3, the base's axes), with the
         owed impulse; also returns the memory.
         """
-        owed, kept = memory["owed"], memory["fuel"]
 
-        def allocated() -> tuple[Any, Any]:
+        def allocated(before: Arrays, fixed: Arrays) -> Arrays:
+            owed, rotation = before["owed"], fixed["rotation"]
             in_base = np.matmul(owed.reshape(asked.shape), rotation)
-            with_owed = asked + in_base / thrusters.frame
-            fuel = thrusters.allocate(with_owed.reshape(owed.shape), ThrusterMemory.unpacked(kept))
+            with_owed = fixed["asked"] + in_base / thrusters.frame
+            kept = ThrusterMemory.unpacked(before["fuel"])
+            fuel = thrusters.allocate(with_owed.reshape(owed.shape), kept)
             left, less = owed, fuel.given < 1.0
             if may_be(less):  # the rest is given up
                 all_owed = _turned_back(with_owed, rotation)
                 rest = (1.0 - fuel.given) * thrusters.frame * all_owed
                 left = np.where(less, owed - rest, owed)
-            return left, fuel.packed()
+            return {"begins": np.zeros(()), "owed": left, "fuel": fuel.packed()}
 
-        owed, packed = choose(begins, allocated, (owed, kept))
-        firing, fuel = thrusters.fire(ThrusterMemory.unpacked(packed))
+        before = {"begins": begins, "owed": memory["owed"], "fuel": memory["fuel"]}
+        kept = repeated(allocated, before, {"asked": asked, "rotation": rotation}, most=1)
+        owed = kept["owed"]
+        firing, fuel = thrusters.fire(ThrusterMemory.unpacked(kept["fuel"]))
         if thrusters.carries_over:
             left = asked - firing.wrench.reshape(asked.shape)
             owed = owed + _turned_back(left, rotation) * self.sample_time

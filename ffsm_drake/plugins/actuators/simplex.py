@@ -7,7 +7,6 @@ a vertex with s = 0. The table has the rows B^-1 [W, -w] of a basis B, then the 
 less those of the basis.
 """
 
-import itertools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -39,7 +38,8 @@ def vertex_at(
         sizes = np.linalg.svd(columns / np.linalg.norm(columns, axis=0))[1]
         if len(basis) < 6 and sizes[-1] > 1e-6 * sizes[0]:
             basis.append(each)
-    exact, inverse = np.where(forces > 0.5 * largest, largest, 0.0), np.linalg.inv(wrenches[:, basis])
+    inverse = np.linalg.inv(wrenches[:, basis])
+    exact = np.where(forces > 0.5 * largest, largest, 0.0)
     exact[basis] = 0.0
     exact[basis] = inverse @ (wrench - wrenches @ exact)
     return Vertex(exact, np.array(basis), inverse)
@@ -125,7 +125,8 @@ def _round(state: Mapping[str, Any], fixed: Mapping[str, Any]) -> Mapping[str, A
     is_out, is_in = rows == leaves, pivots & (numbers == enters)
     was = numbers == _picked(is_out, basis, -1.0)
     row = _picked(is_out, table[:6]) / _picked(is_out, column[:6], 1.0)
-    pivoted = np.where(np.append(is_out, [False, False])[:, None], row, table - column[:, None] * row)
+    is_row = np.append(is_out, [False, False])[:, None]
+    pivoted = np.where(is_row, row, table - column[:, None] * row)
     is_full = np.where(was, _picked(is_out, along) < 0.0, is_full & ~is_in)
     is_full = is_full ^ (goes & (least >= span) & (numbers == enters))
     # s is known

@@ -23,7 +23,7 @@ from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.load import predicted_load
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.plugins.design.stability.rehearsal import Rehearsed, shares_diverged
+from ffsm_drake.plugins.design.stability.rehearsal import shares_diverged
 from ffsm_drake.runs.batches import all_but_controller
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.reference import timed
@@ -39,7 +39,7 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     The first two are spectral radii of the wired closed loop, in the posture of the planned motion
     with the most over-estimated inertia: at the starting gains, and with every K_s at its largest
     expected value after adaptation. With a capture ``predicted_load`` follows; with rehearsed
-    parts also 1 if the linearised loop diverges under their limits, else 0 (``rehearse``).
+    parts also 1 if a run with another noise sequence diverges, else 0 (``shares_diverged``).
 
     Raises ModelError, ScenarioError or BlockError: a value cannot be used, or a block cannot be
     linearised.
@@ -51,9 +51,9 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
 
 
 def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exception]:
-    """``predict`` of several scenarios, or its error; those that are rehearsed go side by side."""
+    """``predict`` of several scenarios, or its error."""
     found: list[tuple[float, ...] | Exception] = []
-    cases = dict[int, Rehearsed]()
+    cases = list[int]()  # that are rehearsed
     # for all controllers of a case: its planned dynamics, and the posture that is linearised
     planned = dict[Any, tuple[PlannedDynamics, float]]()
     for index, scenario in enumerate(scenarios):
@@ -69,14 +69,15 @@ def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exce
             if is_rehearsed(scenario):
                 own.append(1.0)
                 if is_stable:
-                    cases[index] = Rehearsed(scenario)
+                    cases.append(index)
             found.append(tuple(own))
         except Exception as error:
             found.append(error)
-    for index, share in zip(cases, shares_diverged(list(cases.values()), seeds=1), strict=True):
+    shares = shares_diverged([scenarios[index] for index in cases], seeds=1)
+    for index, share in zip(cases, shares, strict=True):
         radii = found[index]
         assert isinstance(radii, tuple)
-        found[index] = (*radii[:-1], share)
+        found[index] = share if isinstance(share, Exception) else (*radii[:-1], share)
     return found
 
 

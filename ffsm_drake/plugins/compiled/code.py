@@ -269,8 +269,8 @@ class _Part:
         operation = self._operations[index]
         array, entry = "kept", self._slots.get(index, 0)
         if operation.kind in _READ:
-            own, entry = operation.operands[0], int(operation.operands[1])
-            array = str(own) if operation.kind == "input" else f"loop.{own}"
+            array, entry = str(operation.operands[0]), int(operation.operands[1])
+            array = array if operation.kind == "input" else f"loop.{array}"
         reals = self._registers.reals
         yield f"  %p{index} = getelementptr {reals}, ptr %{array}.b, i64 {entry}"
         if operation.kind in TRUTHS:

@@ -383,7 +383,7 @@ class _Runs(_Text):
 
     def _lost(self) -> Iterator[str]:
         """The lanes with a velocity beyond the bound, or a number that is not finite: it minus
-        itself is not zero.
+        itself is not zero. Their state is no number from then on, so that they ask for no loops.
         """
         reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
         yield from self._bounded("%times")
@@ -402,6 +402,9 @@ class _Runs(_Text):
                 yield f"  {more} = or {wholes} {lost}, {bits}"
                 lost = more
         yield f"  store {wholes} {lost}, ptr %lost, align 8"
+        yield f"  %x.before = load {wholes}, ptr %x, align 8"
+        yield f"  %x.after = or {wholes} %x.before, {lost}"
+        yield f"  store {wholes} %x.after, ptr %x, align 8"
         yield f"  %are_lost = icmp ne {wholes} {lost}, zeroinitializer"
         yield f"  %lanes = bitcast {self._registers.truths} %are_lost to i{width}"
         yield f"  %no_lane = icmp eq i{width} %lanes, -1"

@@ -8,9 +8,8 @@ saturation.
 
 import dataclasses
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydrake.common import RandomDistribution
@@ -18,7 +17,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
 from ffsm_drake.common import products
-from ffsm_drake.common.memo import content_of, memoized
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import counted, percent, rounded_up, short
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.common.steps import step
@@ -32,6 +32,7 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import (
     PlannedDynamics,
     make_demand,
 )
+from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -163,7 +164,7 @@ def rehearse(
     """
     case = Rehearsed(scenario, held, mean)
     scenario, count = case.scenario, case.scenario.num_control_periods
-    ((diverged, shares, largest, square),) = _Runs([case], seeds).go()
+    diverged, shares, largest, square = _Runs(case, seeds).go()
     return Rehearsal(
         scenario=scenario,
         coordinates=case.motion.coordinates,
@@ -251,14 +252,6 @@ class Rehearsed:
         self.switching = np.array(start["switching_gain"]) if known else np.zeros(0)
         self.sliding = first.memory["sliding_variable"] if known else slice(0)
 
-    @property
-    def kind(self) -> Hashable:
-        """Equal for cases that can go side by side."""
-        scenario, shapes = self.scenario, [each.shape for each in self._maps[0][0]]
-        clock = scenario.sample_time, scenario.num_control_periods, len(self._maps[0])
-        noise = [(name, part.start, part.stop) for name, part in self._noise.items()]
-        return content_of((self.settings, clock, shapes, noise, list(_actuators(scenario))))
-
     def near(self, time: float) -> tuple[list[Maps], np.ndarray]:
         """The loop's maps of one common period and the nominal mass matrix at a time, interpolated
         between postures.
@@ -284,20 +277,16 @@ class Rehearsed:
 
 
 class _Runs:
-    """Runs of cases of one kind with their actuators, side by side; arrays have a row for each, the
-    seeds of case after case.
-    """
+    """Runs of a case with its actuators, side by side; arrays have a row for each."""
 
-    def __init__(self, cases: Sequence[Rehearsed], seeds: int) -> None:
-        self._cases, self._seeds, first = cases, seeds, cases[0]
-        self._scenario, coordinates, settings = (
-            first.scenario, first.motion.coordinates, first.settings,
-        )  # fmt: skip
-        self._push, self._nv = first.push, first.force.shape[1]
+    def __init__(self, case: Rehearsed, seeds: int) -> None:
+        self._case, self._seeds, settings = case, seeds, case.settings
+        self._scenario, coordinates = case.scenario, case.motion.coordinates
+        self._push, self._nv = case.push, case.force.shape[1]
         self._base = make_base_actuators(
-            settings, coordinates, sample_time=first.scenario.sample_time
+            settings, coordinates, sample_time=case.scenario.sample_time
         )
-        self._actuators = _actuators(first.scenario).values()
+        self._actuators = _actuators(case.scenario).values()
         self._limit = coordinates.vector(
             settings.limit or {}, key="actuation.limit", default=np.inf
         )
@@ -305,19 +294,17 @@ class _Runs:
             settings.quantization, key="actuation.quantization", default=0.0
         )
 
-    def go(self) -> list[tuple[np.ndarray, ...]]:
-        """For each case and seed: the time of divergence or NaN (seeds,), the share of
-        saturated samples by actuator (seeds, k), the largest errors at the end and the mean square
-        deviations once settled (seeds, nv).
+    def go(self) -> tuple[np.ndarray, ...]:
+        """For each seed: the time of divergence or NaN (seeds,), the share of saturated samples by
+        actuator (seeds, k), the largest errors at the end and the mean square deviations once
+        settled (seeds, nv).
         """
-        nv, base, cases, seeds = self._nv, self._base, self._cases, self._seeds
+        nv, base, case, runs = self._nv, self._base, self._case, self._seeds
         times = np.arange(self._scenario.num_control_periods) * self._scenario.sample_time
-        runs, by_case = len(cases) * seeds, (len(cases), seeds, -1)
-        generators = [[np.random.default_rng(seed) for seed in range(seeds)] for _ in cases]
-        x, start = np.zeros((runs, cases[0].states)), base.start()
+        generators = [np.random.default_rng(seed) for seed in range(runs)]
+        x, start = np.zeros((runs, case.states)), base.start()
         memory = {name: np.tile(value, (runs, 1)) for name, value in start.items()}
-        switching = [np.tile(case.switching, (seeds, 1)) for case in cases]
-        speed = self._of_each([case.scenario.divergence_speed for case in cases])
+        switching = np.tile(case.switching, (runs, 1))
         # delayed commands, and the linear loop's part of them
         late = [np.zeros((runs, nv))] * self._scenario.actuation.delay
         own = list(late)
@@ -325,33 +312,24 @@ class _Runs:
         saturated = np.zeros((runs, len(self._actuators) + 1))  # and by actuation.limit
         square, largest = np.zeros((2, runs, nv))
         settled, at_end = times > _SETTLED_AFTER, times >= times[-1] - _LAST
-        motions = [case.base_motion(times) for case in cases]
+        rotations, turnings = case.base_motion(times)
         for k, time in enumerate(times.tolist()):
             if k % _BLENDED == 0:
-                maps, masses = zip(*(case.near(time) for case in cases), strict=True)
-                noise = np.concatenate(
-                    [self._noise(*each, k) for each in zip(generators, maps, strict=True)]
-                )
-                period = len(maps[0])
-                of_x, of_w = (
-                    [
-                        np.stack([each[kind][part] for each in maps])[:, None]
-                        for kind in range(period)
-                    ]
-                    for part in (0, 1)
-                )
-            kind = k % period
-            linear = products.times(of_x[kind], x.reshape(by_case)).reshape(runs, -1)
+                maps, mass = case.near(time)
+                noise = self._noise(generators, maps, k)
+            of_x, of_w = maps[k % len(maps)]
+            linear = products.times(of_x[None], x)
             force, after = np.split(linear + noise[:, k % _BLENDED], [nv], axis=1)
-            force = self._of_each([case.force[k] for case in cases]) + force
+            force = case.force[k] + force
             own.append(force)
-            force = self._switched(force, after, switching, masses)
+            if case.law is not None and case.switching.size:
+                sliding = after[:, case.sliding]
+                force = force + products.times(mass, switching * np.sign(sliding))
+                switching = case.law.switching_gain_after(sliding, switching)
             bounded = np.clip(force, -self._limit, self._limit)
             saturated[:, -1] += np.isnan(diverged) & (bounded != force).any(axis=1)
             late.append(quantize(bounded, self._resolution))
-            rotation, turning = (
-                self._of_each([motion[part][k] for motion in motions]) for part in (0, 1)
-            )
+            rotation, turning = (np.repeat(of[k][None], runs, 0) for of in (rotations, turnings))
             sample, after_sample = base.give(
                 late.pop(0), memory, rotation=rotation, turning=turning, missing=np.zeros(3),
                 begins=k % base.frame == 0,
@@ -359,9 +337,9 @@ class _Runs:
             memory, going = dict(after_sample), np.isnan(diverged)
             for index, part in enumerate(self._actuators):
                 saturated[:, index] += going & part.saturated(sample)
-            pushed = (sample["applied_force"] - own.pop(0)).reshape(by_case)
-            x = after + products.applied(of_w[kind][..., nv:, self._push], pushed).reshape(runs, -1)
-            within = np.abs(x[:, nv : 2 * nv]).max(axis=1) < speed
+            pushed = sample["applied_force"] - own.pop(0)
+            x = after + products.applied(of_w[nv:, self._push], pushed)
+            within = np.abs(x[:, nv : 2 * nv]).max(axis=1) < case.scenario.divergence_speed
             if not within.all():
                 beyond = ~within  # they stay where they started
                 diverged[beyond & going], samples[beyond & going] = time, k + 1
@@ -373,33 +351,8 @@ class _Runs:
                     break
             square += settled[k] * x[:, :nv] ** 2
             if at_end[k]:
-                error = self._of_each([case.error[k] for case in cases])
-                largest = np.maximum(largest, np.abs(error + x[:, :nv]))
-        found = diverged, saturated / samples, largest, square / max(1, int(settled.sum()))
-        return list(zip(*(np.split(each, len(cases)) for each in found), strict=True))
-
-    def _switched(
-        self,
-        force: np.ndarray,
-        after: np.ndarray,
-        switching: list[np.ndarray],
-        masses: Sequence[np.ndarray],
-    ) -> np.ndarray:
-        """The commands with the switching terms of the laws, whose gains are brought up to date."""
-        if not any(gain.size for gain in switching):
-            return force
-        force = force.copy()
-        for index, (case, mass) in enumerate(zip(self._cases, masses, strict=True)):
-            gain, rows = switching[index], slice(index * self._seeds, (index + 1) * self._seeds)
-            if case.law is not None and gain.size:
-                s = after[rows, case.sliding]
-                force[rows] += products.times(mass, gain * np.sign(s))
-                switching[index] = case.law.switching_gain_after(s, gain)
-        return force
-
-    def _of_each(self, values: Sequence[Any]) -> np.ndarray:
-        """A row for each seed from one for each case."""
-        return np.repeat(np.array(values), self._seeds, axis=0)
+                largest = np.maximum(largest, np.abs(case.error[k] + x[:, :nv]))
+        return diverged, saturated / samples, largest, square / max(1, int(settled.sum()))
 
     def _noise(
         self, generators: Sequence[np.random.Generator], maps: Sequence[Maps], first: int
@@ -415,19 +368,32 @@ class _Runs:
         return found
 
 
-def shares_diverged(cases: Sequence[Rehearsed], *, seeds: int) -> list[float]:
-    """``Rehearsal.share_diverged`` of several cases: those of one kind side by side, each with the
-    result that it has alone.
+def shares_diverged(scenarios: Sequence[Scenario], *, seeds: int) -> list[float | Exception]:
+    """Return the share of noise sequences with divergence, for each scenario: of compiled runs, or
+    of ``rehearse`` where they are not covered, or its error.
     """
-    groups: dict[Hashable, list[int]] = {}
-    for index, case in enumerate(cases):
-        groups.setdefault(case.kind, []).append(index)
-    found = [0.0] * len(cases)
-    for group in groups.values():
-        results = _Runs([cases[index] for index in group], seeds).go()
-        for index, (diverged, *_) in zip(group, results, strict=True):
-            found[index] = float(np.isfinite(diverged).mean())
-    return found
+    runs = [
+        dataclasses.replace(scenario, random_seed=seed)
+        for scenario in scenarios
+        for seed in range(seeds)
+    ]
+    try:
+        engine = find_engine("compiled")
+        assert engine is not None
+        found = list(engine.run_all(runs, ["state"]))
+    except FfsmError as error:  # it is not installed
+        found = [error] * len(runs)
+    shares = list[float | Exception]()
+    for index, scenario in enumerate(scenarios):
+        logs = found[index * seeds : (index + 1) * seeds]
+        try:
+            if any(isinstance(log, FfsmError) for log in logs):
+                shares.append(rehearse(scenario, seeds=seeds).share_diverged)
+            else:
+                shares.append(sum(log is None for log in logs) / seeds)
+        except Exception as error:
+            shares.append(error)
+    return shares
 
 
 def _actuators(scenario: Scenario) -> dict[str, Part]:
