@@ -25,6 +25,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.copies import copies_of
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
+from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.controllers.joined import join_controllers
 from ffsm_drake.systems.controllers.sampled import SIGNALS
@@ -337,6 +338,8 @@ def _make_block(
             held=held,
         )
     if len(made) == 1:
+        if isinstance(made[0], Continuous) and kind == "forces":
+            return InstantSystem(made[0], name=setups[0].name)
         return made[0]
     if None in made:
         if any(each is not None for each in made):

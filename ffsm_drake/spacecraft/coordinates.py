@@ -193,7 +193,7 @@ class StateSplit:
         """Return the plant's v from known velocities (nv); the hidden ones are zero."""
         if not self.names:
             return v
-        result = np.zeros(v.size + len(self.names))
+        result = np.zeros_like(v, shape=v.size + len(self.names))
         result[self.known] = v
         return result
 

@@ -105,6 +105,13 @@ class PlantModel:
         self._set_state(q, v)
         return self.plant.CalcBiasTerm(self.context)
 
+    def calc_acceleration(self, q: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Return dv/dt (nv) under a generalized force (nv), N m and N, with springs and dampers."""
+        self._set_state(q, v)
+        self.plant.get_applied_generalized_force_input_port().FixValue(self.context, force)
+        found = self.plant.get_generalized_acceleration_output_port().Eval(self.context)
+        return np.array(found)
+
     @stacked
     def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
         """Return the Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF;

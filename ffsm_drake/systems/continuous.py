@@ -4,15 +4,18 @@
 runs at the stages of the integrator. The plug-in ``compiled`` evaluates them on its own symbols.
 """
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.symbolic import MakeVectorVariable
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer, SymbolicVectorSystem
 
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.scenario import MassProperties
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.selection import make_selector
 
@@ -45,6 +48,39 @@ class Continuous:
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """Return the outputs at an instant, and the rates of its own state."""
         raise NotImplementedError(f"{type(self).__name__} has no flow")
+
+
+class InstantSystem(LeafSystem):
+    """The Drake system of a ``Continuous`` block without a state of its own, which is called at the
+    stages of the integrator. Its input ``time`` is no port.
+
+    A block that depends on the true payload has a method ``with_payload``, see ``Sampled``.
+    """
+
+    def __init__(self, block: Continuous, *, name: str) -> None:
+        """Args: the block, and the name of the system."""
+        super().__init__()
+        self._block: Any = block
+        self._ports = {
+            each: self.DeclareVectorInputPort(each, size)
+            for each, size in block.inputs.items()
+            if each != "time"
+        }
+        calc = weak_callback(self._calc)
+        for each, size in block.outputs.items():
+            self.DeclareVectorOutputPort(each, size, functools.partial(calc, each))
+        untie(self)
+        self.set_name(name)
+
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        if hasattr(self._block, "with_payload"):
+            self._block = self._block.with_payload(properties)
+
+    def _calc(self, name: str, context: Context, output: BasicVector) -> None:
+        inputs = {each: port.Eval(context) for each, port in self._ports.items()}
+        found, _ = self._block.flow({**inputs, "time": np.array([context.get_time()])}, {})
+        output.SetFromVector(found[name])
 
 
 class ContinuousSystem(Diagram):

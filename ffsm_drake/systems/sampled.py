@@ -74,6 +74,7 @@ class Sampled:
     """
 
     acts: ClassVar[bool] = False
+    optional: ClassVar[tuple[str, ...]] = ()  # inputs that another block may lack
     wide: ClassVar[bool] = False  # its arrays may have rows, of several copies of the spacecraft
 
     @property
@@ -286,7 +287,7 @@ class _Stepping(LeafSystem):
             reads.add(self.xd_ticket())
         if not self._acts:
             reads.add(self.time_ticket())
-        self._outputs = tuple(outputs)
+        self._outputs, self._optional = tuple(outputs), first.optional
         self._sizes = [*outputs.items(), *((each, value.size) for each, value in memory.items())]
         self.widths = [copies * size for _, size in self._sizes]
         ends = np.cumsum([0, *self.widths]).tolist()
@@ -346,7 +347,11 @@ class _Stepping(LeafSystem):
         if self._loaded:
             self._take_payload(context)
         time, rows, value = context.get_time(), list[Any](), context.get_discrete_state().value
-        inputs = {name: port.Eval(context) for name, port in self._inputs.items()}
+        inputs = {
+            name: port.Eval(context)
+            for name, port in self._inputs.items()
+            if name not in self._optional or port.HasValue(context)
+        }
         inputs |= {name: value(group) for name, (_, group, _) in self._latched.items()}
         memory = {name: value(group) for name, group in self._memory.items()}
         for copy, block in enumerate(self._blocks):

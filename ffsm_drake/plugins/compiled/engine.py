@@ -160,8 +160,7 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     rollout = make_rollout(run.scenario, blocks=run.given)
     try:
         parts = rollout.loop.parts
-        blocks = set(rollout.loop.blocks) - set(run.scenario.blocks.choices())
-        blocks -= {f"forces.{name}" for name in run.case.forces}
+        blocks = set(rollout.loop.blocks) - run.case.built
         others = (blocks - BLOCKS) | (set(parts) - _PARTS)
     finally:
         rollout.release()

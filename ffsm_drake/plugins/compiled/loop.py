@@ -78,24 +78,29 @@ CARRIED = {
     "stored": "stored_after",
     "loaded": "loaded_after",
     "pushed": "pushed_after",
+    "before": "before_after",
     "waiting": "waiting_after",
     "applied": "told",
 }
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
-    "x", "t0", "law", "sensors", "actuators", "forces", "deviation", "drift", "share", "added",
-    "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored", "loaded", "pushed",
-    "memory", "applied", "waiting", "limit", "force_resolution", "sines",
+    "x", "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "drift",
+    "share", "added", "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored",
+    "loaded", "pushed", "before", "memory", "applied", "waiting", "limit", "force_resolution",
+    "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
-    "t0", "law", "sensors", "actuators", "forces", "deviation", "share", "added", "reference",
-    "phases", "frame", "planned", "limit", "force_resolution", "sines", "t", "own", "step",
+    "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "share", "added",
+    "reference", "phases", "frame", "planned", "limit", "force_resolution", "sines", "t", "own",
+    "step",
 }  # fmt: skip
-_DERIVATIVE = ("state", "applied_force", "push", "acted", "t", "actuators", "sines", "own")
+_DERIVATIVE = (
+    "state", "applied_force", "push", "acted", "t", "actuators", "last_forces", "sines", "own",
+)  # fmt: skip
 _ACTED = (
     "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
-    "phases",
+    "phases", "push",
 )  # fmt: skip
 
 
@@ -130,10 +135,12 @@ class Blocks:
     actuators: tuple[Sampled, ...]  # in a row, after limits, quantisation and delay
     flows: tuple[Continuous, ...]  # beside them
     forces: Mapping[str, Sampled]  # by name, held over a sample
+    last: Mapping[str, Continuous]  # forces that read the sum of all others
     recorded: tuple[str, ...]  # outputs of actuators and flows
     num_errors: int  # parameters of the sensors
     num_actuators: int  # parameters of actuators and flows
     num_forces: int  # parameters of the forces
+    num_last: int  # parameters of the last forces
     noisy: bool
     num_drifts: int  # errors of the sensors that drift
     framed: bool  # the path of a frame is prescribed
@@ -186,9 +193,9 @@ class Blocks:
         return {
             "own": self.tree.num_parameters, "law": self.num_parameters,
             "sensors": self.num_errors, "actuators": self.num_actuators,
-            "forces": self.num_forces, "deviation": nx, "limit": nv, "force_resolution": nv,
-            "sines": 4 * nv, "share": self.num_drifts, "added": self.num_drifts, "sample_time": 1,
-            "step": 1,
+            "forces": self.num_forces, "last_forces": self.num_last, "deviation": nx, "limit": nv,
+            "force_resolution": nv, "sines": 4 * nv, "share": self.num_drifts,
+            "added": self.num_drifts, "sample_time": 1, "step": 1,
         }  # fmt: skip
 
     @property
@@ -200,24 +207,36 @@ class Blocks:
             "waiting": self.waits * self.nv, "stored": sum(map(_total, self.kept)),
             "loaded": sum(map(_total, self.kept_acting)),
             "pushed": sum(map(_total, self.kept_pushing)),
+            "before": sum(self._held.values()) if self.last else 0,
         }  # fmt: skip
 
     @property
     def results(self) -> dict[str, int]:
         """What a sample makes, and room for a step of the integrator."""
         nx, nv, states = self.nq + self.nv, self.nv, self.states
-        stages, forces = range(len(SCHEMES[self.scheme].times)), len(self.forces)
+        stages, forces = range(len(SCHEMES[self.scheme].times)), len(self._named)
         return {
             "is_new": nx if self.called and self._tells_new else 0,
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
             "applied_force": nv,
             "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
-            "push": nv + len(self.loose) if forces else 0,
+            "push": self._held["push"],
             "hidden_push": len(self.loose) if self._push_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
             **{cell: states[name] for name, cell in CARRIED.items()},
             **{f"k{i}": states["x"] for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
+
+    @property
+    def _named(self) -> tuple[str, ...]:
+        """Forces beside the disturbance."""
+        return (*self.forces, *self.last)
+
+    @property
+    def _held(self) -> dict[str, int]:
+        """What acts from one sample to the next."""
+        push = self.nv + len(self.loose) if self.forces else 0
+        return {"applied_force": self.nv, "push": push, "acted": sum(self.acted.values())}
 
     @property
     def _push_hidden(self) -> bool:
@@ -270,10 +289,10 @@ class Blocks:
                 for (name, n), at in zip(of.items(), ends, strict=False)
                 if name in self.recorded
             }
-        if self.forces:
+        if self._named:
             made |= {
                 f"force_{name}": ("each_force", at * self.nv, self.nv)
-                for at, name in enumerate(("disturbance", *self.forces))
+                for at, name in enumerate(("disturbance", *self._named))
             }
         if sizes["hidden_push"]:
             made["external_hidden_force"] = ("hidden_push", 0, sizes["hidden_push"])
@@ -351,6 +370,7 @@ class Blocks:
         signals, made = self._measured(cells, now)
         force, memory = self._control(cells, signals, now)
         made |= {"generalized_force": force, "memory_after": memory}
+        cells.push = made["push"]
         return made | self._given(cells, force, now)
 
     def _sensed(self, cells: Any) -> dict[str, Any]:
@@ -395,7 +415,14 @@ class Blocks:
             "flown": _row(flown[name] for name in self.flown),
             "waiting_after": waiting[: -self.nv],
             "loaded_after": loaded,
+            "before_after": self._kept(cells, signals),
         }
+
+    def _kept(self, cells: Any, signals: Mapping[str, Any]) -> Any:
+        """What is held, for the last forces at the next sample."""
+        if not self.last:
+            return traced([])
+        return _row([signals["force"], cells.push, *(signals[name] for name in self.acted)])
 
     def _measure(self, cells: Any, signals: dict[str, Any], now: Now) -> Any:
         """Add what the sensors show to the signals; return their memory after the sample."""
@@ -452,9 +479,14 @@ class Blocks:
             if "hidden_force" in found:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
             after += [kept[name] for name in memory]
+        if self.last:
+            before, _ = _parts(cells.before, {name: np.zeros(n) for name, n in self._held.items()})
+            each += self._last(
+                cells, cells.x, now.time, self._others(cells, cells.x, now.time, **before)[0]
+            )
         return {
             "disturbance_force": functools.reduce(np.add, each),
-            "each_force": _row(each if own else ()),
+            "each_force": _row(each if self._named else ()),
             "push": held if own else traced([]),
             "hidden_push": on_hidden if self._push_hidden else traced([]),
             "pushed_after": _row(after),
@@ -503,17 +535,41 @@ class Blocks:
     def _derivative(self, cells: Any) -> dict[str, Any]:
         plant = len(self.known) + len(self.hidden)
         q, v = np.split(cells.state[:plant], [self.tree.num_positions])
-        acted, _ = _parts(cells.acted, {name: np.zeros(n) for name, n in self.acted.items()})
-        rates, flown = self._flow(cells, cells.state, acted)
-        disturbance = force_at(cells.t[0], cells.sines.reshape(4, -1))
-        force = traced(np.zeros(v.size))
-        force[list(self.forced)] = cells.applied_force + disturbance
-        if self.forces:
-            force = force + cells.push
-        for name in filter(flown.__contains__, BESIDES):
-            force[list(self.forced)] = force[list(self.forced)] + flown[name]
+        time, held = cells.t[0], {name: getattr(cells, name) for name in self._held}
+        force, rates = self._others(cells, cells.state, time, **held)
+        for each in self._last(cells, cells.state, time, force):
+            force[list(self.forced)] = force[list(self.forced)] + each
         given = list(q), list(v), list(force), list(cells.own)
         return {"rates": [*equations.derivative(self.tree, *given), *_row(rates)]}
+
+    def _others(
+        self, cells: Any, x: Any, time: Any, *, applied_force: Any, push: Any, acted: Any
+    ) -> tuple[Any, list[Any]]:
+        """All forces on the plant but the last ones, at an instant, and the rates of the flows."""
+        parts, _ = _parts(acted, {name: np.zeros(n) for name, n in self.acted.items()})
+        rates, flown = self._flow(cells, x, parts)
+        disturbance = force_at(time, cells.sines.reshape(4, -1))
+        force = traced(np.zeros(self.tree.num_velocities))
+        force[list(self.forced)] = applied_force + disturbance
+        if self.forces:
+            force = force + push
+        for name in filter(flown.__contains__, BESIDES):
+            force[list(self.forced)] = force[list(self.forced)] + flown[name]
+        return force, rates
+
+    def _last(self, cells: Any, x: Any, time: Any, others: Any) -> list[Any]:
+        """The last forces."""
+        blocks = with_symbols(
+            tuple(self.last.values()), cells.last_forces, traced([]), traced_model
+        )
+        signals = {
+            "state": x[list(self.known)], "hidden_state": x[list(self.hidden)],
+            "other_force": others[list(self.forced)], "time": traced([time]),
+        }  # fmt: skip
+        return [
+            traced(block.flow(_read(block, block.inputs, signals), {})[0]["generalized_force"])
+            for block in blocks
+        ]
 
     def _point(self, weights: Sequence[float], cells: Any) -> dict[str, Any]:
         step = cells.step[0]
@@ -562,6 +618,8 @@ def _read(
     block: Sampled | Continuous, ports: Iterable[str], signals: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The inputs of a block. Raises NotTraceable: one of its ports is not known."""
+    optional = getattr(block, "optional", ())
+    ports = [name for name in ports if name in signals or name not in optional]
     if unknown := set(ports) - set(signals):
         raise NotTraceable(f"{type(block).__name__} with an input {min(unknown)}")
     found = {name: traced(signals[name]) for name in ports}

@@ -37,6 +37,11 @@ class TracedModel(PlantModel):
         """See PlantModel."""
         return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
 
+    def calc_acceleration(self, q: Any, v: Any, force: Any) -> Any:
+        """See PlantModel."""
+        given = list(q), list(v), list(force), self.own
+        return traced(equations.derivative(self.tree, *given)[len(q) :])
+
     def calc_jacobian(self, q: Any, frame: Any) -> Any:
         """See PlantModel."""
         return traced(frames.jacobian(self.tree, _known(frame), list(q)))

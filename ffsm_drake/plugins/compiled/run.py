@@ -46,17 +46,22 @@ class Case:
         self.scenario, self._further = scenario, further
         self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
         self.coordinates: Coordinates = self.nominal.coordinates
+        self._settled = settle_faults(scenario, self.coordinates)
         self.samples = scenario.num_control_periods + 1 + further
         self._gains_are_checked = False
         self._runs = dict[str, Run]()
+        self.built = set[str]()  # names of blocks, see ``_built``
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = drift = errors.drift()
         self.sensors = sensors = (measurement_of(errors), *self._built("sensing").values())
         of_sensors, constants, _ = parameters_of(sensors, "the sensors")
-        self.forces = self._built("forces")
+        built = self._built("forces")
+        self.last = {name: each for name, each in built.items() if isinstance(each, Continuous)}
+        self.forces = {name: each for name, each in built.items() if isinstance(each, Sampled)}
         pushing = tuple(self.forces.values())
         of_forces, of_pushing, _ = parameters_of(pushing, "the forces")
+        of_last, of_others, _ = parameters_of(tuple(self.last.values()), "the forces")
         self.actuators, self.flows = self._acting()
         acting = self.actuators, self.flows
         of_actuators, others, _ = parameters_of(acting, "the actuators")
@@ -64,7 +69,8 @@ class Case:
             constants,
             others,
             of_pushing,
-            tuple(self.forces),
+            of_others,
+            tuple(built),
             *(len(each.phase(0)) for each in (*self.actuators, *pushing)),
         )
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
@@ -79,6 +85,7 @@ class Case:
             "sensors": of_sensors,
             "actuators": of_actuators,
             "forces": of_forces,
+            "last_forces": of_last,
             "deviation": errors.deviation,
             "limit": limit,
             "force_resolution": resolution,
@@ -113,6 +120,7 @@ class Case:
             "num_errors": of_sensors.size,
             "num_actuators": of_actuators.size,
             "num_forces": of_forces.size,
+            "num_last": of_last.size,
             "noisy": bool(errors.deviation.any()),
             "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
@@ -139,14 +147,8 @@ class Case:
 
     def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
         """The actuators after limits, quantisation and delay, and the flows beside them."""
-        scenario, make = self.scenario, optional(SERVICES, "acting_blocks")
-        if scenario.faults is not None:
-            scenario = settle_faults(scenario, self.coordinates)
-            events = {} if scenario.faults is None else scenario.faults.events
-            for fault in events.values():
-                if not fault.unit.startswith(("thrusters.", "wheels.")):
-                    raise NotCovered("faults of sensors and joints")
-        row, beside = ((), ()) if make is None else make(scenario, self.coordinates)
+        make = optional(SERVICES, "acting_blocks")
+        row, beside = ((), ()) if make is None else make(self._settled, self.coordinates)
         return tuple(row), tuple(beside)
 
     def _recorded(self) -> tuple[str, ...]:
@@ -158,17 +160,17 @@ class Case:
     def _setup(self, name: str, settings: Mapping[str, Any]) -> BlockSetup:
         return BlockSetup(
             name=name,
-            scenario=self.scenario,
+            scenario=self._settled,
             nominal=self.nominal,
             settings=settings,
             split=self.true.split,
         )
 
-    def _built(self, kind: str) -> dict[str, Sampled]:
+    def _built(self, kind: str) -> dict[str, Any]:
         """The blocks of a kind in addition to the first one, by name. Raises NotCovered: one is a
         Drake system.
         """
-        scenario, found = self.scenario, dict[str, Sampled]()
+        scenario, found = self._settled, dict[str, Any]()
         choices = scenario.blocks.choices()
         for block in (*section_parts(scenario), *choices):
             first, _, name = block.partition(".")
@@ -179,9 +181,11 @@ class Case:
                 factory_of(block, scenario), self._setup(name, choice.settings),
                 place=f"blocks.{block} '{choice.system}'",
             )  # fmt: skip
-            if not isinstance(made, Sampled):
+            is_last = kind == "forces" and isinstance(made, Continuous) and not made.start()
+            if not (isinstance(made, Sampled) or is_last):
                 raise NotCovered(block)
             found[name] = made
+            self.built.add(block)
         return found
 
     def run(self, scenario: Scenario) -> "Run":
@@ -293,7 +297,7 @@ class Run:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
         self.parameters = self.case.parameters | {"law": law}
-        kinds = ("sensors", "actuators", "flows", "forces")
+        kinds = ("sensors", "actuators", "flows", "forces", "last")
         blocks = {each: getattr(self.case, each) for each in kinds}
         self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal

@@ -1,15 +1,19 @@
 """Jammed joints: at rest under any force of their drives."""
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Fault, MassProperties, Scenario
+from ffsm_drake.common.choice import is_known, may_be
+from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.nominal import change_payload, make_flexible_plant
+from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
+from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 _STOPS_IN = 0.02  # s, time constant of the rate as a joint jams
@@ -25,66 +29,71 @@ class JammedJoints(BreakingPart):
         """Any joint may jam."""
         return {f"joints.{name}": ["jammed"] for name in coordinates.joints}
 
-    def build(self, setup: BlockSetup) -> LeafSystem:
+    def build(self, setup: BlockSetup) -> "Jam":
         """The force of the jam."""
-        return _Jam(setup)
+        scenario, coordinates = setup.scenario, setup.coordinates
+        model, since = make_flexible_plant(scenario), dict[str, float]()
+        order = coordinates.joints.index
+        for name, fault in sorted(hits(scenario, "joints"), key=lambda hit: order(hit[0])):
+            time = first_sample(fault, setup.sample_time) * setup.sample_time
+            since[name] = min(time, since.get(name, math.inf))
+        entries = [NUM_BASE_VELOCITIES + coordinates.joints.index(name) for name in since]
+        nv = len(coordinates.names)
+        joints = np.array([model.split.whole_velocities(np.eye(nv)[each]) for each in entries]).T
+        times = np.array(list(since.values()))
+        return Jam(model=model, carrier=Carrier(scenario), joints=joints, since=times)
 
 
-class _Jam(LeafSystem):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Jam(Continuous):
     """The exact constraint force on jammed joints: it cancels their part of the plant's
     acceleration under all other forces.
 
-    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv). Output:
-    ``generalized_force`` (nv). Parameter: mass, centre of mass, inertia of the payload.
+    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv), ``time``. Output:
+    ``generalized_force`` (nv).
     """
 
-    def __init__(self, setup: BlockSetup) -> None:
-        super().__init__()
-        self._scenario, self._model = setup.scenario, make_flexible_plant(setup.scenario)
-        coordinates, split = setup.coordinates, self._model.split
-        nv, nq = len(coordinates.names), len(coordinates.position_names)
-        self._hits = [
-            (NUM_BASE_VELOCITIES + coordinates.joints.index(name), self._time(setup, fault))
-            for name, fault in hits(setup.scenario, "joints")
-        ]
-        self._state = self.DeclareVectorInputPort("state", nq + nv)
-        self._other = self.DeclareVectorInputPort("other_force", nv)
-        hidden = 2 * len(split.names)
-        self._hidden = self.DeclareVectorInputPort("hidden_state", hidden) if hidden else None
-        self.DeclareVectorOutputPort("generalized_force", nv, weak_callback(self._calc))
-        untie(self)
+    model: PlantModel
+    carrier: Carrier
+    joints: np.ndarray  # (plant's velocities, n) directions of the joints
+    since: np.ndarray  # (n) times of their jams, s
 
-    @staticmethod
-    def _time(setup: BlockSetup, fault: Fault) -> float:
-        return first_sample(fault, setup.sample_time) * setup.sample_time
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        nv, hidden = len(self.model.coordinates.names), len(self.model.split.names)
+        sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "other_force": nv, "time": 1}
+        return {name: size for name, size in sizes.items() if size}
 
-    def set_payload(self, context: Context, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        change_payload(self._model.plant, self._model.context, self._scenario, properties)
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"generalized_force": len(self.model.coordinates.names)}
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        time, force = context.get_time(), np.zeros(output.size())
-        held = sorted({index for index, since in self._hits if time > since - 1e-9})
-        if held:
-            force[held] = self._holding(context, held)
-        output.SetFromVector(force)
+    def with_payload(self, properties: MassProperties) -> "Jam":
+        """See InstantSystem."""
+        return dataclasses.replace(self, model=self.carrier.loaded(self.model, properties))
 
-    def _holding(self, context: Context, held: Sequence[int]) -> np.ndarray:
-        """The force (j) along jammed joints."""
-        model, split = self._model, self._model.split
-        plant, own = model.plant, model.context
-        hidden = None if self._hidden is None else self._hidden.Eval(context)
-        state = split.whole(self._state.Eval(context), hidden)
-        plant.SetPositionsAndVelocities(own, state)
-        whole = np.zeros(plant.num_velocities())
-        known = split.known if split.names else slice(None)
-        whole[known] = self._other.Eval(context)
-        plant.get_applied_generalized_force_input_port().FixValue(own, whole)
-        acceleration = plant.get_generalized_acceleration_output_port().Eval(own)
-        entries = (np.arange(whole.size)[known])[list(held)]
-        inverse = np.linalg.solve(plant.CalcMassMatrix(own), np.eye(whole.size)[:, entries])
-        rate = state[plant.num_positions() :][entries]
-        answer: np.ndarray = np.linalg.solve(
-            inverse[entries], -acceleration[entries] - rate / _STOPS_IN
-        )
-        return answer
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        are_held, force = inputs["time"] > self.since - 1e-9, np.zeros_like(inputs["other_force"])
+        if not may_be(are_held):
+            return {"generalized_force": force}, {}
+        joints = self.joints
+        if is_known(are_held):
+            joints, are_held = joints[:, are_held], are_held[are_held]
+        force = self.model.split.known_velocities(joints @ self._along(inputs, joints, are_held))
+        return {"generalized_force": force}, {}
+
+    def _along(self, inputs: Arrays, joints: np.ndarray, are_held: Any) -> np.ndarray:
+        """The force (n) along joints that are jammed, or may be."""
+        model, split = self.model, self.model.split
+        whole = split.whole(inputs["state"], inputs.get("hidden_state"))
+        q, v = np.split(whole, [len(whole) - len(joints)])
+        acceleration = model.calc_acceleration(q, v, split.whole_velocities(inputs["other_force"]))
+        inverse = joints.T @ np.linalg.solve(model.calc_mass_matrix(q), joints)
+        without = np.eye(len(are_held))
+        inverse = np.where(are_held[:, None], np.where(are_held, inverse, without), without)
+        stops = -(joints.T @ acceleration) - (joints.T @ v) / _STOPS_IN
+        along: np.ndarray = np.linalg.solve(inverse, np.where(are_held, stops, 0.0))
+        return along

@@ -4,17 +4,21 @@ A bias of the base's sensors is in the base's axes. A frozen or silent sensor re
 measurement, in world axes.
 """
 
-from collections.abc import Mapping
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.choice import choose
 from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of
 from ffsm_drake.plugins.estimators.estimators import assumed_noise
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
 from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
+from ffsm_drake.systems.sensing.block import IS_NEW
 from ffsm_drake.systems.setup import BlockSetup
 
 _VELOCITY = "_velocity"
@@ -53,79 +57,99 @@ class FaultySensors(BreakingPart):
         kinds = ["frozen", "biased", "silent"]
         return {f"sensing.{name}": kinds for name in sensors_of(coordinates)}
 
-    def build(self, setup: BlockSetup) -> LeafSystem:
+    def build(self, setup: BlockSetup) -> "SensorFaults":
         """The stage."""
-        return _Stage(setup)
+        found = hits(setup.scenario, "sensing")
+        return SensorFaults(
+            faults=tuple(SensorFault.of(setup, name, fault) for name, fault in found),
+            size=2 * len(setup.coordinates.names) + 1,
+            notices=any(fault.kind == "silent" for _, fault in found),
+        )
 
 
-class _Stage(LeafSystem):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SensorFault:
+    """A fault of a sensor, as vectors along [q; v] (nq + nv)."""
+
+    first: int  # control sample with it
+    kept: np.ndarray  # 1: it repeats the last measurement
+    silent: np.ndarray  # 1: with a notice
+    biased: np.ndarray  # 1: it has a bias
+    turn: np.ndarray  # (4) the attitude's, a quaternion
+    bias: np.ndarray  # the others', of vectors in the base's axes
+    in_phase: ClassVar = ("first",)
+
+    @classmethod
+    def of(cls, setup: BlockSetup, name: str, fault: Fault) -> "SensorFault":
+        """Return a fault of the sensor of this name."""
+        sensor = sensors_of(setup.coordinates)[name]
+        entries, size = entries_in_state(sensor), 2 * len(setup.coordinates.names) + 1
+        masks = dict[str, np.ndarray]()
+        for mask, kinds in (("kept", "frozen silent"), ("silent", "silent"), ("biased", "biased")):
+            masks[mask] = np.zeros(size)
+            masks[mask][entries] = fault.kind in kinds.split()
+        offset = fault.size
+        if offset is None:
+            noise = np.concatenate(assumed_noise(setup.scenario, setup.coordinates))
+            offset = max(_LEAST_BIAS, _NOISES * float(noise[sensor].max()))
+        off = np.full(sensor.size, offset / np.sqrt(sensor.size))
+        turn, bias = quaternion_of(np.zeros(3)), np.zeros(size)
+        if entries[0] == 0:
+            turn = quaternion_of(off)
+        else:
+            bias[entries] = off
+        first = first_sample(fault, setup.sample_time)
+        return cls(first=first, turn=turn, bias=bias, **masks)
+
+    def shown(self, state: np.ndarray, held: np.ndarray, true: np.ndarray) -> np.ndarray:
+        """What the sensors show (nq + nv).
+
+        Args: their measurement without the fault, the one before, and the true state.
+        """
+        shift, R, velocity = self.bias.copy(), matrix_of(true[:4]), len(state) // 2 + 1
+        for first in (4, velocity, velocity + 3):
+            shift[first : first + 3] = R @ shift[first : first + 3]
+        biased = np.concatenate([composed(state[:4], self.turn), state[4:] + shift[4:]])
+        return np.where(self.kept != 0.0, held, np.where(self.biased != 0.0, biased, state))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SensorFaults(Sampled):
     """Inputs ``state`` and ``true_state``, output ``estimated_state``; for a silent sensor with
-    a notice also input and output ``measurement_is_new`` (nq + nv each). Discrete state: the
-    last estimate.
+    a notice also input and output ``measurement_is_new`` (nq + nv each). Memory: the last estimate.
+    Phase: whether each fault is there.
     """
 
-    def __init__(self, setup: BlockSetup) -> None:
-        super().__init__()
-        size, self._step = 2 * len(setup.coordinates.names) + 1, setup.sample_time
-        self._sensors = sensors_of(setup.coordinates)
-        self._hits = [
-            (name, first_sample(fault, setup.sample_time), fault, self._bias(setup, name, fault))
-            for name, fault in hits(setup.scenario, "sensing")
-        ]
-        self._input = self.DeclareVectorInputPort("state", size)
-        self._true = self.DeclareVectorInputPort("true_state", size)
-        self._held = self.DeclareDiscreteState(size)
-        self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc))
-        if any(fault.kind == "silent" for _, _, fault, _ in self._hits):
-            new = "measurement_is_new"
-            self._new = self.DeclareVectorInputPort(new, size)
-            self.DeclareVectorOutputPort(new, size, weak_callback(self._calc_new))
-        self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, weak_callback(self._update))
-        untie(self)
+    faults: tuple[SensorFault, ...]
+    size: int
+    notices: bool
+    optional: ClassVar = (IS_NEW,)
 
-    def _bias(self, setup: BlockSetup, name: str, fault: Fault) -> float:
-        if fault.size is not None:
-            return fault.size
-        noise = np.concatenate(assumed_noise(setup.scenario, setup.coordinates))
-        return max(_LEAST_BIAS, _NOISES * float(noise[self._sensors[name]].max()))
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return dict.fromkeys(("state", "true_state", IS_NEW)[: 2 + self.notices], self.size)
 
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Before the start, ``state`` was measured."""
-        context.SetDiscreteState(self._held, state)
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return dict.fromkeys(("estimated_state", IS_NEW)[: 1 + self.notices], self.size)
 
-    def _sample(self, context: Context) -> int:
-        return round(context.get_time() / self._step)
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled; before the start the state was measured."""
+        return {"held": np.zeros(self.size) if state is None else state}
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._measured(context))
+    def phase(self, sample: Any) -> Sequence[Any]:
+        """See Sampled."""
+        return [sample >= fault.first for fault in self.faults]
 
-    def _measured(self, context: Context) -> np.ndarray:
-        state, sample = self._input.Eval(context).copy(), self._sample(context)
-        held = context.get_discrete_state(self._held).value()
-        for name, since, fault, bias in self._hits:
-            if sample < since:
-                continue
-            entries = entries_in_state(self._sensors[name])
-            if fault.kind != "biased":
-                state[entries] = held[entries]
-                continue
-            off = np.full(min(entries.size, 3), bias / np.sqrt(min(entries.size, 3)))
-            if entries.size == 4:
-                state[entries] = composed(state[entries], quaternion_of(off))
-            elif entries.size == 3:  # a sensor of the base
-                state[entries] += matrix_of(self._true.Eval(context)[:4]) @ off
-            else:
-                state[entries] += off
-        return state
-
-    def _calc_new(self, context: Context, output: BasicVector) -> None:
-        new, sample = np.ones(output.size()), self._sample(context)
-        if self._new.HasValue(context):
-            new = self._new.Eval(context).copy()
-        for name, since, fault, _ in self._hits:
-            if fault.kind == "silent" and sample >= since:
-                new[entries_in_state(self._sensors[name])] = 0.0
-        output.SetFromVector(new)
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        values.set_value(self._held, self._measured(context))
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        true, state = inputs["true_state"], inputs["state"]
+        new = inputs.get(IS_NEW, np.ones(self.size))
+        for fault, is_there in zip(self.faults, now.phase, strict=True):
+            shown = functools.partial(fault.shown, state, memory["held"], true)
+            state = choose(is_there, shown, state)
+            new = new * (1.0 - is_there * fault.silent)
+        outputs = {"estimated_state": state, IS_NEW: new}
+        return {name: outputs[name] for name in self.outputs}, {"held": state}

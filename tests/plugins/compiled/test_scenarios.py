@@ -19,6 +19,7 @@ SHIPPED = {
     "reaction_null": [],
     "free_floating": ["controller=tdc"],
 }
+FAST = "environment={altitude: null, mean_motion: 0.01}"
 LAWS = (
     "tdc", "asmc", "aismc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time",
     "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "coordinated", "tvlqr",
@@ -185,6 +186,22 @@ def flexible_joints(random):
     return name, given, [[f"random_seed={k}"] for k in range(3)]
 
 
+def broken_parts(random):
+    """Sensors of any kind of fault, jams and stopped wheels, at a time that the seed draws."""
+    bases = {
+        "flight_sensors": [], "slow_navigation": [], "flexible_panels": [FAST],
+        "thrusters_and_wheels": ["actuation.thrusters=null"],
+    }  # fmt: skip
+    name = str(random.choice(list(bases)))
+    units = ["sensing", "joints", *(["wheels"] if "wheels" in name else [])]
+    chosen = [str(unit) for unit in random.choice(units, size=random.integers(1, 4))]
+    events = [
+        f"faults.events.event_{k}={{unit: {unit}, time: [0.0, 0.3]}}"
+        for k, unit in enumerate(chosen)
+    ]
+    return name, [*bases[name], *events, "duration=0.4"], [[f"random_seed={k}"] for k in range(3)]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["free_floating", "seven_joint"])
 @pytest.mark.parametrize(
@@ -200,7 +217,7 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
     "draw",
     [
         late_sensors, flexible_parts, captures, undriven_bases, wheels, drives, environments,
-        flexible_joints,
+        flexible_joints, broken_parts,
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(DRAWS))
