@@ -16,7 +16,8 @@ damping, back to the start of the approach.
 import dataclasses
 import enum
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
@@ -25,7 +26,8 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.scenario import Reference, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import actuation_limit
@@ -33,6 +35,7 @@ from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
@@ -87,6 +90,10 @@ class SupervisorPart(Part):
     def build(self, setup: BlockSetup) -> LeafSystem:
         """The block."""
         return _Supervisor(setup, begin=self._begin, waits=self._waits)
+
+    def watch(self, setup: BlockSetup) -> "Watch":
+        """What the block does while it lets plan and force pass."""
+        return _watch(setup, begin=self._begin, waits=self._waits)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""
@@ -199,6 +206,115 @@ class NewPlan:
         )
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Watch(Sampled):
+    """The supervisor without requests, until it acts.
+
+    Inputs: ``estimated_state``, ``desired_state``, and ``generalized_force``, the law's at the
+    sample before. Outputs: ``mode`` and ``mode_cause``, which is not 0 if it acts at this sample.
+    Memory: the time for which the force was beyond the limits, s.
+    """
+
+    model: PlantModel  # the nominal one
+    largest: np.ndarray  # limits (nv) of the force
+    error: np.ndarray  # bounds (nv)
+    rate: np.ndarray
+    is_bounded: bool
+    waits: bool
+    saturated_time: float  # s
+    sample_time: float  # s
+    grasp_time: float  # s
+    end: float  # s, of the scenario's own motion
+    is_empty: bool  # the gripper
+    in_phase: ClassVar = ("grasp_time", "end", "is_empty")
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        nv = len(self.largest)
+        return dict.fromkeys(("estimated_state", "desired_state"), 2 * nv + 1) | {
+            "generalized_force": nv
+        }
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return {"mode": 1, "mode_cause": 1}
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled."""
+        return {"over": np.zeros(1)}
+
+    def phase(self, sample: Any) -> Sequence[Any]:
+        """The mode."""
+        times = self.sample_time * np.atleast_1d(sample)
+        modes = np.array([float(self.mode_at(time)) for time in times.tolist()])
+        return [modes.reshape(np.shape(sample))]
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        state, desired = inputs["estimated_state"], inputs["desired_state"]
+        cause, over = self.look(memory["over"], inputs["generalized_force"], desired, state)
+        return {"mode": np.reshape(now.phase, 1), "mode_cause": cause}, {"over": over}
+
+    def look(
+        self, over: np.ndarray, force: np.ndarray | None, desired: np.ndarray, state: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the cause (1) to act, and the time (1) for which the force was beyond the limits.
+
+        Args: this time before, the force of the law, if it was commanded, and the two states.
+        """
+        cause = np.zeros_like(over)
+        if force is not None:
+            step, is_over = self.sample_time, (np.abs(force) > self.largest).any()
+            over = np.maximum(0.0, over + np.where(is_over, step, -step))
+        if self.is_bounded:
+            errors = self.model.calc_tracking_errors(desired, state, len(self.largest) + 1)
+            for each, bound, error in zip(
+                (Cause.RATE, Cause.ERROR), (self.rate, self.error), errors[::-1], strict=True
+            ):
+                cause = np.where((np.abs(error) > bound).any(), float(each), cause)
+        is_long = over > self.saturated_time + 1e-9
+        return np.where(is_long, float(Cause.SATURATED), cause), over
+
+    def is_before_grasp(self, time: float) -> bool:
+        """Whether the gripper is empty at a time, s."""
+        return self.is_empty or time < self.grasp_time - 0.5 * self.sample_time
+
+    def mode_at(self, time: float) -> Mode:
+        """Return the mode along the scenario's own plan at a time, s."""
+        if self.is_before_grasp(time):
+            return Mode.APPROACH
+        if self.grasp_time > 0.0 and time < self.grasp_time + 0.5 * self.sample_time:
+            return Mode.GRASP
+        return Mode.STOP if time < self.end - 1e-9 else Mode.HOLD
+
+
+def _watch(setup: BlockSetup, *, begin: float, waits: bool) -> Watch:
+    """Raises ScenarioError: no force has a limit."""
+    scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
+    assert settings is not None
+    largest = actuation_limit(scenario, coordinates, helped=True).upper
+    error, rate = (
+        coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
+        for name, given in (("error", settings.error), ("rate", settings.rate))
+    )
+    rest = scenario.planned_end  # of the scenario's own motion, s
+    return Watch(
+        model=setup.nominal,
+        largest=largest,
+        error=error,
+        rate=rate,
+        is_bounded=bool(np.isfinite([error, rate]).any()),
+        waits=waits,
+        saturated_time=settings.saturated_time,
+        sample_time=setup.sample_time,
+        grasp_time=begin + scenario.grasp_time,
+        end=begin + (make_motion(scenario, coordinates).end if rest is None else rest),
+        is_empty=not scenario.holds,
+    )
+
+
 class _Supervisor(LeafSystem):
     """The modes, with their memory in discrete state, updated once a control sample.
 
@@ -210,29 +326,18 @@ class _Supervisor(LeafSystem):
     def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
         super().__init__()
         self._scenario = scenario = setup.scenario
-        self._model, self._waits = setup.nominal, waits
-        self._is_empty = not scenario.holds
-        self._grasp_time = begin + scenario.grasp_time
+        self._model, self._watch = setup.nominal, _watch(setup, begin=begin, waits=waits)
         self._coordinates = coordinates = setup.coordinates
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         assert scenario.supervisor is not None
         self._settings, self._step = scenario.supervisor, setup.sample_time
-        self._limit, self._largest = (
-            actuation_limit(scenario, coordinates, helped=helped).upper for helped in (False, True)
-        )
+        self._limit = actuation_limit(scenario, coordinates, helped=False).upper
         if not np.isfinite(self._limit).any():
             raise ScenarioError(
                 "supervisor",
                 "cannot detect saturation, because no force has a limit; set actuation.limit, "
                 "actuation.thrusters or actuation.wheels",
             )
-        self._bounds = [
-            coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
-            for name, given in (("error", self._settings.error), ("rate", self._settings.rate))
-        ]
-        self._is_bounded = any(np.isfinite(bound).any() for bound in self._bounds)
-        rest = scenario.planned_end  # of the scenario's own motion, s
-        self._end = begin + (make_motion(scenario, coordinates).end if rest is None else rest)
         self._declare()
         self._motion_of: tuple[bytes, PlannedMotion] | None = None  # a cache, of a new plan's row
         untie(self)
@@ -245,7 +350,7 @@ class _Supervisor(LeafSystem):
         self._command = self.DeclareVectorInputPort("generalized_force", nv)
         self._request = self.DeclareVectorInputPort("abort_request", 1)
         first = {
-            "mode": [float(Mode.APPROACH if self._is_before_grasp(0.0) else Mode.STOP)],
+            "mode": [float(Mode.APPROACH if self._watch.is_before_grasp(0.0) else Mode.STOP)],
             "cause": np.zeros(1),
             "restart": np.zeros(1),  # 1 while the law restarts at each sample, with damping's force
             # saturated time, time below ``end_share``, number of new plans, request before
@@ -341,7 +446,7 @@ class _Supervisor(LeafSystem):
         self, time: float, state: np.ndarray, command: np.ndarray, memory: dict[str, np.ndarray]
     ) -> Mode:
         """Rate damping; before the grasp a retreat at once, if there is a plan for it."""
-        if not self._is_before_grasp(time):
+        if not self._watch.is_before_grasp(time):
             return Mode.RATE_DAMPING
         plan = self._plan_anew(time, state, int(memory["counters"][2]))
         if plan is None:
@@ -351,9 +456,6 @@ class _Supervisor(LeafSystem):
         memory["force"][:] = np.clip(command, -self._limit, self._limit)
         memory["restart"][0] = 1.0
         return Mode.RETREAT
-
-    def _is_before_grasp(self, time: float) -> bool:
-        return self._is_empty or time < self._grasp_time - 0.5 * self._step
 
     def _cause(
         self,
@@ -365,22 +467,12 @@ class _Supervisor(LeafSystem):
         """Why to damp the rates now, if there is a reason and they are not damped; the counters in
         ``memory`` are brought up to date.
         """
-        if self._waits or memory["mode"][0] == Mode.RATE_DAMPING:
+        if self._watch.waits or memory["mode"][0] == Mode.RATE_DAMPING:
             return Cause.NONE
-        cause, counters = Cause.NONE, memory["counters"]
-        if memory["restart"][0] == 0.0:  # the law's force was commanded
-            over = bool((np.abs(command) > self._largest).any())
-            counters[0] = max(0.0, counters[0] + (self._step if over else -self._step))
-        if self._is_bounded:
-            desired = self._motion(context)[: state.size]
-            errors = tracking_errors(desired, state, self._nq)
-            for each, bound, error in zip(
-                (Cause.RATE, Cause.ERROR), self._bounds[::-1], errors[::-1], strict=True
-            ):
-                if (np.abs(error) > bound).any():
-                    cause = each
-        if counters[0] > self._settings.saturated_time + 1e-9:
-            cause = Cause.SATURATED
+        counters, desired = memory["counters"], self._motion(context)[: state.size]
+        force = None if memory["restart"][0] else command  # the law's, if it was commanded
+        found, counters[:1] = self._watch.look(counters[:1], force, desired, state)
+        cause = Cause(int(found[0]))
         if self._request.HasValue(context):
             asked = bool(self._request.Eval(context)[0] > 0.5)
             if asked and counters[3] == 0.0:
@@ -421,7 +513,7 @@ class _Supervisor(LeafSystem):
         """
         settings, (q, v) = self._settings, np.split(state, [self._nq])
         most = settings.plan_share * settings.retry_factor**plans * self._limit
-        retreats, duration = self._is_before_grasp(time), _SHORTEST
+        retreats, duration = self._watch.is_before_grasp(time), _SHORTEST
         least, gentlest = np.inf, None
         while duration <= _LONGEST:
             plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
@@ -444,8 +536,4 @@ class _Supervisor(LeafSystem):
             if plan[2]:
                 return Mode.RETREAT
             return Mode.STOP if time < plan[0] + plan[1] - 1e-9 else Mode.HOLD
-        if self._is_before_grasp(time):
-            return Mode.APPROACH
-        if self._grasp_time > 0.0 and time < self._grasp_time + 0.5 * self._step:
-            return Mode.GRASP
-        return Mode.STOP if time < self._end - 1e-9 else Mode.HOLD
+        return self._watch.mode_at(time)

@@ -34,7 +34,10 @@ from ffsm_drake.systems.registry import Factory
 LARGEST_DIFFERENCE = 1e-7
 _OF_LAST_BITS = 1e4
 BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
-_PARTS = {"flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters"}  # with signals
+# with signals
+_PARTS = {
+    "flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters", "supervisor",
+}  # fmt: skip
 _OWN = re.compile(r"sensing\..*|forces\.(?!disturbance|gripper).*")  # blocks of users
 _KEPT = 16  # kernels
 _TRIAL = 0.5  # s, of a run under actions that is compared with Drake's
@@ -57,7 +60,6 @@ class Compiled(Engine):
         own = replaced | {name for name, is_there in (
             ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
-            ("supervisor", scenario.supervisor is not None),
             ("fault detection", detects(scenario)),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
@@ -73,6 +75,8 @@ class Compiled(Engine):
         self.check(scenario)
         trial = dataclasses.replace(scenario, duration=min(scenario.duration, _TRIAL))
         run = Run(trial, law=factory)
+        if scenario.supervisor is not None:
+            raise NotCovered("a supervisor under actions")
         if own := scenario.blocks.choices():
             raise NotCovered(f"the block {min(own)} under actions")
         if not is_shipped(run.law):
@@ -108,8 +112,9 @@ class Compiled(Engine):
         for group in groups.values():
             runs = [run for _, run in group]
             found = results_of(runs, signals, alone=len(scenarios) == 1)
-            for (index, _), result in zip(group, found, strict=True):
-                results[index] = result
+            for (index, run), result in zip(group, found, strict=True):
+                is_left = result is None and run.case.watch is not None
+                results[index] = NotCovered("its supervisor acts") if is_left else result
         for case in cases.values():
             case.forget_rows()
         return results
@@ -161,6 +166,7 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - run.case.built
+        blocks -= set() if run.case.watch is None else {"supervisor"}
         others = (blocks - BLOCKS) | (set(parts) - _PARTS)
     finally:
         rollout.release()

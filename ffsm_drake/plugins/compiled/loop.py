@@ -78,7 +78,9 @@ CARRIED = {
     "stored": "stored_after",
     "loaded": "loaded_after",
     "pushed": "pushed_after",
-    "before": "before_after",
+    "held_before": "held_after",
+    "watched": "watched_after",
+    "commanded": "commanded_after",
     "waiting": "waiting_after",
     "applied": "told",
 }
@@ -86,14 +88,14 @@ CARRIED = {
 _SAMPLE = (
     "x", "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "drift",
     "share", "added", "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored",
-    "loaded", "pushed", "before", "memory", "applied", "waiting", "limit", "force_resolution",
-    "sines",
+    "loaded", "pushed", "held_before", "watch", "watched", "commanded", "memory", "applied",
+    "waiting", "limit", "force_resolution", "sines",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
     "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "share", "added",
     "reference", "phases", "frame", "planned", "limit", "force_resolution", "sines", "t", "own",
-    "step",
+    "step", "watch",
 }  # fmt: skip
 _DERIVATIVE = (
     "state", "applied_force", "push", "acted", "t", "actuators", "last_forces", "sines", "own",
@@ -136,11 +138,13 @@ class Blocks:
     flows: tuple[Continuous, ...]  # beside them
     forces: Mapping[str, Sampled]  # by name, held over a sample
     last: Mapping[str, Continuous]  # forces that read the sum of all others
+    watch: Sampled | None  # of the supervisor, whose acts the code has not
     recorded: tuple[str, ...]  # outputs of actuators and flows
     num_errors: int  # parameters of the sensors
     num_actuators: int  # parameters of actuators and flows
     num_forces: int  # parameters of the forces
     num_last: int  # parameters of the last forces
+    num_watch: int  # parameters of the watch
     noisy: bool
     num_drifts: int  # errors of the sensors that drift
     framed: bool  # the path of a frame is prescribed
@@ -195,7 +199,7 @@ class Blocks:
             "sensors": self.num_errors, "actuators": self.num_actuators,
             "forces": self.num_forces, "last_forces": self.num_last, "deviation": nx, "limit": nv,
             "force_resolution": nv, "sines": 4 * nv, "share": self.num_drifts,
-            "added": self.num_drifts, "sample_time": 1, "step": 1,
+            "added": self.num_drifts, "sample_time": 1, "step": 1, "watch": self.num_watch,
         }  # fmt: skip
 
     @property
@@ -207,7 +211,9 @@ class Blocks:
             "waiting": self.waits * self.nv, "stored": sum(map(_total, self.kept)),
             "loaded": sum(map(_total, self.kept_acting)),
             "pushed": sum(map(_total, self.kept_pushing)),
-            "before": sum(self._held.values()) if self.last else 0,
+            "held_before": sum(self._held.values()) if self.last else 0,
+            "watched": 0 if self.watch is None else _total(_at_start(self.watch)),
+            "commanded": 0 if self.watch is None else self.nv,
         }  # fmt: skip
 
     @property
@@ -220,12 +226,18 @@ class Blocks:
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
             "applied_force": nv,
             "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
-            "push": self._held["push"],
+            "push": self._held["push"], "mode": 0 if self.watch is None else 2,
             "hidden_push": len(self.loose) if self._push_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
             **{cell: states[name] for name, cell in CARRIED.items()},
             **{f"k{i}": states["x"] for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
+
+    @property
+    def timed(self) -> tuple[Sampled, ...]:
+        """The blocks with phases."""
+        watch = () if self.watch is None else (self.watch,)
+        return *self.sensors, *self.actuators, *self.forces.values(), *watch
 
     @property
     def _named(self) -> tuple[str, ...]:
@@ -263,7 +275,7 @@ class Blocks:
     def row(self) -> dict[str, int]:
         """What a run reads at each sample."""
         noise = self.nq + self.nv if self.noisy else 0
-        phases = phases_of((*self.sensors, *self.actuators, *self.forces.values()), 1).size
+        phases = phases_of(self.timed, 1).size
         return {
             "reference": self.nq + 2 * self.nv, "noise": noise,
             "drift_noise": self.num_drifts, "phases": phases,
@@ -294,6 +306,8 @@ class Blocks:
                 f"force_{name}": ("each_force", at * self.nv, self.nv)
                 for at, name in enumerate(("disturbance", *self._named))
             }
+        if self.watch is not None:
+            made |= {name: ("mode", at, 1) for at, name in enumerate(self.watch.outputs)}
         if sizes["hidden_push"]:
             made["external_hidden_force"] = ("hidden_push", 0, sizes["hidden_push"])
         return made
@@ -396,10 +410,12 @@ class Blocks:
             "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
             "stored_after": kept,
             **self._pushed(cells, now),
+            **self._watched(cells, signals, now),
         }
 
     def _given(self, cells: Any, force: Any, now: Now) -> dict[str, Any]:
         """What becomes of the law's force."""
+        commanded = force
         if self.limited:
             force = np.minimum(np.maximum(force, -cells.limit), cells.limit)
         if self.quantized:
@@ -415,7 +431,8 @@ class Blocks:
             "flown": _row(flown[name] for name in self.flown),
             "waiting_after": waiting[: -self.nv],
             "loaded_after": loaded,
-            "before_after": self._kept(cells, signals),
+            "held_after": self._kept(cells, signals),
+            "commanded_after": traced([]) if self.watch is None else commanded,
         }
 
     def _kept(self, cells: Any, signals: Mapping[str, Any]) -> Any:
@@ -455,6 +472,21 @@ class Blocks:
             after += [own[name] for name in memory]
         return _row(after)
 
+    def _watched(self, cells: Any, signals: Mapping[str, Any], now: Now) -> dict[str, Any]:
+        """The mode; NaN for a cause to act ends the run."""
+        if self.watch is None:
+            return {"mode": traced([]), "watched_after": traced([])}
+        watch = with_symbols(self.watch, cells.watch, traced([]), traced_model)
+        memory, _ = _parts(cells.watched, _at_start(self.watch))
+        inputs = {
+            "estimated_state": signals["estimated_state"], "generalized_force": cells.commanded,
+            "desired_state": cells.reference[: self.nq + self.nv],
+        }  # fmt: skip
+        phase = cells.phases[-phases_of((self.watch,), 1).size :]
+        found, after = _stepped(watch, watch.outputs, inputs, memory, now._replace(phase=phase))
+        cause = np.where(found["mode_cause"] == 0.0, 0.0, np.nan)
+        return {"mode": _row([found["mode"], cause]), "watched_after": _row(after.values())}
+
     def _pushed(self, cells: Any, now: Now) -> dict[str, Any]:
         """The forces of a sample: those of this instant and those that are held."""
         each, after = [traced(force_at(now.time, cells.sines.reshape(4, -1)))], list[Any]()
@@ -480,7 +512,9 @@ class Blocks:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
             after += [kept[name] for name in memory]
         if self.last:
-            before, _ = _parts(cells.before, {name: np.zeros(n) for name, n in self._held.items()})
+            before, _ = _parts(
+                cells.held_before, {name: np.zeros(n) for name, n in self._held.items()}
+            )
             each += self._last(
                 cells, cells.x, now.time, self._others(cells, cells.x, now.time, **before)[0]
             )

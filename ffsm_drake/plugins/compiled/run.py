@@ -62,6 +62,8 @@ class Case:
         pushing = tuple(self.forces.values())
         of_forces, of_pushing, _ = parameters_of(pushing, "the forces")
         of_last, of_others, _ = parameters_of(tuple(self.last.values()), "the forces")
+        self.watch = self._watching()
+        of_watch, watching, _ = parameters_of(self.watch, "the supervisor")
         self.actuators, self.flows = self._acting()
         acting = self.actuators, self.flows
         of_actuators, others, _ = parameters_of(acting, "the actuators")
@@ -70,6 +72,7 @@ class Case:
             others,
             of_pushing,
             of_others,
+            watching,
             tuple(built),
             *(len(each.phase(0)) for each in (*self.actuators, *pushing)),
         )
@@ -86,6 +89,7 @@ class Case:
             "actuators": of_actuators,
             "forces": of_forces,
             "last_forces": of_last,
+            "watch": of_watch,
             "deviation": errors.deviation,
             "limit": limit,
             "force_resolution": resolution,
@@ -121,6 +125,7 @@ class Case:
             "num_actuators": of_actuators.size,
             "num_forces": of_forces.size,
             "num_last": of_last.size,
+            "num_watch": of_watch.size,
             "noisy": bool(errors.deviation.any()),
             "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
@@ -150,6 +155,11 @@ class Case:
         make = optional(SERVICES, "acting_blocks")
         row, beside = ((), ()) if make is None else make(self._settled, self.coordinates)
         return tuple(row), tuple(beside)
+
+    def _watching(self) -> Any:
+        """What the supervisor does until it acts; None: there is none."""
+        part: Any = section_parts(self._settled).get("supervisor")
+        return None if part is None else part.watch(self._setup("supervisor", {}))
 
     def _recorded(self) -> tuple[str, ...]:
         """Signals of the actuators."""
@@ -243,11 +253,11 @@ class Case:
         """What they read at each sample, without noise (samples, n), by the names of
         ``Blocks.row``.
         """
+        watch = () if self.watch is None else (self.watch,)
+        timed = (*self.sensors, *self.actuators, *self.forces.values(), *watch)
         made = {
             "reference": self.motion.rows(self.times),
-            "phases": phases_of(
-                (*self.sensors, *self.actuators, *self.forces.values()), self.samples
-            ),
+            "phases": phases_of(timed, self.samples),
         }
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
             made["frame"] = path.rows(self.times)
@@ -297,7 +307,7 @@ class Run:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
         self.parameters = self.case.parameters | {"law": law}
-        kinds = ("sensors", "actuators", "flows", "forces", "last")
+        kinds = ("sensors", "actuators", "flows", "forces", "last", "watch")
         blocks = {each: getattr(self.case, each) for each in kinds}
         self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal

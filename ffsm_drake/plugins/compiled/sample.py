@@ -52,8 +52,8 @@ class TracedSample:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:
             raise NotCovered("wheels")
-        if scenario.blocks.choices():
-            raise NotCovered("blocks of a user")
+        if scenario.blocks.choices() or scenario.supervisor is not None:
+            raise NotCovered("blocks of a user, or a supervisor")
         self._scenario, self.motion = scenario, run.case.motion
         self._frame = make_frame_motion(scenario, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates

@@ -43,7 +43,7 @@ def test_a_run_that_diverges_is_that_of_drake():
 @pytest.mark.parametrize(
     ("given", "more", "said"),
     [
-        (["supervisor={}"], {}, "supervisor"),
+        (["faults.detection={}"], {}, "fault detection"),
         (["simulator_config.use_error_control=true"], {}, "error control"),
         ([], {"blocks": {"sensing": lambda setup: None}}, "sensing"),
         ([], {"meshcat": True}, "a live view"),

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from compared_runs import check, of_seeds
 
+from ffsm_drake import simulate_many
+
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 SHIPPED = {
     "flight_sensors": [],
@@ -202,6 +204,15 @@ def broken_parts(random):
     return name, [*bases[name], *events, "duration=0.4"], [[f"random_seed={k}"] for k in range(3)]
 
 
+def supervisors(random):
+    """Supervisors that act in some runs or in none, which Drake then computes."""
+    name = str(random.choice(["flight_sensors", "envisat", "slow_navigation"]))
+    bounds = {kind: 10.0 ** random.uniform(-4, 0) for kind in ("error", "rate")}
+    given = ", ".join(f"{kind}: {{joints: {bound:.2e}}}" for kind, bound in bounds.items())
+    each = [[f"actuation.limit={{joints: {limit}}}"] for limit in (1.0, 10.0, 100.0)]
+    return name, [f"supervisor={{{given}, saturated_time: 0.05}}", "duration=0.4"], each
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["free_floating", "seven_joint"])
 @pytest.mark.parametrize(
@@ -227,3 +238,19 @@ def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     law = random.choice(LAWS)
     found = check(of_seeds(name, ["duration=0.2", f"controller={law}", *given], each))
     assert draw is late_sensors or {record.engine for record in found} == {"compiled"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(DRAWS))
+def test_runs_whose_supervisor_acts_are_left_to_drake(seed):
+    name, given, each = supervisors(np.random.default_rng(seed))
+    runs = of_seeds(name, [*given, "controller=tdc"], each)
+    found, expected = simulate_many(runs, engine="compiled"), simulate_many(runs)
+    for record, other in zip(found, expected, strict=True):
+        acts = bool(other.dataset["mode_cause"].any())
+        assert record.engine == ("drake (not covered: its supervisor acts)" if acts else "compiled")
+        assert record.outcome == other.outcome
+        assert record.dataset["mode"].equals(other.dataset["mode"])
+        for signal in ("position", "velocity", "applied_force"):
+            difference = np.abs(record.dataset[signal].values - other.dataset[signal].values).max()
+            assert difference <= (0.0 if acts else 1e-9), signal
