@@ -22,7 +22,7 @@ ALWAYS_MANY = {
     "common/shapes.py": {"len(arguments)"},
     "plugins/audit/efforts.py": {"count"},
     "plugins/campaign/spec.py": {"spec.cases", "len(spec.distributions)"},
-    "plugins/capture/before.py": {"times.size"},
+    "plugins/capture/phases/own.py": {"times.size"},
     "plugins/design/stability/differences.py": {"states"},
     "plugins/design/stability/mission.py": {"len(found.loops)"},
     "plugins/equations/tree.py": {"len(links)"},

@@ -52,6 +52,8 @@ class Phase:
     closed: float = 0.0  # s after the grasp; the hands that closed up to then hold the target
     scenario: Scenario | None = None  # with its plan; None: the scenario of the mission
     motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
+    # whether the approach begins where ``motion`` ends, not at ``capture.approach.posture``
+    joins: bool = False
     # block -> factory that replaces a block of the mission
     blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
     joint_force: np.ndarray | None = None  # see ``add_closed_loop``

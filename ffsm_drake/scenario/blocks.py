@@ -50,7 +50,9 @@ class OwnPhase(Block):
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check the name, for whole samples, and for an approach."""
-        yield from super().check(key, scenario)
+        if scenario.phases:  # where it was given
+            key = key.removeprefix("blocks.")
+        yield from name_problems(self.system, f"{key}.{'kind' if scenario.phases else 'system'}")
         yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
         if scenario.approach is None:
             yield key, "must come before an approach; add capture.approach"
@@ -97,7 +99,8 @@ class Blocks:
         """Check that the names are valid in the diagram."""
         yield from identifier_problems(f"{key}.forces", self.forces, "a force's")
         yield from identifier_problems(f"{key}.sensing", self.sensing, "a stage's")
-        yield from identifier_problems(f"{key}.phases", self.phases, "a phase's")
+        place = "phases" if scenario.phases else f"{key}.phases"
+        yield from identifier_problems(place, self.phases, "a phase's")
 
 
 def kind_of(name: str) -> str:

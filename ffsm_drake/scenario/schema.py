@@ -30,6 +30,7 @@ from ffsm_drake.scenario.fields import (
 from ffsm_drake.scenario.forces import Disturbance, Environment
 from ffsm_drake.scenario.layers import Layer, assembled, override_layers
 from ffsm_drake.scenario.model import NOTHING, MassProperties, Model, Payload, Posture
+from ffsm_drake.scenario.phases import own_phases, phase_problems
 from ffsm_drake.scenario.reference import Planning, Reference
 from ffsm_drake.scenario.resolving import as_dict
 from ffsm_drake.scenario.sensing import CommandFilter, Estimator, Sensing
@@ -103,6 +104,11 @@ class Scenario:
     capture: Capture | None = unitless(
         None, "grasp of a moving target; null: the target is held and at rest at the start"
     )
+    phases: list[Any] = unitless(
+        [],
+        "phases of a capture in their order, as names or {name: settings}: own phases, approach, "
+        "close (with ``capture.closing``) and stop; empty: ``blocks.phases``, then these",
+    )
     contacts: dict[str, Contact] = unitless(
         {}, "hands that hold the target, by any name; empty: only ``model.end_effector``"
     )
@@ -151,6 +157,8 @@ class Scenario:
     def __post_init__(self) -> None:
         if self.sample_time > 0.0:
             self.sensing = self.sensing.at(self.sample_time)
+        if self.phases:
+            self.blocks = replace(self.blocks, phases=own_phases(self.phases))
 
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """Check for at least one sample, and not too many samples and steps."""
@@ -195,6 +203,8 @@ class Scenario:
                     f"must be within divergence_speed ({self.divergence_speed:g}), not {number}",
                 )
         yield from controller_problems(self.controller, "controller")
+        if self.phases:
+            yield from phase_problems(self.phases, self)
 
     def __repr__(self) -> str:
         title = f"'{self.description}', " if self.description else ""

@@ -243,8 +243,10 @@ def values(kind, key=""):
 
 def consistent(data):
     """With a capture the base turns about an eigenaxis; a supervisor plans postures; faults are of
-    the scenario's own blocks; phases take whole samples and come before an approach.
+    the scenario's own blocks; phases take whole samples and come before an approach, and their
+    list is not free.
     """
+    data.pop("phases", None)
     phases = (data.get("blocks") or {}).get("phases", {})
     if (data.get("capture") or {}).get("approach") is None:
         phases.clear()

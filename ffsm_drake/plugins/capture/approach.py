@@ -11,8 +11,8 @@ import numpy as np
 from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.capture.before import with_phases
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
+from ffsm_drake.plugins.capture.phases.own import with_phases
 from ffsm_drake.runs.limits import not_measured
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.scenario.capture import Approach

@@ -14,13 +14,13 @@ import numpy as np
 
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.plugins.capture.before import phases_before
 from ffsm_drake.plugins.capture.grasping import Aim, grasped_at_start, with_grasp
 from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
 from ffsm_drake.plugins.capture.phases.approach import Approach
 from ffsm_drake.plugins.capture.phases.chase import Chase
 from ffsm_drake.plugins.capture.phases.close import Close, free_motion
 from ffsm_drake.plugins.capture.phases.held import Held
+from ffsm_drake.plugins.capture.phases.own import phases_before
 from ffsm_drake.plugins.capture.phases.retreat import Again, Retreat
 from ffsm_drake.plugins.capture.pictures import show_apart
 from ffsm_drake.plugins.capture.target_filter import Path

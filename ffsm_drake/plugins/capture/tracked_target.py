@@ -9,14 +9,14 @@ deviations of the pose are compared with the envelope of the gripper.
 
 import dataclasses
 import functools
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import attitude_motion, composed, matrix_of, quaternion_of, turn_between
+from ffsm_drake.common.so3 import matrix_of, quaternion_of, turn_between
+from ffsm_drake.plugins.capture.displacement import displaced, displacement, quintic
 from ffsm_drake.plugins.capture.free_body import SIZE, Target
 from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilter, observed
 from ffsm_drake.scenario import Capture, Scenario
@@ -247,7 +247,7 @@ class TrackedReference(LeafSystem):
         if self._part.approached is not None:
             c = self._displacement(context, context.get_time())
             if c.any():
-                row = self._displaced(row, c)
+                row = displaced(row, c, self._nq)
         output.SetFromVector(row[within])
 
     def _displacement(self, context: Context, time: float) -> np.ndarray:
@@ -255,28 +255,8 @@ class TrackedReference(LeafSystem):
         begin, end, _, *coefficients = context.get_discrete_state(self._plan).value()
         if end <= begin:
             return np.zeros((3, 6))
-        power = np.reshape(coefficients, (6, 6))
         x, late = min(time, end) - begin, max(time - end, 0.0)
-        terms = x ** np.arange(6)
-        found = np.empty((3, 6))
-        for order in range(3):
-            found[order] = terms[: 6 - order] @ power
-            power = np.arange(1, 6 - order)[:, None] * power[1:]
-        found[0] += late * found[1]
-        return found
-
-    def _displaced(self, row: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """A row [q_d; v_d; a_d] displaced by [c; c'; c''] (3, 6)."""
-        found, v, a = row.copy(), self._first_velocity, self._last_velocity
-        rotation, w, alpha = (part[..., 0] for part in attitude_motion(*c[:, :3, None]))
-        found[:4] = composed(quaternion_of(c[0, :3]), row[:4])
-        found[4:7] += c[0, 3:]
-        turned = rotation @ row[v : v + 3]
-        found[v : v + 3] = w + turned
-        found[v + 3 : v + 6] += c[1, 3:]
-        found[a : a + 3] = alpha + rotation @ row[a : a + 3] + np.cross(w, turned)
-        found[a + 3 : a + 6] += c[2, 3:]
-        return found
+        return displacement(np.reshape(coefficients, (6, 6)), x, late)
 
     def _update(self, context: Context, new: DiscreteValues) -> None:
         sample = round(context.get_time() / self._period)
@@ -337,7 +317,7 @@ class TrackedReference(LeafSystem):
             target = self._filter.moved(found.target, found.time, approached.meets)
         goal = self._goal(target.motion, approached)
         left = approached.meets - time
-        coefficients = _quintic(self._displacement(context, time), goal, left)
+        coefficients = quintic(self._displacement(context, time), goal, left)
         row = np.concatenate([[time, approached.meets, is_last], coefficients.ravel()])
         new.set_value(self._plan, row)
 
@@ -365,16 +345,3 @@ def _as_row(found: Estimate) -> np.ndarray:
     """An estimate as the vector in a context."""
     head = [found.time, 1.0, float(found.fitted)]
     return np.concatenate([head, found.target.as_row(), found.covariance.ravel()])
-
-
-def _quintic(first: np.ndarray, last: np.ndarray, duration: float) -> np.ndarray:
-    """Coefficients (6, n) by powers of time from [c; c'; c''] (3, n) to others."""
-    rows = np.zeros((6, 6))
-    for order in range(3):
-        factors = [math.perm(power, order) for power in range(6)]
-        rows[order, order] = factors[order]
-        rows[3 + order, order:] = [
-            factors[power] * duration ** (power - order) for power in range(order, 6)
-        ]
-    found: np.ndarray = np.linalg.solve(rows, np.vstack([first, last]))
-    return found

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
 
 from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.capture.grasping import Aim
@@ -168,3 +170,139 @@ def test_its_loop_is_linearised_with_the_approach():
     assert [leg.leg for leg in legs] == ["approach", "stop"]
     assert all(leg.status == "stable" for leg in legs)
     assert legs[1].time >= 3.0
+
+
+def listed(given, *more):
+    """A short capture with the key ``phases``."""
+    return load_scenario("tumbling_capture", [*SHORT, f"phases={given}", "duration=9", *more])
+
+
+def motion_of(scenario):
+    return make_motion(scenario, make_nominal_plant(scenario).coordinates)
+
+
+def test_a_list_of_phases_is_that_of_the_blocks():
+    times = np.arange(0.0, 6.0, 0.31)
+    alone = load_scenario("tumbling_capture", SHORT)
+    by = "{by: [0.02, 0, 0.01], lasts: 1}"
+    come = f"come={{system: own_phases:come, settings: {by}}}"
+    for one, other in (
+        (alone, listed("[approach, stop]")),
+        (
+            phases(come, "wait=own_phases:wait"),
+            listed(
+                f"[{{come: {{kind: own_phases:come, duration: 1, {by[1:-1]}}}}}, "
+                "{wait: {kind: own_phases:wait, duration: 1}}, approach, stop]",
+                HERE,
+            ),
+        ),
+    ):
+        assert one.grasp_time == other.grasp_time
+        assert np.array_equal(motion_of(one).rows(times), motion_of(other).rows(times))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hold_keeps_its_place_to_the_target_and_leads_to_the_grasp(seed):
+    """The pose of the base in the target's frame is constant, and rates fit positions."""
+    random = np.random.default_rng(seed)
+    distance, rate = random.uniform(0.0, 1.0), random.uniform(-0.2, 0.2, 3).round(3).tolist()
+    drift, toward = random.uniform(-0.05, 0.05, (2, 3)).round(3).tolist()
+    direction = f", direction: {toward}" if seed % 2 else ""
+    scenario = listed(
+        f"[{{hold: {{duration: 3, distance: {distance}{direction}}}}}, approach, stop]",
+        f"capture.rate={rate}",
+        f"capture.velocity={drift}",
+    )
+    motion, nq, nv = motion_of(scenario), 12, 11
+    times = np.arange(0.0, 3.0, 0.25)
+    path = Aim(scenario).path[(100 * times).round().astype(int)]
+    poses = [RigidTransform(Quaternion(row[:4]), row[4:7]) for row in path]
+    rows = motion.rows(times)
+    held = [
+        pose.inverse() @ RigidTransform(Quaternion(row[:4]), row[4:7])
+        for pose, row in zip(poses, rows, strict=True)
+    ]
+    for each in held[1:]:
+        assert each.IsNearlyEqualTo(held[0], 1e-7)
+    assert_allclose(rows[:, 7:nq], rows[:1, 7:nq].repeat(len(rows), axis=0))
+    # with the place at the grasp, away from it by the distance
+    grasp = motion.row(scenario.grasp_time)
+    X_WP, _ = Aim(scenario).target
+    there = X_WP.inverse() @ RigidTransform(Quaternion(grasp[:4]), grasp[4:7])
+    way = held[0].translation() - there.translation()
+    assert np.linalg.norm(way) == pytest.approx(distance, abs=1e-7)
+    center = np.array(scenario.payload.truth.center_of_mass)
+    along = np.array(toward) if seed % 2 else there.translation() - center
+    assert_allclose(np.cross(way, along / np.linalg.norm(along)), 0.0, atol=1e-7)
+    assert way @ along >= 0.0
+    # through hold and approach, up to the planned grasp without it
+    alone = motion_of(scenario.replace(phases=[]))
+    assert_allclose(grasp, alone.row(alone.begin), atol=1e-9)
+    step, times = 1e-4, np.concatenate([random.uniform(0.0, 5.0, 20), [3.0 - 2e-4, 3.0 + 2e-4]])
+    before, now, after = (motion.rows(times + d) for d in (-step, 0.0, step))
+    slope = (after - before) / (2.0 * step)
+    assert_allclose(slope[:, 4:nq], now[:, nq + 3 : nq + nv], atol=1e-7)
+    assert_allclose(slope[:, nq : nq + nv], now[:, nq + nv :], atol=1e-6)
+
+
+def test_a_hold_in_the_world_is_at_rest():
+    hold = "{hold: {duration: 2, distance: 0.3, direction: [0, 0, 2], relative: world}}"
+    scenario = listed(f"[{hold}, approach, stop]")
+    rows = motion_of(scenario).rows(np.arange(0.0, 2.0, 0.1))
+    assert not np.ptp(rows, axis=0).any()
+    place = [*scenario.initial_posture.base_position]
+    assert_allclose(rows[0, 4:7], [place[0], place[1], place[2] + 0.3])
+
+
+@pytest.mark.slow
+def test_station_keeping_before_a_capture(tmp_path):
+    scenario = listed(
+        "[{hold: {duration: 2, distance: 0.05}}, approach, close, stop]",
+        "capture.closing={}",
+        "capture.envelope={position: null, angle: null}",
+    )
+    record = run(scenario)
+    assert list(counts(record)) == ["hold", "approach", "closing", "stop"]
+    assert counts(record)["hold"] == 200
+    assert np.abs(record.dataset["error"].values[100:200, 3:6]).max() < 5e-3
+    record.save(tmp_path)
+    again = RunRecord.load(tmp_path).scenario
+    assert again.phases == scenario.phases
+    assert np.array_equal(motion_of(again).row(1.0), motion_of(scenario).row(1.0))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("[hold, approach]", "phases: must end with approach, stop"),
+        ("[approach, close, stop]", r"must end with approach, stop \(close needs capture.closing"),
+        ("[approach, stop, hold]", "phases: must end with approach, stop"),
+        (
+            "[{hold: 5}, approach, stop]",
+            r"phases\[0\]: must be a name, or {name: {setting: value}}",
+        ),
+        ("[hold, hold, approach, stop]", r"phases\.hold: is there twice"),
+        ("[{approach: {duration: 3}}, stop]", r"phases\.approach: has its settings in capture"),
+        ("[{hold: {duration: long}}, approach, stop]", r"phases\.hold\.duration: must be a number"),
+        ("[{hold: {duration: 0.123}}, approach, stop]", r"phases\.hold\.duration: must be a whole"),
+        ("[{hold: {distance: -1}}, approach, stop]", r"phases\.hold\.distance: must be >= 0 m"),
+        ("[{hold: {far: 1}}, approach, stop]", r"phases\.hold\.far: unknown key"),
+        ("[{hold: {direction: [0, 0, 0]}}, approach, stop]", r"phases\.hold\.direction: must"),
+        ("[{park: {}}, approach, stop]", r"phases\.park: 'park' is unknown"),
+        ("[{a b: {kind: hold}}, approach, stop]", r"phases\.a b: a phase's name must be letters"),
+        (
+            "[{one: {kind: hold}}, hold, approach, stop]",
+            r"phases\.one: must be the last one before",
+        ),
+    ],
+)
+def test_lists_of_phases_that_cannot_be(given, words):
+    with pytest.raises((ScenarioError, BlockError), match=words) as found:
+        motion_of(listed(given, "duration=40"))
+    assert "\n" not in str(found.value)
+    assert len(str(found.value)) < 160
+
+
+def test_phases_need_an_approach():
+    with pytest.raises(ScenarioError, match="phases: needs an approach"):
+        load_scenario("postcapture", ["phases=[approach, stop]"])

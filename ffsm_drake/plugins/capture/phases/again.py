@@ -119,7 +119,9 @@ def _try(chase: Chase, X_WB: RigidTransform, X_WS: RigidTransform, motion: np.nd
     )
     posture = _placed(chosen.initial_posture, X_WB)
     blocks = dataclasses.replace(chosen.blocks, phases={})
-    return dataclasses.replace(chosen, initial_posture=posture, capture=capture, blocks=blocks)
+    return dataclasses.replace(
+        chosen, initial_posture=posture, capture=capture, blocks=blocks, phases=[]
+    )
 
 
 def _base_pose(posture: Posture) -> RigidTransform:

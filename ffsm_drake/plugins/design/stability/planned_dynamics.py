@@ -41,6 +41,7 @@ def from_grasp(scenario: Scenario) -> Scenario:
         duration=scenario.duration - scenario.grasp_time,
         capture=held,
         blocks=dataclasses.replace(scenario.blocks, phases={}),
+        phases=[],
     )
 
 

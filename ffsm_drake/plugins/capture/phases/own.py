@@ -1,4 +1,4 @@
-"""Phases before an approach (``blocks.phases``)."""
+"""Phases before an approach (``phases``, ``blocks.phases``)."""
 
 import dataclasses
 import re
@@ -7,6 +7,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import calling
+from ffsm_drake.plugins.capture.displacement import Joined
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -39,7 +40,7 @@ def phases_before(scenario: Scenario) -> dict[str, Phase]:
     """
     found, alone = dict[str, Phase](), dataclasses.replace(scenario, holds=False)
     for name, given in scenario.blocks.phases.items():
-        key = f"blocks.phases.{name}"
+        key = _key(scenario, name)
         if _OF_A_CAPTURE.fullmatch(name):
             raise ScenarioError(key, f"'{name}' is a phase of every capture; rename it")
         factory = find_factory("phases", given.system, key=key, python_path=scenario.python_path)
@@ -49,7 +50,7 @@ def phases_before(scenario: Scenario) -> dict[str, Phase]:
         phase = call_factory(factory, setup, place=f"{key} '{given.system}'")
         if not isinstance(phase, Phase):
             raise BlockError(f"{key} '{given.system}' must be a Phase, not {type(phase).__name__}")
-        plain = Phase(motion=phase.motion, blocks=phase.blocks)
+        plain = Phase(motion=phase.motion, blocks=phase.blocks, joins=phase.joins)
         for field in dataclasses.fields(Phase):
             if getattr(phase, field.name) is not getattr(plain, field.name):
                 raise BlockError(f"{key}: its {field.name} follows from its place; leave that out")
@@ -69,10 +70,20 @@ def with_phases(scenario: Scenario, approach: PlannedMotion) -> PlannedMotion:
     for name, phase in reversed(found.items()):
         lasts, then = scenario.blocks.phases[name].duration, motions[0][1]
         motion = phase.motion or _Rest(then, duration=lasts, sample_time=period)
-        _check(f"blocks.phases.{name}", motion, lasts, then)
+        key = _key(scenario, name)
+        if phase.joins and then is not approach:
+            raise BlockError(f"{key}: must be the last one before the approach")
+        if phase.joins:
+            then = Joined(approach, motion.row(lasts), sample_time=period)
+            motions[0] = begin, then
+        _check(key, motion, lasts, then)
         begin -= lasts
         motions.insert(0, (begin, motion))
     return InTurn(motions, begin=0.0, end=scenario.grasp_time, sample_time=period)
+
+
+def _key(scenario: Scenario, name: str) -> str:
+    return f"{'phases' if scenario.phases else 'blocks.phases'}.{name}"
 
 
 def _check(key: str, motion: PlannedMotion, lasts: float, then: PlannedMotion) -> None:
