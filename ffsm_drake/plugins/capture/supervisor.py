@@ -254,7 +254,9 @@ class Watch(Sampled):
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
         state, desired = inputs["estimated_state"], inputs["desired_state"]
-        cause, over = self.look(memory["over"], inputs["generalized_force"], desired, state)
+        cause, over = np.zeros_like(memory["over"]), memory["over"]
+        if not self.waits:
+            cause, over = self.look(over, inputs["generalized_force"], desired, state)
         return {"mode": np.reshape(now.phase, 1), "mode_cause": cause}, {"over": over}
 
     def look(

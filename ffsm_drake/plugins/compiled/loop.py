@@ -473,7 +473,7 @@ class Blocks:
         return _row(after)
 
     def _watched(self, cells: Any, signals: Mapping[str, Any], now: Now) -> dict[str, Any]:
-        """The mode; NaN for a cause to act ends the run."""
+        """The mode; a cause to act is infinite, which ends the run."""
         if self.watch is None:
             return {"mode": traced([]), "watched_after": traced([])}
         watch = with_symbols(self.watch, cells.watch, traced([]), traced_model)
@@ -484,7 +484,7 @@ class Blocks:
         }  # fmt: skip
         phase = cells.phases[-phases_of((self.watch,), 1).size :]
         found, after = _stepped(watch, watch.outputs, inputs, memory, now._replace(phase=phase))
-        cause = np.where(found["mode_cause"] == 0.0, 0.0, np.nan)
+        cause = np.where(found["mode_cause"] == 0.0, 0.0, np.inf)
         return {"mode": _row([found["mode"], cause]), "watched_after": _row(after.values())}
 
     def _pushed(self, cells: Any, now: Now) -> dict[str, Any]:

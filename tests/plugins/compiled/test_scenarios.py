@@ -189,13 +189,13 @@ def flexible_joints(random):
 
 
 def broken_parts(random):
-    """Sensors of any kind of fault, jams and stopped wheels, at a time that the seed draws."""
+    """Sensors, joints, wheels and thrusters with any fault, at a time that the seed draws."""
     bases = {
         "flight_sensors": [], "slow_navigation": [], "flexible_panels": [FAST],
-        "thrusters_and_wheels": ["actuation.thrusters=null"],
+        "thrusters_and_wheels": [],
     }  # fmt: skip
     name = str(random.choice(list(bases)))
-    units = ["sensing", "joints", *(["wheels"] if "wheels" in name else [])]
+    units = ["sensing", "joints", *(["wheels", "thrusters"] if "wheels" in name else [])]
     chosen = [str(unit) for unit in random.choice(units, size=random.integers(1, 4))]
     events = [
         f"faults.events.event_{k}={{unit: {unit}, time: [0.0, 0.3]}}"
