@@ -74,6 +74,7 @@ class Sampled:
     """
 
     acts: ClassVar[bool] = False
+    traced: ClassVar[bool] = True  # else Python calls it in compiled runs too
     optional: ClassVar[tuple[str, ...]] = ()  # inputs that another block may lack
     wide: ClassVar[bool] = False  # its arrays may have rows, of several copies of the spacecraft
 

@@ -17,15 +17,12 @@ allocation, raises ``abort_request``.
 """
 
 import dataclasses
-import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.drives import DriveSet
@@ -47,6 +44,8 @@ from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_p
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.faults import detects, hits
 from ffsm_drake.systems.part import Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
+from ffsm_drake.systems.sensing.block import IS_NEW
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -85,9 +84,9 @@ class FaultDetection(Part):
         """None if the flight software does not look for faults."""
         return cls() if detects(scenario) else None
 
-    def build(self, setup: BlockSetup) -> LeafSystem:
+    def build(self, setup: BlockSetup) -> "Detector":
         """The stage."""
-        return _Detector(setup)
+        return Detector(setup)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Detected fault of each unit."""
@@ -141,15 +140,16 @@ def _units(scenario: Scenario, coordinates: Coordinates) -> list[str]:
 Memory = dict[str, np.ndarray]
 
 
-class _Detector(LeafSystem):
+class Detector(Sampled):
     """Inputs: those of the block; of actuators ``told_force`` (nv), and, where they have them,
     ``gyroscopic_force`` (nv), ``told_units`` and ``wheel_momentum``. Outputs: the block's,
-    ``fault_detected``, ``abort_request``, and with thrusters or wheels ``isolated``. Discrete
-    state: ``Memory``, one array after another.
+    ``fault_detected``, ``abort_request``, and with thrusters or wheels ``isolated``, as found at
+    the sample before.
     """
 
+    traced = False
+
     def __init__(self, setup: BlockSetup) -> None:
-        super().__init__()
         scenario, coordinates = setup.scenario, setup.coordinates
         assert scenario.faults is not None
         assert scenario.faults.detection is not None
@@ -181,7 +181,7 @@ class _Detector(LeafSystem):
         self._observer = Observer(
             coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0), self._step
         )
-        self._declare()
+        self._lay_out()
 
     def _bound_disturbance(self, scenario: Scenario, coordinates: Coordinates) -> None:
         """The largest external force (nv), and twice that of an orbit by inertia, 1/s^2."""
@@ -246,7 +246,7 @@ class _Detector(LeafSystem):
         self._may_be_old = silent or bool((period > 1).any())
         self._sees_forces = bool(self._is_prompt.all())
 
-    def _declare(self) -> None:
+    def _lay_out(self) -> None:
         nq, nv, base = self._nq, self._nv, self._base
         size, units = nq + nv, 0 if base is None else len(base.units)
         thrusters, wheels = (None, None) if base is None else (base.thrusters, base.wheels)
@@ -266,88 +266,60 @@ class _Detector(LeafSystem):
             "momentum": (wheel_count,), "suspected": (len(_WINDOWS) * len(self._force),),
             "sums": (width,), "part": (width,), "kept": (_KEPT, width),
         }  # fmt: skip
-        self._state = self.DeclareVectorInputPort("state", size)
-        self._told = self.DeclareVectorInputPort("told_force", nv)
-        self._new = self._gyroscopic = self._told_units = self._momentum = None
-        if self._may_be_old:
-            self._new = self.DeclareVectorInputPort("measurement_is_new", size)
-        if units:
-            self._told_units = self.DeclareVectorInputPort("told_units", units)
-        if wheel_count:
-            self._gyroscopic = self.DeclareVectorInputPort("gyroscopic_force", nv)
-            self._momentum = self.DeclareVectorInputPort("wheel_momentum", wheel_count)
-        sizes = [int(np.prod(shape)) for shape in self._shapes.values()]
-        ends, total = np.cumsum([0, *sizes]).tolist(), sum(sizes)
-        places = itertools.starmap(slice, itertools.pairwise(ends))
-        self._places = dict(zip(self._shapes, places, strict=True))
-        self._memory = self.DeclareDiscreteState(total)
-        self._look = self.DeclareVectorOutputPort("look", size + total, weak_callback(self._calc))
-        self.DeclareVectorOutputPort("estimated_state", size, weak_callback(self._calc_state))
-        if self._may_be_old:
-            new = weak_callback(self._calc_new)
-            self.DeclareVectorOutputPort("measurement_is_new", size, new)
-        held = {self.xd_ticket()}
-        for name, calc, number in (
-            ("fault_detected", self._calc_codes, len(self._names)),
-            ("abort_request", self._calc_abort, 1),
-            *([("isolated", self._calc_isolated, units)] if units else []),
-        ):
-            self.DeclareVectorOutputPort(name, number, weak_callback(calc), held)
-        self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weak_callback(self._update))
-        untie(self)
+        self._num_units, self._num_wheels = units, wheel_count
 
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Before the start, ``state`` was measured."""
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        size, nv, wheels = self._nq + self._nv, self._nv, self._num_wheels
+        found = {
+            "state": size, "told_force": nv, IS_NEW: size * self._may_be_old,
+            "told_units": self._num_units, "gyroscopic_force": nv if wheels else 0,
+            "wheel_momentum": wheels,
+        }  # fmt: skip
+        return {name: number for name, number in found.items() if number}
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        size = self._nq + self._nv
+        found = {
+            "estimated_state": size, IS_NEW: size * self._may_be_old,
+            "fault_detected": len(self._names), "abort_request": 1, "isolated": self._num_units,
+        }  # fmt: skip
+        return {name: number for name, number in found.items() if number}
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled; before the start the state was measured."""
         memory = {name: np.zeros(shape) for name, shape in self._shapes.items()}
         memory["leg"][0] = -1.0
-        memory["raw"][:] = memory["seen"][:] = memory["observed"][:] = state
-        context.SetDiscreteState(self._memory, self._packed(memory))
+        if state is not None:
+            memory["raw"][:] = memory["seen"][:] = memory["observed"][:] = state
+        return _flat(memory)
 
-    def _packed(self, memory: Memory) -> np.ndarray:
-        return np.concatenate([memory[name].ravel() for name in self._shapes])
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        before, after = memory["codes"], dict[str, np.ndarray]()
+        for name, shape in self._shapes.items():
+            after[name] = np.array(memory.get(name, ())).reshape(shape)
+        self._look_at(after, inputs)
+        outputs = {
+            "estimated_state": after["seen"].copy(), "fault_detected": before,
+            "abort_request": memory["abort"],
+        }  # fmt: skip
+        if self._may_be_old:
+            outputs[IS_NEW] = self._renewed(inputs[IS_NEW], before)
+        if self._num_units:
+            outputs["isolated"] = self._isolated(before)
+        return outputs, _flat(after)
 
-    def _recalled(self, context: Context) -> Memory:
-        """A copy of the memory."""
-        whole = context.get_discrete_state(self._memory).value().copy()
-        return {
-            name: whole[self._places[name]].reshape(shape) for name, shape in self._shapes.items()
-        }
-
-    def _held(self, context: Context, name: str) -> np.ndarray:
-        """One array of the memory, to read."""
-        held: np.ndarray = context.get_discrete_state(self._memory).value()[self._places[name]]
-        return held
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        memory = self._recalled(context)
-        self._look_at(memory, context)
-        output.SetFromVector(np.concatenate([memory["seen"], self._packed(memory)]))
-
-    def _calc_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._look.Eval(context)[: output.size()])
-
-    def _calc_new(self, context: Context, output: BasicVector) -> None:
+    def _renewed(self, new: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """A value in a lost sensor's place is new."""
-        assert self._new is not None
-        new = self._new.Eval(context).copy()
-        codes = self._held(context, "codes")
+        new = new.copy()
         for name, entries in self._sensors.items():
             if codes[self._unit(name)] and self._is_prompt[entries].all():
                 new[entries_in_state(entries)] = 1.0
-        output.SetFromVector(new)
-
-    def _calc_codes(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._held(context, "codes"))
-
-    def _calc_abort(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._held(context, "abort"))
-
-    def _calc_isolated(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._isolated(self._held(context, "codes")))
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        size = self._nq + self._nv
-        values.set_value(self._memory, self._look.Eval(context)[size:])
+        return new
 
     def _unit(self, sensor: str) -> int:
         return self._names.index(f"sensing.{sensor}")
@@ -361,12 +333,12 @@ class _Detector(LeafSystem):
             told[codes[: told.size] == _CODE["leaking"]] = 0.0
         return told
 
-    def _look_at(self, memory: Memory, context: Context) -> None:
+    def _look_at(self, memory: Memory, inputs: Arrays) -> None:
         """Bring the memory up to date with a sample; ``seen`` is the state without lost sensors."""
-        raw = self._state.Eval(context)
+        raw = inputs["state"]
         is_first = memory["leg"][0] != self._leg
         seen = memory["seen"].copy()
-        force = self._acting(memory, context) - self._damping * seen[self._nq :]
+        force = self._acting(memory, inputs) - self._damping * seen[self._nq :]
         if is_first:
             memory["leg"][0] = self._leg
             self._forget(memory)
@@ -375,7 +347,7 @@ class _Detector(LeafSystem):
         expected = self._step * changes[:, :, 0] * (not is_first)
         self._correct(memory, raw, seen, expected[0], is_first=is_first)
         if not is_first:
-            self._look_at_sensors(memory, raw, seen, context)
+            self._look_at_sensors(memory, raw, seen, inputs.get(IS_NEW))
             if self._collect(memory, seen, expected, changes[0, :, 1:]):
                 self._look_at_blocks(memory, changes[0, :, 1:])
         memory["raw"][:] = raw
@@ -392,27 +364,27 @@ class _Detector(LeafSystem):
             changes.append(np.linalg.solve(model.calc_mass_matrix(q), forces))
         return np.array([changes[min(k, len(changes) - 1)] for k in range(MODELS)])
 
-    def _acting(self, memory: Memory, context: Context) -> np.ndarray:
+    def _acting(self, memory: Memory, inputs: Arrays) -> np.ndarray:
         """The force (nv) on the plant in the last sample as reported, with measured wheel torques;
         updates the sums in ``part``.
         """
         nv, units = self._nv, len(memory["told"])
-        force = self._told.Eval(context).copy()
-        if self._gyroscopic is not None:
-            force += self._gyroscopic.Eval(context)
-        if self._told_units is not None:
+        force = inputs["told_force"].copy()
+        if self._num_wheels:
+            force += inputs["gyroscopic_force"]
+        if self._num_units:
             at = (MODELS + 3) * nv
             memory["sums"][at : at + units] += self._step * memory["told"]
-        if self._momentum is not None and self._wheels is not None:
-            now, count = self._momentum.Eval(context), memory["momentum"].size
+        if self._wheels is not None:
+            now, count = inputs["wheel_momentum"], memory["momentum"].size
             if memory["samples"][0] > 1.0:
                 beyond = now - memory["momentum"] - self._step * memory["told"][-count:]
                 memory["sums"][-count:] += beyond
                 axes = self._turned(memory["seen"]) @ self._wheels.axes
                 force[:3] -= axes @ beyond / self._step
             memory["momentum"][:] = now
-        if self._told_units is not None:
-            memory["told"][:] = self._told_units.Eval(context)
+        if self._num_units:
+            memory["told"][:] = inputs["told_units"]
         return force
 
     def _pushes(self, state: np.ndarray) -> np.ndarray:
@@ -487,7 +459,7 @@ class _Detector(LeafSystem):
         return np.concatenate([base, codes[at] > 0.0])
 
     def _look_at_sensors(
-        self, memory: Memory, raw: np.ndarray, before: np.ndarray, context: Context
+        self, memory: Memory, raw: np.ndarray, before: np.ndarray, new: np.ndarray | None
     ) -> None:
         """Detect silent, frozen or jumping sensors."""
         nq, nv, codes = self._nq, self._nv, memory["codes"]
@@ -495,7 +467,6 @@ class _Detector(LeafSystem):
         moved = position_error(now[:nq], before[:nq])
         slip = moved - 0.5 * self._step * (now[nq:] + before[nq:])
         memory["since"] += np.tile(slip, 2)
-        new = None if self._new is None else self._new.Eval(context)
         memory["stale"][:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory["stale"] + 1.0)
         lost, joints = self._lost(codes), self._jammed(codes)
         known = memory["samples"][0] >= _LEARNT
@@ -756,6 +727,11 @@ class _Detector(LeafSystem):
                 same = [each for each in suspicions if each.thruster == found.thruster]
                 kind = max(same, key=lambda each: each.explained).kind
                 self._notice(memory, self._names[found.thruster], kind)
+
+
+def _flat(memory: Memory) -> Memory:
+    """Vectors, without empty ones."""
+    return {name: values.ravel() for name, values in memory.items() if values.size}
 
 
 def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
