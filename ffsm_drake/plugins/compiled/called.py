@@ -14,6 +14,7 @@ import numpy as np
 
 from ffsm_drake.plugins.compiled.loop import Blocks
 from ffsm_drake.systems.controllers import SampledController
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 
 _TRIED = 20  # calls of each law
 _KIND = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
@@ -22,7 +23,13 @@ _KIND = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 class Laws:
     """The laws of the first lanes of a register."""
 
-    def __init__(self, blocks: Blocks, controllers: Sequence[SampledController]) -> None:
+    def __init__(
+        self,
+        blocks: Blocks,
+        controllers: Sequence[SampledController],
+        detectors: Sequence[tuple[Sampled, Arrays]] = (),
+    ) -> None:
+        """Args: the loop; of each lane its controller, and a detector with its memory."""
         self.stopped: BaseException | None = None  # what ended the runs
         self._blocks, self._controllers = blocks, controllers
         inputs = blocks.law_inputs
@@ -34,9 +41,19 @@ class Laws:
         self._memory = {name: own.pop(name) for name in memory}
         self._inputs = own
         self._after = _parts(memory, first=blocks.nv)
+        self._detectors, looked, found = list(detectors), blocks.detector_inputs, {}
+        if self._detectors:
+            found = blocks.detector_outputs
+        else:
+            looked = {}
+        read = sum(size for *_, size in inputs.values()) + kept
+        self._looks = _parts({name: size for name, (*_, size) in looked.items()}, first=read)
+        self._found = _parts(
+            {name: size for name, (*_, size) in found.items()}, first=self._num_made
+        )
         self._cells_of = (
-            [*inputs.values(), ("memory", 0, kept)],
-            [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept)],
+            [*inputs.values(), ("memory", 0, kept), *looked.values()],
+            [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept), *found.values()],
             [("lost", 0, 1), ("begun", 0, 1)],
         )
 
@@ -83,12 +100,27 @@ class Laws:
         inputs = {name: row[part] for name, part in self._inputs.items()}
         memory = {name: row[part] for name, part in self._memory.items()}
         try:
+            if self._detectors and not self._look(lane, row, made, inputs):
+                return
             force, after = self._controllers[lane].step(inputs, memory, is_first=is_first)
             made[: self._blocks.nv] = force
             for name, part in self._after.items():
                 made[part] = after[name]
         except Exception:  # Drake's run shows it
             made[:] = np.nan
+
+    def _look(self, lane: int, row: np.ndarray, made: np.ndarray, inputs: dict[str, Any]) -> bool:
+        """Call the detector of a lane. False: it isolates a unit, or requests the supervisor."""
+        detector, before = self._detectors[lane]
+        looks = {name: row[part] for name, part in self._looks.items()}
+        outputs, after = detector.step(looks, before, Now(0.0))
+        self._detectors[lane] = detector, after
+        for name, part in self._found.items():
+            made[part] = outputs[name]
+            if name in inputs:
+                inputs[name] = made[part]
+        acts = self._blocks.watch is not None and outputs["abort_request"][0] > 0.5
+        return not (acts or np.any(outputs.get("isolated", ())))
 
 
 class Trial(Laws):

@@ -36,9 +36,11 @@ _OF_LAST_BITS = 1e4
 BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance"}
 # with signals
 _PARTS = {
-    "flexible", "actuation.wheels", "actuation.drives", "actuation.thrusters", "supervisor",
+    "sensing.detection", "flexible", "actuation.wheels", "actuation.drives",
+    "actuation.thrusters", "supervisor",
 }  # fmt: skip
 _OWN = re.compile(r"sensing\..*|forces\.(?!disturbance|gripper).*")  # blocks of users
+_LEFT = "its supervisor or fault detection acts, or it diverges"
 _KEPT = 16  # kernels
 _TRIAL = 0.5  # s, of a run under actions that is compared with Drake's
 
@@ -60,7 +62,6 @@ class Compiled(Engine):
         own = replaced | {name for name, is_there in (
             ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
-            ("fault detection", detects(scenario)),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
@@ -75,8 +76,8 @@ class Compiled(Engine):
         self.check(scenario)
         trial = dataclasses.replace(scenario, duration=min(scenario.duration, _TRIAL))
         run = Run(trial, law=factory)
-        if scenario.supervisor is not None:
-            raise NotCovered("a supervisor under actions")
+        if scenario.supervisor is not None or detects(scenario):
+            raise NotCovered("a supervisor or fault detection under actions")
         if own := scenario.blocks.choices():
             raise NotCovered(f"the block {min(own)} under actions")
         if not is_shipped(run.law):
@@ -113,8 +114,8 @@ class Compiled(Engine):
             runs = [run for _, run in group]
             found = results_of(runs, signals, alone=len(scenarios) == 1)
             for (index, run), result in zip(group, found, strict=True):
-                is_left = result is None and run.case.watch is not None
-                results[index] = NotCovered("its supervisor acts") if is_left else result
+                acting = run.case.watch is not None or run.case.detector is not None
+                results[index] = NotCovered(_LEFT) if result is None and acting else result
         for case in cases.values():
             case.forget_rows()
         return results

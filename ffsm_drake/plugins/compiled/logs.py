@@ -31,7 +31,10 @@ def logs_of(
     given |= {name: np.array([run.states[name] for run in lanes]) for name in runs[0].states}
     given["bound"] = np.array([[run.scenario.divergence_speed] for run in lanes])
     rows = [run.rows for run in lanes]
-    laws = Laws(kernel.blocks, [run.controller for run in runs]) if kernel.blocks.called else None
+    laws = None
+    if kernel.blocks.called:
+        detectors = [each for run in runs for each in run.case.detectors()]
+        laws = Laws(kernel.blocks, [run.controller for run in runs], detectors)
     began = time.perf_counter()
     found = kernel.run(given, rows, signals, laws)
     ended = time.perf_counter()

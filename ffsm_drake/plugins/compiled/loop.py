@@ -139,6 +139,7 @@ class Blocks:
     forces: Mapping[str, Sampled]  # by name, held over a sample
     last: Mapping[str, Continuous]  # forces that read the sum of all others
     watch: Sampled | None  # of the supervisor, whose acts the code has not
+    detector: Sampled | None  # a last stage of sensing that is called, as the law is then
     recorded: tuple[str, ...]  # outputs of actuators and flows
     num_errors: int  # parameters of the sensors
     num_actuators: int  # parameters of actuators and flows
@@ -226,6 +227,8 @@ class Blocks:
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
             "applied_force": nv,
             "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
+            "detected": self._found("fault_detected"),
+            "gyroscopic": self.nv if self._gyrates else 0,
             "push": self._held["push"], "mode": 0 if self.watch is None else 2,
             "hidden_push": len(self.loose) if self._push_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
@@ -257,6 +260,41 @@ class Blocks:
     @property
     def _tells_new(self) -> bool:
         return any("measurement_is_new" in stage.outputs for stage in self.sensors)
+
+    def _found(self, name: str) -> int:
+        return 0 if self.detector is None else dict(self.detector.outputs).get(name, 0)
+
+    @property
+    def _gyrates(self) -> bool:
+        return self.detector is not None and "gyroscopic_force" in self.detector.inputs
+
+    @property
+    def detector_inputs(self) -> dict[str, tuple[str, int, int]]:
+        """As ``law_inputs``, of the detector. Raises NotTraceable: one of them is not known."""
+        if self.detector is None:
+            return {}
+        nx, nv, first = self.nq + self.nv, self.nv, 0
+        made = {
+            "state": ("measurement", 0, nx), "told_force": ("applied", 0, nv),
+            "measurement_is_new": ("is_new", 0, nx), "gyroscopic_force": ("gyroscopic", 0, nv),
+        }  # fmt: skip
+        for name, size in self.acted.items():
+            made[name], first = ("acted", first, size), first + size
+        if unknown := set(self.detector.inputs) - set(made):
+            raise NotTraceable(f"{type(self.detector).__name__} with an input {min(unknown)}")
+        return {name: made[name] for name in self.detector.inputs}
+
+    @property
+    def detector_outputs(self) -> dict[str, tuple[str, int, int]]:
+        """Output of the detector -> cell that it is written to, first entry there, and size."""
+        if self.detector is None:
+            return {}
+        cells = {
+            "estimated_state": "measurement", "measurement_is_new": "is_new",
+            "fault_detected": "detected",
+        }  # fmt: skip
+        sizes = dict(self.detector.outputs)
+        return {name: (cell, 0, sizes[name]) for name, cell in cells.items() if name in sizes}
 
     @property
     def law_inputs(self) -> dict[str, tuple[str, int, int]]:
@@ -308,6 +346,8 @@ class Blocks:
             }
         if self.watch is not None:
             made |= {name: ("mode", at, 1) for at, name in enumerate(self.watch.outputs)}
+        if self.detector is not None:
+            made["fault_detected"] = ("detected", 0, sizes["detected"])
         if sizes["hidden_push"]:
             made["external_hidden_force"] = ("hidden_push", 0, sizes["hidden_push"])
         return made
@@ -329,7 +369,8 @@ class Blocks:
             given[name] = (reads, functools.partial(self._point, weights))
         if self.called:
             del given["sample"]
-            given["sensed"], given["acted"] = (_SAMPLE, self._sensed), (_ACTED, self._acted)
+            given["sensed"] = ((*_SAMPLE, "acted"), self._sensed)
+            given["acted"] = _ACTED, self._acted
         if self.called or not begins:
             del given["first"]
         return {
@@ -390,7 +431,12 @@ class Blocks:
     def _sensed(self, cells: Any) -> dict[str, Any]:
         """Of a sample, what comes before the call of the law."""
         signals, made = self._measured(cells, Now(cells.t0[0]))
-        return made | {"is_new": signals["measurement_is_new"]} if self._tells_new else made
+        if self._tells_new:
+            made["is_new"] = signals["measurement_is_new"]
+        if self._gyrates:
+            acted, _ = _parts(cells.acted, {name: np.zeros(n) for name, n in self.acted.items()})
+            made["gyroscopic"] = self._flow(cells, cells.x, acted)[1]["gyroscopic_force"]
+        return made
 
     def _acted(self, cells: Any) -> dict[str, Any]:
         """Of a sample, what comes after the call of the law."""
@@ -423,6 +469,7 @@ class Blocks:
         waiting = np.concatenate([force, cells.waiting])  # newest first
         _, flown = self._flow(cells, cells.x, {})
         signals = {"force": waiting[-self.nv :], "state": cells.x[list(self.known)], **flown}
+        signals["isolated"] = np.zeros(self._found("isolated"))  # a call ends the run before
         loaded = self._act(cells, signals, now)
         return {
             "applied_force": signals["force"],

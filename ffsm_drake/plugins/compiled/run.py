@@ -30,12 +30,13 @@ from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.registry import Factory, call_factory, section_parts
-from ffsm_drake.systems.sampled import Sampled
+from ffsm_drake.systems.sampled import Arrays, Sampled
 from ffsm_drake.systems.sensing.block import measurement_of
 from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import BlockSetup
 
 _KEPT = 64  # cases
+_DETECTION = "sensing.detection"
 
 
 class Case:
@@ -54,7 +55,9 @@ class Case:
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = drift = errors.drift()
-        self.sensors = sensors = (measurement_of(errors), *self._built("sensing").values())
+        *stages, last = measurement_of(errors), *self._built("sensing").values()
+        self.detector = None if last.traced else last
+        self.sensors = sensors = (*stages, last) if last.traced else tuple(stages)
         of_sensors, constants, _ = parameters_of(sensors, "the sensors")
         built = self._built("forces")
         self.last = {name: each for name, each in built.items() if isinstance(each, Continuous)}
@@ -161,6 +164,13 @@ class Case:
         part: Any = section_parts(self._settled).get("supervisor")
         return None if part is None else part.watch(self._setup("supervisor", {}))
 
+    def detectors(self) -> list[tuple[Sampled, Arrays]]:
+        """The detector, with its memory at the start; none without it."""
+        if self.detector is None:
+            return []
+        known = self.states["x"][list(self.fixed["known"])]
+        return [(self.detector, self.detector.start(known))]
+
     def _recorded(self) -> tuple[str, ...]:
         """Signals of the actuators."""
         setup = self._setup("actuation", {})
@@ -194,6 +204,8 @@ class Case:
             is_last = kind == "forces" and isinstance(made, Continuous) and not made.start()
             if not (isinstance(made, Sampled) or is_last):
                 raise NotCovered(block)
+            if isinstance(made, Sampled) and not made.traced and block != _DETECTION:
+                raise NotCovered(f"{block}, which is not traced")
             found[name] = made
             self.built.add(block)
         return found
@@ -300,6 +312,8 @@ class Run:
             self._call_law(error.what)
         else:
             self._lay_out(*found)
+            if self.case.detector is not None:
+                self._call_law("fault detection")
         # with the same diagram on Drake
         self.key = (self.case.group, scenario.controller, type(self.law), *self.code)
 
@@ -307,7 +321,7 @@ class Run:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
         self.parameters = self.case.parameters | {"law": law}
-        kinds = ("sensors", "actuators", "flows", "forces", "last", "watch")
+        kinds = ("sensors", "actuators", "flows", "forces", "last", "watch", "detector")
         blocks = {each: getattr(self.case, each) for each in kinds}
         self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
@@ -315,7 +329,8 @@ class Run:
     def _call_law(self, why: str) -> None:
         self._lay_out(np.zeros(0), (), 0, called=why)
         layout = {name: value.size for name, value in self.blocks.memory.items()}
-        self.code = (*self.code, "called", str(layout), str(self.blocks.law_inputs))
+        ports = self.blocks.law_inputs, self.blocks.detector_inputs, self.blocks.detector_outputs
+        self.code = (*self.code, "called", str(layout), str(ports))
 
     def with_called_law(self, why: str) -> "Run":
         """Return the run with its law called, for this reason why it is not traced."""

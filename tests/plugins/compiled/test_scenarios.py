@@ -240,17 +240,31 @@ def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     assert draw is late_sensors or {record.engine for record in found} == {"compiled"}
 
 
+def detected(random):
+    """Faults that are looked for; thrusters and wheels are isolated, and other faults may make a
+    supervisor act.
+    """
+    name, given, each = broken_parts(random)
+    supervisor = ["supervisor={}"] if random.random() < 0.5 else []
+    return name, [*given, "faults.detection={}", *supervisor], each
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("draw", [supervisors, detected])
 @pytest.mark.parametrize("seed", range(DRAWS))
-def test_runs_whose_supervisor_acts_are_left_to_drake(seed):
-    name, given, each = supervisors(np.random.default_rng(seed))
+def test_runs_of_which_a_part_acts_are_left_to_drake(draw, seed):
+    name, given, each = draw(np.random.default_rng(seed))
     runs = of_seeds(name, [*given, "controller=tdc"], each)
     found, expected = simulate_many(runs, engine="compiled"), simulate_many(runs)
     for record, other in zip(found, expected, strict=True):
-        acts = bool(other.dataset["mode_cause"].any())
-        assert record.engine == ("drake (not covered: its supervisor acts)" if acts else "compiled")
+        data, codes = other.dataset, other.dataset.get("fault_detected")
+        acts = "mode_cause" in data and bool(data["mode_cause"].any())
+        if codes is not None:
+            units = codes["fault_unit"].str.startswith(("thrusters", "wheels"))
+            acts |= bool(codes.values[:, units.values].any())
+        assert record.engine.startswith("drake (not covered: its " if acts else "compiled")
         assert record.outcome == other.outcome
-        assert record.dataset["mode"].equals(other.dataset["mode"])
-        for signal in ("position", "velocity", "applied_force"):
-            difference = np.abs(record.dataset[signal].values - other.dataset[signal].values).max()
-            assert difference <= (0.0 if acts else 1e-9), signal
+        for signal in ("position", "velocity", "applied_force", "mode", "fault_detected"):
+            if signal in data:
+                difference = np.abs(record.dataset[signal].values - data[signal].values).max()
+                assert difference <= (0.0 if acts else 1e-9), signal
