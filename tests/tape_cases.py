@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from ffsm_drake.tape.arrays import repeated
 from ffsm_drake.tape.numbers import Traceable
 
 KINDS = {
@@ -28,10 +29,26 @@ def evaluated(tape, values, result):
             made.append(own[operands[1]])
             continue
         given = [made[each] if type(each) is int else each for each in operands]
+        if kind == "loop":
+            made.append(looped(tape.loops[given[0]], given[1:]))
+            continue
+        if kind == "entry":
+            made.append(given[0][int(given[1])])
+            continue
         made.append((KINDS.get(kind) or getattr(math, kind))(*given))
     flat = np.asarray(result, dtype=object).ravel()
     entries = [made[each.index] if isinstance(each, Traceable) else each for each in flat]
     return np.array(entries, dtype=float).reshape(np.shape(result))
+
+
+def looped(loop, given):
+    """The state after a loop."""
+    size = len(loop.after)
+    state, fixed = given[:size], given[size:]
+    for _ in range(loop.most):
+        if state[0]:
+            state = evaluated(loop.tape, {"state": state, "fixed": fixed}, loop.after).tolist()
+    return state
 
 
 M = np.random.default_rng(3).normal(size=(4, 4))
@@ -70,3 +87,13 @@ def masked(x):
     z[1:3] = x[:2]
     z[0] += x[3]
     return [y, z]
+
+
+def halved(x, most):
+    """Numbers (2), halved until the first is below 1, and the second as often."""
+
+    def step(state, fixed):
+        y = state["x"] * fixed["share"]
+        return {"goes": y[0] > 1.0, "x": y}
+
+    return repeated(step, {"goes": x[0] > 1.0, "x": x}, {"share": np.array(0.5)}, most=most)["x"]

@@ -222,7 +222,8 @@ def _objects(value: Any) -> np.ndarray:
 
 def _each(function: Callable[..., Any], *values: Any) -> Any:
     """A function of the entries of arrays."""
-    return np.frompyfunc(function, len(values), 1)(*map(_objects, values))
+    with np.errstate(invalid="ignore"):  # of constants that are not finite
+        return np.frompyfunc(function, len(values), 1)(*map(_objects, values))
 
 
 def _has_symbols(values: Any) -> bool:

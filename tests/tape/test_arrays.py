@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from tape_cases import CASES, evaluated
+from tape_cases import CASES, evaluated, halved
 
-from ffsm_drake.tape.arrays import Traced, inputs, traced
+from ffsm_drake.tape.arrays import Traced, inputs, repeated, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.tape.tangents import tangents
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -52,3 +53,20 @@ def test_equal_operations_are_one():
     assert (x[0] + x[1]) is (x[1] + x[0])
     assert number(x[0] - x[0]) == 0.0
     assert isinstance(traced([x[0], 1.0]) * 2.0, Traced)
+
+
+@pytest.mark.parametrize("most", [3, 40])
+def test_loops_give_what_they_give_on_numbers(most):
+    """Equal loops are one. A loop has no derivative."""
+    tape, random = Tape(), np.random.default_rng(2)
+    x = inputs(tape, "x", (2,))
+    twice = halved(halved(x, most), most)
+    assert len(tape.loops) == 1
+    for _ in range(5):
+        values = random.uniform(0.1, 1e4, size=2)
+        expected = halved(halved(values, most), most)
+        np.testing.assert_array_equal(evaluated(tape, values, twice), expected)
+    with pytest.raises(NotTraceable, match="derivative of a loop"):
+        tangents(tape, [twice[0]], {x[0].index: 1.0})
+    with pytest.raises(NotTraceable, match="another sample"):
+        repeated(lambda state, fixed: {"x": state["x"] + x[0]}, {"x": x[:1]}, {}, most=1)

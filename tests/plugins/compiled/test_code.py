@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from compiled_equations import compiled, of_copies, text_of, text_of_traced
 from drawn_trees import drawn_tree
+from tape_cases import halved
 
 from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations.equations import mass_matrix
 from ffsm_drake.plugins.equations.tree import Reader
+from ffsm_drake.tape.arrays import inputs, repeated
 from ffsm_drake.tape.numbers import Tape, cosine, sine
 
 
@@ -101,6 +103,26 @@ def test_registers_of_any_width_give_the_same_bits(width):
     q, own = (random.uniform(0.5, 1.0, size=(11, count)) for count in rows)
     found = compiled("mass_matrix", tree, width)(q, own)
     np.testing.assert_array_equal(found, code_of("mass_matrix", tree)(q, own))
+
+
+@pytest.mark.parametrize("width", [1, 8])
+def test_copies_leave_a_loop_one_by_one(width):
+    """Each has what it has on numbers, whatever the others do; within a loop there is another."""
+    tape, of = Tape(), Registers(width)
+
+    def step(state, fixed):
+        inner = halved(state["x"], 3)
+        return {"goes": inner[0] > fixed["least"], "x": inner}
+
+    def nested(x):
+        return repeated(step, {"goes": True, "x": x}, {"least": np.array(2.0)}, most=20)["x"]
+
+    row = [*nested(inputs(tape, "x", (2,)))]
+    run = of_copies(text_of_traced(of, tape, {"x": 2}, row), of, 1, 2)
+    values = 10.0 ** np.random.default_rng(1).uniform(-2, 8, size=(19, 2))
+    values[3] = np.nan
+    expected = [nested(each) for each in values]
+    np.testing.assert_array_equal(run(values), expected)
 
 
 def test_compiled_equations_are_those_on_numbers():

@@ -20,6 +20,8 @@ SHIPPED = {
     "ets_vii": [],
     "reaction_null": [],
     "free_floating": ["controller=tdc"],
+    "thrusters_only": [],
+    "thrusters_and_wheels": [],
 }
 FAST = "environment={altitude: null, mean_motion: 0.01}"
 LAWS = (
