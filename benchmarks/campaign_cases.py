@@ -1,4 +1,4 @@
-"""A campaign's case end to end, side by side over alone.
+"""A campaign's case end to end, in a batch on an engine over alone on Drake.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/campaign_cases.py [NAME ...] [--repeats 10]
         [--cases 16] [--duration S] [--engine compiled [--compare]]
@@ -27,7 +27,6 @@ from ffsm_drake.plugins.campaign.cases import Case, make_cases
 from ffsm_drake.plugins.campaign.evaluate import FIRST_LIMIT, Batch, Evaluator, Row, metrics_of
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
-from ffsm_drake.runs.batches import usual_batch
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.scenario import shipped_scenarios
 
@@ -92,7 +91,7 @@ def processor_time(
 def minima(
     spec: Spec, controller: str, cases: Sequence[Case], repeats: int, folder: Path, engine: str
 ) -> np.ndarray:
-    """Of one law, s per case: alone and side by side."""
+    """Of one law, s per case: alone and in a batch."""
     whole = Batch(tuple((case, controller) for case in cases))
     drake, other = (spec_from_data({**spec.data, "engine": each}) for each in (DRAKE, engine))
     ways = {
@@ -129,7 +128,7 @@ def compare(spec: Spec, controller: str, cases: Sequence[Case], engine: str) -> 
 def report(name: str, seconds: np.ndarray) -> None:
     """Print times per case, and their ratio."""
     alone, batched = 1e3 * seconds
-    told = f"{alone:.1f} ms alone, {batched:.1f} ms side by side: {batched / alone:.3f}"
+    told = f"{alone:.1f} ms alone, {batched:.1f} ms in a batch: {batched / alone:.3f}"
     print(f"{name}: {told}", flush=True)
 
 
@@ -137,9 +136,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("names", nargs="*", help=f"default: {', '.join(NAMES)}")
     parser.add_argument("--repeats", type=int, default=10, help="of each (default: 10)")
-    parser.add_argument("--cases", type=int, default=usual_batch(), help="in a batch")
+    parser.add_argument("--cases", type=int, default=16, help="in a batch")
     parser.add_argument("--duration", type=float, help="of a run, s (default: the scenario's)")
-    parser.add_argument("--engine", default=DRAKE, help="of the batch (default: drake)")
+    parser.add_argument("--engine", default="compiled", help="of the batch (default: compiled)")
     parser.add_argument("--compare", action="store_true", help="rows with both engines")
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:

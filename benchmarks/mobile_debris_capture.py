@@ -243,7 +243,7 @@ def fly(plan: Plan) -> str:
     def reference(setup: BlockSetup) -> Any:
         if setup.scenario.holds:  # from the grasp on
             return PlannedReference().build(setup)
-        return reference_from([plan.motion], [], setup.coordinates, sample_time=0.01)
+        return reference_from(plan.motion)
 
     rollout = make_rollout(plan.scenario, blocks={"reference": reference})
     try:

@@ -95,7 +95,7 @@ def flown(scenario: Scenario, *, law: Any = None, at_once: bool = True) -> RunRe
         goal = scenario.target_posture
         q = [1.0, 0.0, 0.0, 0.0, *goal.base_position, *(goal.joints[name] for name in NAMES)]
         held = Held(np.array(q), coordinates=setup.coordinates, sample_time=scenario.sample_time)
-        return reference_from([held], [], setup.coordinates, sample_time=scenario.sample_time)
+        return reference_from(held)
 
     blocks: dict[str, Any] = {"reference": reference} if at_once else {}
     if law is not None:

@@ -18,9 +18,8 @@ of a
     the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
 (e) 16 and 64 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on
     arrays. Its time is that of all, divided by their number.
-(w) our closed loop of as many runs side by side, each with a seed of its own, per run.
-(k) the same runs compiled, with their preparation, noise and log, where llvmlite is installed (pip
-    install 'ffsm-drake[compiled]').
+(k) as many runs of our closed loop compiled, each with a seed of its own, per run, with their
+    preparation, noise and log, where llvmlite is installed (pip install 'ffsm-drake[compiled]').
 (n) as (k), prepared before: noise, machine code and log.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
@@ -212,17 +211,12 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
     scenario = rollout.loop.scenario
     seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
     logs = [rollout.run(seed) for seed in seeds]
-    own = Rollout(seeds)
     compiled = find_engine(COMPILED) if find_spec("llvmlite") else None
     noise = np.stack([sensor_noise(log) for log in logs], axis=1)
     errors = np.stack([log.error for log in logs], axis=1)
     batch = MujocoBatch(scenario, logs[0].coordinates, runs)
-    found = {
-        "w": np.stack([log.error for log in logs_of(own)], axis=1),
-        "e": batch.run(noise),
-    }
+    found = {"e": batch.run(noise)}
     contestants: dict[str, Callable[[], float]] = {
-        "w": lambda: advance_time(lambda: logs_of(own)) / runs,
         "e": lambda: timed(lambda: batch.run(noise)) / runs,
     }
     if compiled is not None:
@@ -257,14 +251,6 @@ def compile_times(scenario: Scenario) -> list[str]:
         told.append(f"{timed(lambda: Kernel(run.blocks, **how, alone=False)):.2f} s")
         told.append(f"{timed(lambda: Step(run.blocks, **how, slopes=True)):.2f} s")
     return told
-
-
-def logs_of(rollout: Rollout) -> list[RunLog]:
-    """The logs of runs side by side."""
-    logs = [log for log in rollout.run_all() if log is not None]
-    if len(logs) < len(rollout.loop.scenarios):
-        raise SystemExit("a run side by side diverged")
-    return logs
 
 
 def variant_times(
@@ -314,11 +300,11 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
 
 
 def print_at_once(times: Mapping[str, Timing], together: Sequence[AtOnce]) -> None:
-    labels = {"e": "MuJoCo", "w": "ours", "k": f"ours, {COMPILED}", "n": "prepared before"}
+    labels = {"e": "MuJoCo", "k": f"ours, {COMPILED}", "n": "prepared before"}
     for each in together:
         for name, difference in each.differences.items():
             letter, runs = name[0], name[1:]
-            others = [other for other in (*"abcd", f"e{runs}", f"w{runs}") if other in times]
+            others = [other for other in (*"abcd", f"e{runs}") if other in times]
             against = "   ".join(
                 f"{letter}/{other[0]} {times[name].over(times[other])}"
                 for other in others

@@ -74,9 +74,8 @@ def test_rollout(monkeypatch, capsys):
     differences = dict(
         re.findall(r"of all runs, largest difference \(b\) - \((.)\): (\S+)", printed)
     )
-    assert float(differences["w"]) == 0.0  # ours have the same bits
     assert 0.0 < float(differences["e"]) < 1e-7
-    assert all(len(re.findall(rf"{name}/a {ratio}", printed)) == 2 for name in "we")
+    assert len(re.findall(rf"e/a {ratio}", printed)) == 2
     compiled = "(k) skipped" not in printed
     assert len(re.findall(rf"k/e {ratio}", printed)) == 2 * compiled
     assert not compiled or float(differences["k"]) < 1e-10
@@ -116,7 +115,7 @@ def test_startup(monkeypatch, capsys):
 def test_campaign_cases(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     cases = importlib.import_module("campaign_cases")
-    short = ["--repeats", "1", "--cases", "2", "--duration", "0.1"]
+    short = ["--repeats", "1", "--cases", "2", "--duration", "0.1", "--engine", "drake"]
     cases.main(["payload_uncertainty", "flight_sensors", *short])
     printed = capsys.readouterr().out.splitlines()
     assert [line.partition(":")[0] for line in printed] == [
@@ -124,7 +123,7 @@ def test_campaign_cases(monkeypatch, capsys):
         "payload_uncertainty, mean of its laws",
         "flight_sensors, tde_aismc",
     ]
-    pattern = r": (\S+) ms alone, (\S+) ms side by side: (\S+)$"
+    pattern = r": (\S+) ms alone, (\S+) ms in a batch: (\S+)$"
     for alone, batched, ratio in (
         map(float, re.search(pattern, line).groups()) for line in printed
     ):

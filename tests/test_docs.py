@@ -378,7 +378,7 @@ def test_the_tutorial_is_stored_without_outputs():
 
 
 # the law itself, its fields, gains of the paper's laws, and a method of any block's factory
-NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s", "build_wide"}
+NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s"}
 READ = re.compile(r"(?:getattr|hasattr|attribute_of)\(\s*(?:[\w.]+\.)?(?:law|factory)\b, \"(\w+)\"")
 
 

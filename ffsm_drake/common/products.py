@@ -7,16 +7,6 @@ import numpy as np
 from ffsm_drake.common.choice import is_known
 
 
-def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Products of vectors (..., n) and matrices (..., n, n) that lie in memory as they do alone."""
-    if vector.ndim == 1:
-        return matrix.dot(vector)  # faster than @ on few numbers
-    across, down, right = matrix.strides[-3:]
-    if across == (down + right) * matrix.shape[-1]:  # blocks on the diagonal (``CopiesModel``)
-        return np.matmul(matrix, vector[..., None])[..., 0]  # plain BLAS, like ``dot`` of one
-    return np.stack([matrix_vector(one, of) for one, of in zip(matrix, vector, strict=True)])
-
-
 def product(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Products (..., m, k) of matrices (..., m, n) and (..., n, k), however they lie in memory."""
     return np.matmul(np.asanyarray(matrix, order="C"), np.asanyarray(other, order="C"))

@@ -10,9 +10,8 @@ true payload's ``MassProperties`` before that and whenever they change.
 """
 
 import dataclasses
-import functools
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -22,12 +21,10 @@ from ffsm_drake.common.guard import passes
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
-from ffsm_drake.spacecraft.copies import copies_of
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.controllers import make_controller
-from ffsm_drake.systems.controllers.joined import join_controllers
 from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.faults import settled
 from ffsm_drake.systems.frame_path import FRAME_SIZE
@@ -35,7 +32,6 @@ from ffsm_drake.systems.part import Part, PlacedPart, place_part
 from ffsm_drake.systems.registry import (
     Factory,
     call_factory,
-    call_wide_factory,
     find_factory,
     module_file,
     section_kinds,
@@ -43,7 +39,6 @@ from ffsm_drake.systems.registry import (
 )
 from ffsm_drake.systems.sampled import Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup
-from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
@@ -162,26 +157,24 @@ _TAKEN = (
 
 
 def make_blocks(
-    scenarios: Sequence[Scenario],
-    nominals: Sequence[PlantModel],
+    scenario: Scenario,
+    nominal: PlantModel,
     factories: Mapping[str, Factory] | None = None,
     split: StateSplit | None = None,
-) -> tuple[dict[str, System], tuple[dict[str, PlacedPart], ...]]:
-    """All blocks by name, checked, and the parts among them for each copy of the spacecraft; no
-    ``actuation`` if it is ideal.
+) -> tuple[dict[str, System], dict[str, PlacedPart]]:
+    """All blocks by name, checked, and the parts among them; no ``actuation`` if it is ideal.
 
     Args:
-      scenarios: the scenario of each copy, with the systems of its blocks.
-      nominals: for each copy, the plant with the nominal payload; the controller's own.
-      factories: block -> factory in place of the scenarios' choice; "forces.<name>" for a force.
+      scenario: the scenario with the systems of its blocks.
+      nominal: the plant with the nominal payload; the controller's own.
+      factories: block -> factory in place of the scenario's choice; "forces.<name>" for a force.
       split: known and hidden coordinates of the true plant.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
       BlockError: a user-supplied block cannot be loaded, built or wired.
-      NotAlike: the blocks of the copies cannot stand side by side.
     """
-    making = _Making(scenarios, nominals, factories or {}, split or StateSplit())
+    making = _Making(scenario, nominal, factories or {}, split or StateSplit())
     for name in making.names:
         if name == "controller":
             making.make_controller()
@@ -195,167 +188,92 @@ class _Making:
 
     def __init__(
         self,
-        scenarios: Sequence[Scenario],
-        nominals: Sequence[PlantModel],
+        scenario: Scenario,
+        nominal: PlantModel,
         given: Mapping[str, Factory],
         split: StateSplit,
     ) -> None:
         _check_names(given)
-        self._nominals, self._given = nominals, given
-        self._scenarios = scenarios = [
-            settle_faults(scenario, nominal.coordinates)
-            for scenario, nominal in zip(scenarios, nominals, strict=True)
-        ]
-        self._choices = [scenario.blocks.choices() for scenario in scenarios]
-        # the parts of each copy's own sections
-        self._owns = [section_parts(scenario, given) for scenario in scenarios]
-        if len({tuple(own) for own in self._owns}) > 1:
-            raise NotAlike("the sections of the copies' scenarios differ")
-        if len(scenarios) > 1 and any(each.faults or len(each.contacts) > 1 for each in scenarios):
-            raise NotAlike("a spacecraft with faults or a closed chain runs alone")
-        self._setups = [
-            BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=split)
-            for scenario, nominal in zip(scenarios, nominals, strict=True)
-        ]
+        self._nominal, self._given = nominal, given
+        self._scenario = scenario = settle_faults(scenario, nominal.coordinates)
+        self._choices = scenario.blocks.choices()
+        self._own = section_parts(scenario, given)  # parts of its own sections
+        self._setup = BlockSetup(
+            name="", scenario=scenario, nominal=nominal, settings={}, split=split
+        )
         self.blocks: dict[str, System] = {}
-        self._placed: list[dict[str, PlacedPart]] = [{} for _ in scenarios]
+        self._placed: dict[str, PlacedPart] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
         """The blocks, in the order in which they are made."""
-        return _in_order((*self._owns[0], *self._choices[0], *self._given))
+        return _in_order((*self._own, *self._choices, *self._given))
 
     def make_controller(self) -> None:
-        """Make the controller of all copies: one around their laws if these are wide, else side by
-        side.
-        """
-        factory, fed = self._given.get("controller"), self._fed
-        named = getattr(factory, "__name__", self._scenarios[0].controller)
-        each = [
-            make_controller(scenario, nominal, factory)
-            for scenario, nominal in zip(self._scenarios, self._nominals, strict=True)
-        ]
-        made = each[0]
-        if len(each) > 1:
-            join_models = functools.partial(copies_of, scenario=self._scenarios[0])
-            joined = join_controllers(each, self._nominals, join_models)
-            restarts = ("restart",) if "supervisor" in self.names else ()
-            made = joined or SideBySide(each, {*fed, *restarts})
+        """Make the controller."""
+        factory = self._given.get("controller")
+        named = getattr(factory, "__name__", self._scenario.controller)
+        made: Any = make_controller(self._scenario, self._nominal, factory)
         self._add("controller", made, place=f"controller '{named}'")
         if isinstance(part := getattr(made, "part", None), Part):  # of a system of its own
-            self._placed[0]["controller"] = place_part(
-                part, self._setups[0], made, name="controller", block="controller"
+            self._placed["controller"] = place_part(
+                part, self._setup, made, name="controller", block="controller"
             )
 
     def make_block(self, name: str) -> None:
         """Another one, unless it is an ideal actuator."""
-        factory, choices = self._given.get(name), [of.get(name, Block()) for of in self._choices]
-        place = f"blocks.{name} '{getattr(factory, '__name__', choices[0].system)}'"
+        factory, choice = self._given.get(name), self._choices.get(name, Block())
+        place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
         alone = name.rpartition(".")[2]
-        setups = [
-            dataclasses.replace(each, name=alone, settings=choice.settings)
-            for each, choice in zip(self._setups, choices, strict=True)
-        ]
-        fills = [factory_of(name, scenario, factory) for scenario in self._scenarios]
-        made = _make_block(fills, setups, self._fed, kind=kind_of(name), place=place)
-        if made is None and name not in self._choices[0] and name not in self._given:
+        setup = dataclasses.replace(self._setup, name=alone, settings=choice.settings)
+        fill = factory_of(name, self._scenario, factory)
+        made = _make_block(fill, setup, kind=kind_of(name), place=place)
+        if made is None and name not in self._choices and name not in self._given:
             return
         self._add(name, made, place=place)
         made.set_name(alone if alone not in _TAKEN else name.replace(".", "_"))
-        for placed, fill, setup in zip(self._placed, fills, setups, strict=True):
-            if isinstance(fill, Part) and name not in self._owns[0]:
-                placed[name] = place_part(
-                    fill, setup, made, name=name, block=name, copies=len(fills)
-                )
+        if isinstance(fill, Part) and name not in self._own:
+            self._placed[name] = place_part(fill, setup, made, name=name, block=name)
 
-    def parts(self) -> tuple[dict[str, PlacedPart], ...]:
-        """Return the parts of each copy. Raises NotAlike: their signals differ."""
-        parts = tuple(
-            dict(_place_sections(own, setup, self.blocks, len(self._setups))) | placed
-            for own, setup, placed in zip(self._owns, self._setups, self._placed, strict=True)
-        )
-        if len({tuple(_signal_sizes(each)) for each in parts}) > 1:
-            raise NotAlike("the signals of the copies' parts differ")
-        return parts
-
-    @property
-    def _fed(self) -> set[str]:
-        return _fed(self.blocks, self._setups[0].split)
+    def parts(self) -> dict[str, PlacedPart]:
+        """Return the parts: those of the scenario's own sections that have signals, and blocks'."""
+        found = dict[str, PlacedPart]()
+        for name, part in self._own.items():
+            block, setup = name if name in self.blocks else kind_of(name), self._setup
+            placed = place_part(
+                part,
+                dataclasses.replace(setup, name=name),
+                self.blocks.get(block),
+                name=name,
+                block=block,
+            )
+            if placed.signals:
+                found[name] = placed
+        return found | self._placed
 
     def _add(self, name: str, made: System, *, place: str) -> None:
-        kind, coordinates = kind_of(name), self._nominals[0].coordinates
-        check_ports(made, kind, coordinates, place=place, copies=len(self._setups))
+        check_ports(made, kind_of(name), self._nominal.coordinates, place=place)
         self.blocks[name] = made
 
 
-def _signal_sizes(parts: Mapping[str, PlacedPart]) -> Iterator[tuple[str, str, int]]:
-    """Part, name and size of every signal."""
-    for name, part in parts.items():
-        yield from ((name, signal.name, signal.size) for signal in part.signals)
-
-
-def _place_sections(
-    own: Mapping[str, Part], setup: BlockSetup, blocks: Mapping[str, System], copies: int
-) -> Iterator[tuple[str, PlacedPart]]:
-    """The parts of a scenario's own sections that have signals, by name."""
-    for name, part in own.items():
-        block, at = name if name in blocks else kind_of(name), dataclasses.replace(setup, name=name)
-        found = place_part(part, at, blocks.get(block), name=name, block=block, copies=copies)
-        if found.signals:
-            yield name, found
-
-
-def _make_block(
-    factories: Sequence[Factory],
-    setups: Sequence[BlockSetup],
-    fed: Collection[str],
-    *,
-    kind: str,
-    place: str,
-) -> Any:
-    """Return the system of all copies; None of an ideal actuator."""
-    if len(setups) > 1 and all(setup.settings == setups[0].settings for setup in setups):
-        wide = call_wide_factory(factories[0], setups, place=place)
-        if wide is not None:
-            return wide
-    made = [
-        call_factory(factory, setup, place=place)
-        for factory, setup in zip(factories, setups, strict=True)
-    ]
-    if all(isinstance(each, Sampled) for each in made):
-        if kind not in _SAMPLED:
-            kinds = ", ".join(_SAMPLED)
-            raise BlockError(f"{place}: a Sampled block is one of {kinds}; write a Drake system")
-        setup, held = setups[0], kind == "forces"
-        if held and len(made) > 1:
-            raise NotAlike(f"{place}: a held force is for one copy")
-        return SampledSystem(
-            made,
-            name=setup.name,
-            sample_time=setup.sample_time,
-            usual=usual_sizes(kind, setup.coordinates),
-            place=place,
-            held=held,
-        )
-    if len(made) == 1:
-        if isinstance(made[0], Continuous) and kind == "forces":
-            return InstantSystem(made[0], name=setups[0].name)
-        return made[0]
-    if None in made:
-        if any(each is not None for each in made):
-            raise NotAlike(f"{place}: only some of the copies have it")
-        return None
-    return SideBySide(made, fed)
-
-
-def _fed(blocks: Mapping[str, System], split: StateSplit) -> set[str]:
-    """Return the input ports connected in a loop, given the outputs of the blocks before."""
-    fed = {name for ports in BLOCKS.values() for name in (*ports.inputs, "state", "true_state")}
-    optional = {name for ports in BLOCKS.values() for name in ports.optional_outputs}
-    fed |= {"applied_force", *(("hidden_state",) if split.names else ())}
-    for system in blocks.values():
-        fed |= set(filter(system.HasOutputPort, optional))
-    return fed
+def _make_block(factory: Factory, setup: BlockSetup, *, kind: str, place: str) -> Any:
+    """Return the system of a block; None of an ideal actuator."""
+    made = call_factory(factory, setup, place=place)
+    if isinstance(made, Continuous) and kind == "forces":
+        return InstantSystem(made, name=setup.name)
+    if not isinstance(made, Sampled):
+        return made
+    if kind not in _SAMPLED:
+        kinds = ", ".join(_SAMPLED)
+        raise BlockError(f"{place}: a Sampled block is one of {kinds}; write a Drake system")
+    return SampledSystem(
+        made,
+        name=setup.name,
+        sample_time=setup.sample_time,
+        usual=usual_sizes(kind, setup.coordinates),
+        place=place,
+        held=kind == "forces",
+    )
 
 
 def _check_names(given: Iterable[str]) -> None:
@@ -486,9 +404,7 @@ def usual_sizes(block: str, coordinates: Coordinates) -> dict[str, int]:
     return {name: sizes[size] for name, size in words.items() if size in sizes}
 
 
-def check_ports(
-    system: Any, block: str, coordinates: Coordinates, *, place: str, copies: int = 1
-) -> None:
+def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str) -> None:
     """Raise BlockError for a system without a block's ports, or with other sizes.
 
     Args:
@@ -496,7 +412,6 @@ def check_ports(
       block: a key of BLOCKS.
       coordinates: the spacecraft's; they determine the sizes.
       place: names the block in the error.
-      copies: number of copies of the spacecraft in the ports.
     """
     ports = BLOCKS[block]
     if not isinstance(system, System):
@@ -507,7 +422,7 @@ def check_ports(
     except TypeError:
         cause = "TypeError: its __init__ must call super().__init__() first"
         raise BlockError(f"{place} cannot be built: {cause}") from None
-    size = {meaning: copies * number for meaning, number in _sizes(coordinates).items()}
+    size = _sizes(coordinates)
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),
         ("output", ports.outputs, ports.optional_outputs),

@@ -12,7 +12,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,6 @@ from ffsm_drake.loop.blocks import (
 )
 from ffsm_drake.scenario import MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
-from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     change_payload,
@@ -56,7 +55,6 @@ from ffsm_drake.systems.part import EFFORT, Parts, Signal
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.sensing.stages import wire_stages
-from ffsm_drake.systems.side_by_side import NotAlike, SideBySide
 
 # Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
 # outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external
@@ -88,9 +86,6 @@ FORCES = (
 class ClosedLoop:
     """The plant and the connected blocks of a closed loop.
 
-    A loop can have several copies of the spacecraft, each with its own scenario. Its ports then
-    have the values of one copy after another.
-
     Example:
       >>> from ffsm_drake import load_scenario, make_closed_loop
       >>> loop = make_closed_loop(load_scenario("postcapture"))
@@ -100,7 +95,7 @@ class ClosedLoop:
       0
     """
 
-    scenario: Scenario  # scenario of the first copy
+    scenario: Scenario
     plant: MultibodyPlant  # the true one, with hidden coordinates
     coordinates: Coordinates
     split: StateSplit
@@ -110,15 +105,7 @@ class ClosedLoop:
     # signal -> the system and the name of its output port
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
-    copies: Copies | None = None  # None: there is one
-    scenarios: tuple[Scenario, ...] = ()  # scenarios of several copies
-    parts_of_copies: tuple[Parts, ...] = ()
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
-
-    @property
-    def single(self) -> MultibodyPlant:
-        """A plant of one spacecraft: the plant itself, unless it holds several copies."""
-        return self.plant if self.copies is None else self.copies.single
 
     @property
     def tracks_frame(self) -> bool:
@@ -139,9 +126,6 @@ class ClosedLoop:
           root: the diagram that holds the loop.
           root_context: a context of ``root``.
         """
-        if self.copies is not None:
-            self._initialize_copies(root, root_context, self.copies)
-            return
         scenario = self.scenario
         # First: it resets every state and parameter of the diagram.
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
@@ -150,33 +134,13 @@ class ClosedLoop:
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
         self._tell("set_payload", root_context, scenario.carried.truth)
-        self.set_whole_states(root_context, state_at_start(scenario, self.model(context))[None])
-
-    def _initialize_copies(self, root: System, root_context: Context, copies: Copies) -> None:
-        """``initialize`` of several copies."""
-        generators = [RandomGenerator(scenario.random_seed) for scenario in self.scenarios]
-        root.SetRandomContext(root_context, RandomGenerator(0))
-        for block in self.blocks.values():
-            if hasattr(block, "set_random"):
-                block.set_random(block.GetMyMutableContextFromRoot(root_context), generators)
-        context = self.plant.GetMyMutableContextFromRoot(root_context)
-        rows = []
-        for copy, scenario in enumerate(self.scenarios):
-            model = self.true_model(scenario)
-            copies.set_parameters(context, copy, copies.single, model.context)
-            for placed in self.parts_of_copies[copy].values():
-                placed.part.check_plant(scenario, model)
-            rows.append(state_at_start(scenario, model))
-        self._tell(
-            "set_payload", root_context, [scenario.carried.truth for scenario in self.scenarios]
-        )
-        self.set_whole_states(root_context, np.array(rows))
+        self.set_whole_state(root_context, state_at_start(scenario, self.model(context)))
 
     def true_model(self, scenario: Scenario) -> PlantModel:
-        """Return the plant of one spacecraft in a new context with a scenario's true masses."""
-        context = self.single.CreateDefaultContext()
-        set_true_masses(self.single, context, scenario)
-        return dataclasses.replace(self.model(context), plant=self.single)
+        """Return the plant in a new context with a scenario's true masses."""
+        context = self.plant.CreateDefaultContext()
+        set_true_masses(self.plant, context, scenario)
+        return self.model(context)
 
     def model(self, plant_context: Context) -> PlantModel:
         """Return the plant in one of its contexts, for computations."""
@@ -189,44 +153,29 @@ class ClosedLoop:
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
         """Set the payload's true mass properties in the plant and in the blocks that use them."""
-        self.set_payloads(root_context, [properties])
-
-    def set_payloads(self, root_context: Context, properties: Sequence[MassProperties]) -> None:
-        """Set the true mass properties of each copy's payload; see ``set_payload``."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        if self.copies is None:
-            change_payload(self.plant, context, self.scenario, properties[0])
-        else:
-            for copy, (scenario, own) in enumerate(zip(self.scenarios, properties, strict=True)):
-                model = self.true_model(scenario)
-                change_payload(model.plant, model.context, scenario, own)
-                self.copies.set_parameters(context, copy, model.plant, model.context)
-        what = properties[0] if self.copies is None else properties
-        self._tell("set_payload", root_context, what)
+        change_payload(self.plant, context, self.scenario, properties)
+        self._tell("set_payload", root_context, properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
         """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
-        self.set_whole_states(root_context, self.split.whole(state)[None])
+        self.set_whole_state(root_context, self.split.whole(state))
 
-    def set_whole_states(self, root_context: Context, rows: np.ndarray) -> None:
-        """Set the plant's own [q; v], with the hidden state, of each copy: rows (B, nq + nv). See
-        ``set_state``.
-        """
-        state = rows[0] if self.copies is None else self.copies.whole(rows)
+    def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
+        """Set the plant's own [q; v] (nq + nv), with the hidden state. See ``set_state``."""
         self.plant.SetPositionsAndVelocities(
             self.plant.GetMyMutableContextFromRoot(root_context), state
         )
-        known = self.split.known_part(rows)
-        self.set_blocks(root_context, known[0] if self.copies is None else known)
+        self.set_blocks(root_context, self.split.known_part(state))
 
-    def whole_states(self, root_context: Context) -> np.ndarray:
-        """Return the plant's own [q; v] of each copy (B, nq + nv)."""
+    def whole_state(self, root_context: Context) -> np.ndarray:
+        """Return the plant's own [q; v] (nq + nv)."""
         context = self.plant.GetMyContextFromRoot(root_context)
         state: np.ndarray = self.plant.GetPositionsAndVelocities(context)
-        return state[None] if self.copies is None else self.copies.rows(state)
+        return state
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
-        """Reset the blocks, without history, to a known state [q; v], or to one state per copy."""
+        """Reset the blocks, without history, to a known state [q; v]."""
         self._tell("set_initial_state", root_context, state)
 
     def _tell(self, method: str, root_context: Context, what: Any) -> None:
@@ -247,7 +196,7 @@ class ClosedLoop:
         root_context: Context,
         before: "ClosedLoop",
         context_before: Context,
-        references: np.ndarray | None = None,
+        reference: np.ndarray | None = None,
         *,
         afresh: Collection[str] = (),
     ) -> None:
@@ -257,46 +206,25 @@ class ClosedLoop:
           root_context: root context of this loop.
           before: the other loop.
           context_before: root context of the other loop.
-          references: [q_d; v_d] at the start of this loop's motion, of each copy (B, nq + nv), if
-            the nominal model changes; None: it does not change.
+          reference: [q_d; v_d] (nq + nv) at the start of this loop's motion, if the nominal model
+            changes; None: it does not change.
           afresh: blocks that keep their own states.
         """
         for name, block in self.blocks.items():
-            if name not in afresh and name in before.blocks:
-                other, context = (
-                    before.blocks[name],
-                    block.GetMyMutableContextFromRoot(root_context),
-                )
-                _resume(
-                    block, context, other, other.GetMyContextFromRoot(context_before), references
-                )
-
-
-def _resume(
-    block: Any,
-    context: Context,
-    before: Any,
-    context_before: Context,
-    references: np.ndarray | None,
-) -> None:
-    """Continue a block from another loop's, as in ``ClosedLoop.resume``."""
-    if references is None:
-        context.SetStateAndParametersFrom(context_before)
-        return
-    if isinstance(block, SideBySide):
-        pairs = zip(block.each(context), before.each(context_before), references, strict=True)
-        for own, other, reference in pairs:
-            _resume(own[0], own[1], other[0], other[1], reference[None])
-    elif isinstance(block, SampledController):
-        block.resume(context, before, context_before, references)
-    else:
-        context.SetStateAndParametersFrom(context_before)
+            if name in afresh or name not in before.blocks:
+                continue
+            other, context = before.blocks[name], block.GetMyMutableContextFromRoot(root_context)
+            then = other.GetMyContextFromRoot(context_before)
+            if reference is not None and isinstance(block, SampledController):
+                block.resume(context, other, then, reference)
+            else:
+                context.SetStateAndParametersFrom(then)
 
 
 @guarded
 def add_closed_loop(
     builder: DiagramBuilder,
-    scenario: Scenario | Sequence[Scenario],
+    scenario: Scenario,
     *,
     blocks: Mapping[str, Factory] | None = None,
     plant: MultibodyPlant | None = None,
@@ -306,23 +234,20 @@ def add_closed_loop(
 
     Args:
       builder: the builder of the diagram.
-      scenario: the scenario to build. Several scenarios run side by side, in one plant with a copy
-        of the spacecraft for each (``spacecraft.copies``), and ports are wider accordingly. They
-        must have the same model, sample time and kinds of blocks (``systems.side_by_side``).
+      scenario: the scenario to build.
       blocks: block -> factory (BlockSetup -> Drake system), which replaces a block of the scenario,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: a plant that is already in the diagram (``add_combined_plant``, for display); default:
         a new plant without geometry.
       joint_force: (joints), constant force of the joint actuators, which replaces the command, N m
-        or N; with several copies, one row for each.
+        or N.
 
     Returns: the loop, without its diagram.
 
     Raises:
       ModelError: the model does not load.
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
-      BlockError: a user-supplied block cannot be loaded, built or wired; its subclass NotAlike: the
-        blocks of several scenarios cannot be placed side by side.
+      BlockError: a user-supplied block cannot be loaded, built or wired.
 
     Example:
       >>> from pydrake.systems.framework import DiagramBuilder
@@ -333,58 +258,37 @@ def add_closed_loop(
       >>> loop.plant.num_velocities()
       11
     """
-    scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
-    first = scenarios[0]
-    plant, copies = _add_plant(builder, scenarios, plant)
-    single = plant if copies is None else copies.single
-    coordinates, split = coordinates_of(single, undriven=first.undriven), split_of(single)
-    _check_coordinates(scenarios, single, coordinates)
-    nominals = [make_nominal_plant(each) for each in scenarios]
-    blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split)
+    if plant is None:
+        plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
+    coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
+    _check_coordinates(scenario, plant, coordinates)
+    nominal = make_nominal_plant(scenario)
+    blocks_by_name, parts = make_blocks(scenario, nominal, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
-    wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
-    wiring.connect(parts[0], joint_force)
+    wiring = _Wiring(builder, plant, coordinates, split, blocks_by_name, scenario.sample_time)
+    wiring.connect(parts, joint_force)
     return ClosedLoop(
-        parts=parts[0],
-        scenario=first,
+        parts=parts,
+        scenario=scenario,
         plant=plant,
         coordinates=coordinates,
         split=split,
         blocks=blocks_by_name,
         sources=wiring.sources,
-        copies=copies,
-        scenarios=scenarios if copies else (),
-        parts_of_copies=parts if copies else (),
     )
 
 
-def _add_plant(
-    builder: DiagramBuilder, scenarios: Sequence[Scenario], plant: MultibodyPlant | None
-) -> tuple[MultibodyPlant, Copies | None]:
-    """Return the plant of all scenarios, unless there is one, and of several the copies in it."""
-    model = scenarios[0].model
-    if len(scenarios) > 1:
-        copies = Copies.of(model, len(scenarios), flexible=True)
-        return builder.AddNamedSystem("plant", copies.plant), copies
-    if plant is None:
-        plant = builder.AddNamedSystem("plant", make_plant(model, flexible=True))
-    return plant, None
-
-
-def _check_coordinates(
-    scenarios: Sequence[Scenario], plant: MultibodyPlant, coordinates: Coordinates
-) -> None:
+def _check_coordinates(scenario: Scenario, plant: MultibodyPlant, coordinates: Coordinates) -> None:
     """Raise ScenarioError for a value of an unknown coordinate."""
-    for scenario in scenarios:
-        for name, posture in scenario.postures.items():
-            configuration(plant, posture, key=name)
-        for name in ("initial_velocity", "tolerance"):
-            coordinates.check_names(getattr(scenario, name), key=name)
+    for name, posture in scenario.postures.items():
+        configuration(plant, posture, key=name)
+    for name in ("initial_velocity", "tolerance"):
+        coordinates.check_names(getattr(scenario, name), key=name)
 
 
 def make_closed_loop(
-    scenario: Scenario | Sequence[Scenario], *, blocks: Mapping[str, Factory] | None = None
+    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None
 ) -> ClosedLoop:
     """Build the closed loop of a scenario as a Drake diagram.
 
@@ -423,20 +327,17 @@ class _Wiring:
         self,
         builder: DiagramBuilder,
         plant: MultibodyPlant,
-        copies: Copies | None,
         coordinates: Coordinates,
         split: StateSplit,
         blocks: Mapping[str, System],
         sample_time: float,
     ) -> None:
         self._builder, self._plant, self._sample_time = builder, plant, sample_time
-        self._copies = copies
         self._coordinates, self._split, self._blocks = coordinates, split, blocks
         self._controller, self._actuation = blocks["controller"], blocks.get("actuation")
         self._forces = self._of_kind("forces")
         self._supervisor = blocks.get("supervisor")
-        rearranged = bool(split.names) or copies is not None
-        self._states = self._add_states() if rearranged else {"state": (plant, "state")}
+        self._states = self._add_states() if split.names else {"state": (plant, "state")}
         self.sources: dict[str, Source] = dict(self._states)
 
     def connect(self, parts: Parts, joint_force: np.ndarray | None) -> None:
@@ -489,13 +390,11 @@ class _Wiring:
             mask = self._coordinates.is_driven.astype(float)
             if joint_force is not None:
                 mask[NUM_BASE_VELOCITIES:] = 0.0
-            driven = Gain(np.tile(mask, self._copies.number if self._copies else 1))
-            self._builder.AddNamedSystem("driven_force", driven)
+            driven = self._builder.AddNamedSystem("driven_force", Gain(mask))
             self._builder.Connect(_port(applied), driven.get_input_port())
             applied = (driven, driven.get_output_port().get_name())
         if joint_force is not None:
-            each = np.atleast_2d(joint_force)
-            whole = np.pad(each, ((0, 0), (NUM_BASE_VELOCITIES, 0))).ravel()
+            whole = np.pad(joint_force, (NUM_BASE_VELOCITIES, 0))
             held = self._builder.AddNamedSystem("joint_force", ConstantVectorSource(whole))
             applied = self._sum("applied", [applied, (held, held.get_output_port().get_name())])
         self.sources[name] = applied
@@ -526,8 +425,6 @@ class _Wiring:
         self._connect("estimated_state", supervisor.GetInputPort("estimated_state"))
         self._connect("generalized_force", supervisor.GetInputPort("generalized_force"))
         asking = [each for each in self._blocks.values() if each.HasOutputPort(ABORT)]
-        if asking and self._copies:
-            raise NotAlike("a request to the supervisor is for one copy")
         if asking and supervisor.HasInputPort(ABORT):
             self.sources[ABORT] = self._sum(ABORT, [(each, ABORT) for each in asking])
             self._connect(ABORT, supervisor.GetInputPort(ABORT))
@@ -618,7 +515,6 @@ class _Wiring:
     def _on_whole_plant(self, acts: Source, on_hidden: list[System]) -> Source:
         """Combine a force on the known coordinates with forces of systems on hidden coordinates."""
         nv, nh = len(self._coordinates.names), len(self._split.names)
-        copies = self._copies.number if self._copies else 1
         terms = {"known_force": (_port(acts), self._split.known)}
         if on_hidden:
             forces = [(system, "hidden_force") for system in on_hidden]
@@ -627,19 +523,15 @@ class _Wiring:
                 self._split.hidden,
             )
         else:
-            zero = ConstantVectorSource(np.zeros(copies * nh))
+            zero = ConstantVectorSource(np.zeros(nh))
             self._builder.AddNamedSystem("no_hidden_force", zero)
             terms["hidden_force"] = (zero.get_output_port(), self._split.hidden)
         origin = {
-            int(entry): (index, offset, entries.size)
+            int(entry): (index, offset)
             for index, (_, entries) in enumerate(terms.values())
             for offset, entry in enumerate(entries)
         }
-        places = [
-            (index, copy * size + offset)
-            for copy in range(copies)
-            for index, offset, size in map(origin.__getitem__, range(nv + nh))
-        ]
+        places = list(map(origin.__getitem__, range(nv + nh)))
         sizes = {name: port.size() for name, (port, _) in terms.items()}
         whole = self._select("whole_force", sizes, {"whole_force": places})
         for index, (port, _) in enumerate(terms.values()):
@@ -647,13 +539,11 @@ class _Wiring:
         return whole, "whole_force"
 
     def _add_states(self) -> dict[str, Source]:
-        """Return the known and the hidden state, of each copy, taken from the plant's."""
-        size = self._plant.num_multibody_states()
-        rows = np.arange(size) if self._copies is None else self._copies.rows(np.arange(size))
-        parts = {"state": self._split.known_part(rows)}
-        if self._split.names:
-            parts["hidden_state"] = self._split.hidden_part(rows)
-        places = {name: [(0, int(i)) for i in entries.flat] for name, entries in parts.items()}
+        """Return the known and the hidden state, taken from the plant's."""
+        size, split = self._plant.num_multibody_states(), self._split
+        entries = np.arange(size)
+        parts = {"state": split.known_part(entries), "hidden_state": split.hidden_part(entries)}
+        places = {name: [(0, int(i)) for i in of] for name, of in parts.items()}
         selector = self._select("states", {"whole_state": size}, places)
         self._builder.Connect(self._plant.get_state_output_port(), selector.get_input_port())
         return {name: (selector, name) for name in parts}

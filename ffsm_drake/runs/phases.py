@@ -76,7 +76,7 @@ class Situation:
     @property
     def state(self) -> np.ndarray:
         """The plant's own [q; v]."""
-        state: np.ndarray = self.loop.whole_states(self.context)[0]
+        state: np.ndarray = self.loop.whole_state(self.context)
         return state
 
     def failing(self, status: str, message: str) -> "Situation":
@@ -105,7 +105,7 @@ class PhaseKind:
     ) -> Situation:
         """Put the loop of a phase where it begins. By default: where the last one ended."""
         if now.sample > 0:
-            loop.set_whole_states(root_context, now.state[None])
+            loop.set_whole_state(root_context, now.state)
             loop.resume(root_context, now.loop, now.context, afresh=phase.afresh)
         return now
 
@@ -313,4 +313,4 @@ class _Run:
 
 def _along(motion: PlannedMotion, setup: BlockSetup) -> Diagram:
     """Return the reference of a motion."""
-    return reference_from([motion], [], setup.coordinates, sample_time=setup.sample_time)
+    return reference_from(motion)

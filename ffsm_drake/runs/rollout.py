@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_close
 from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
+from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
 from ffsm_drake.scenario.contacts import closing_times
@@ -61,8 +61,8 @@ class Leg:
 class Rollout:
     """A closed loop that is built once and run many times.
 
-    Every run has the same bits as a run of a new loop. Several scenarios can run side by side, each
-    with the bits of a run by itself. A new Rollout raises the errors of ``add_closed_loop``.
+    Every run has the same bits as a run of a new loop. A new Rollout raises the errors of
+    ``add_closed_loop``.
 
     Example:
       >>> from ffsm_drake import Rollout, load_scenario, override_scenario
@@ -76,7 +76,7 @@ class Rollout:
     @guarded
     def __init__(
         self,
-        scenario: Scenario | Sequence[Scenario],
+        scenario: Scenario,
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
@@ -86,7 +86,7 @@ class Rollout:
         """Build the closed loop.
 
         Args:
-          scenario: the scenario to build, or several for ``run_all``.
+          scenario: the scenario to build.
           blocks: factories that replace blocks of the scenario, see ``add_closed_loop``.
           meshcat: shows the motion.
           show: adds the scene graph and the systems that move its bodies; default: from the plant.
@@ -94,8 +94,6 @@ class Rollout:
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
-        scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
-        scenario = scenarios[0]
         plant = (
             None
             if meshcat is None or show is not None
@@ -103,7 +101,7 @@ class Rollout:
         )
         loop = add_closed_loop(
             builder,
-            scenarios,
+            scenario,
             blocks=blocks,
             plant=plant,
             joint_force=joint_force,
@@ -125,7 +123,7 @@ class Rollout:
         self._user_supplied = user_supplied(scenario, blocks)
         # With user-supplied blocks or a viewer, a run is not repeated with the monitor.
         self._checked_in_log = logs_every_step and meshcat is None and not self._user_supplied
-        self._built_for = [_built_from(each) for each in scenarios]
+        self._built_for: dict[str, Any] | None = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
     def release(self) -> None:
@@ -133,19 +131,18 @@ class Rollout:
 
         Do not use any part of it afterwards. A second call has no effect.
         """
-        if self._built_for:
+        if self._built_for is not None:
             untie(self.loop.diagram)
-        self._built_for = []
+        self._built_for = None
 
-    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
-        """True if ``run`` can run the scenario, or ``run_all`` the scenarios, without a new build.
+    def accepts(self, scenario: Scenario) -> bool:
+        """True if ``run`` can run the scenario without a new build.
 
         A scenario can differ in description, seed, duration, divergence speed, initial velocity and
         true mass properties of the payload. With a capture the true centre of mass must be equal,
         because the motion of the target depends on it.
         """
-        scenarios = (scenario,) if isinstance(scenario, Scenario) else scenario
-        return [_built_from(each) for each in scenarios] == self._built_for
+        return _built_from(scenario) == self._built_for
 
     @guarded
     def run(
@@ -207,61 +204,6 @@ class Rollout:
             raise failure
         return log
 
-    @guarded
-    def run_all(
-        self,
-        scenarios: Sequence[Scenario] | None = None,
-        *,
-        leg: Leg | None = None,
-        without: Collection[int] = (),
-    ) -> list[RunLog | None]:
-        """Run scenarios side by side, all with the same number of control samples.
-
-        Args:
-          scenarios: the scenarios to run, which ``accepts`` must accept; None: those of the build.
-          leg: the part of the runs; None: the whole runs.
-          without: copies of the spacecraft that are not run.
-
-        Returns: the log of each run, equal to the log of ``run``. None: run it separately, because
-        it was not run, failed, or diverged at a step outside the log.
-
-        Raises:
-          ScenarioError: the scenarios need another build.
-          KeyboardInterrupt: interrupted from the keyboard.
-          Exception: any failure of one of the runs. Separate runs find it.
-        """
-        start, loop, leg = time.perf_counter(), self.loop, leg or Leg()
-        if scenarios is not None:
-            if not self.accepts(scenarios):
-                problem = "differ from the built ones in more than a run can change; build others"
-                raise ScenarioError("scenarios", problem)
-            loop = dataclasses.replace(loop, scenario=scenarios[0], scenarios=tuple(scenarios))
-        if loop.copies is None:
-            return [self.run(loop.scenario, leg=leg)]
-        monitor = CopiesMonitor(loop, without, every_step=not self._checked_in_log)
-        interrupted, failure, advance_time = self._advance(monitor, leg, watched=True)
-        if interrupted:
-            raise KeyboardInterrupt
-        if failure is not None:
-            raise failure
-        logs: list[RunLog | None] = [None] * loop.copies.number
-        for copy, scenario in enumerate(loop.scenarios):
-            own = Monitor(dataclasses.replace(loop, scenario=scenario), None)
-            last = self._first_beyond(own.bounded, copy)
-            aside = copy in without or copy in monitor.lost
-            if aside or (last is not None and not self._checked_in_log):
-                continue
-            if last is not None:
-                own.judge(*self._logged(last, copy))
-            times, series = self._read_log(unfinished=leg.last is not None, copy=copy, last=last)
-            if bad_output(own.bounded(series["state"]), series, self._user_supplied):
-                continue
-            outcome = _outcome(own, float(times[-1]), None, interrupted=False)
-            wall_time = self._wall_time(start, advance_time)
-            alone = dataclasses.replace(own.loop, parts=loop.parts_of_copies[copy])
-            logs[copy] = _make_log(alone, outcome, times, series, wall_time)
-        return logs
-
     def _wall_time(self, start: float, advance_time: float) -> dict[str, float]:
         """Wall time of a run with a given start, s."""
         total = time.perf_counter() - start
@@ -284,7 +226,7 @@ class Rollout:
             raise self._failure(error, context) from error
 
     def _advance(
-        self, monitor: Monitor | CopiesMonitor, leg: Leg, *, watched: bool
+        self, monitor: Monitor, leg: Leg, *, watched: bool
     ) -> tuple[bool, BlockError | None, float]:
         """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
@@ -370,42 +312,33 @@ class Rollout:
     def _num_logged(self) -> int:
         return int(self._logger.FindLog(self._simulator.get_context()).num_samples())
 
-    def _logged(self, sample: int, copy: int = 0) -> tuple[float, np.ndarray]:
-        """Time and known state [q; v] of a copy of the spacecraft at a sample of the log."""
+    def _logged(self, sample: int) -> tuple[float, np.ndarray]:
+        """Time and known state [q; v] at a sample of the log."""
         log = self._logger.FindLog(self._simulator.get_context())
-        part = _part_of(self._rows["state"], copy, self.loop)
-        return float(log.sample_times()[sample]), log.data()[part, sample].copy()
+        return float(log.sample_times()[sample]), log.data()[self._rows["state"], sample].copy()
 
-    def _first_beyond(
-        self, bounded: Callable[[np.ndarray], np.ndarray], copy: int = 0
-    ) -> int | None:
-        """Return the first sample of the log at which a copy's known state is not within its
-        bounds, or is not finite.
+    def _first_beyond(self, bounded: Callable[[np.ndarray], np.ndarray]) -> int | None:
+        """Return the first sample of the log at which the known state is not within its bounds, or
+        is not finite.
         """
         log = self._logger.FindLog(self._simulator.get_context())
-        states = log.data()[_part_of(self._rows["state"], copy, self.loop)].T
+        states = log.data()[self._rows["state"]].T
         beyond = np.flatnonzero(~bounded(states))
         return int(beyond[0]) if beyond.size else None
 
     def _read_log(
-        self,
-        *,
-        unfinished: bool,
-        copy: int = 0,
-        last: int | None = None,
+        self, *, unfinished: bool, last: int | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Sample times and the aligned series (copied) of a copy of the spacecraft.
+        """Sample times and the aligned series (copied).
 
         Args:
           unfinished: the run may have ended before the update of its last sample.
-          copy: the copy of the spacecraft.
           last: the run's last sample, of its divergence; None: the log's.
         """
         loop, context = self.loop, self._simulator.get_context()
         held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
         log = self._logger.FindLog(context)
-        times, rows = log.sample_times().copy(), log.data()
-        parts = {name: _part_of(part, copy, loop) for name, part in self._rows.items()}
+        times, rows, parts = log.sample_times().copy(), log.data(), self._rows
         end = times.size if last is None else last + 1
         times = times[:end]
         if unfinished and end == 0:
@@ -426,16 +359,9 @@ class Rollout:
             if end < rows.shape[1]:
                 now = rows[part, end]
             else:
-                values = loop.diagram.GetOutputPort(name).Eval(context)
-                now = values[_part_of(slice(0, values.size), copy, loop)]
+                now = loop.diagram.GetOutputPort(name).Eval(context)
             series[name] = np.vstack([rows[part, 1:end].T, now])
         return times, series
-
-
-def _part_of(part: slice, copy: int, loop: ClosedLoop) -> slice:
-    """Return the part of a copy of the spacecraft in the rows of all copies."""
-    size = (part.stop - part.start) // (loop.copies.number if loop.copies else 1)
-    return slice(part.start + copy * size, part.start + (copy + 1) * size)
 
 
 def _make_log(
@@ -518,7 +444,7 @@ def _add_logger(
     return logger, {name: rows[source] for name, source in sources.items()}
 
 
-def _is_sound(monitor: Monitor | CopiesMonitor, context: Context) -> bool:
+def _is_sound(monitor: Monitor, context: Context) -> bool:
     """True unless the state, or the controller's force, shows that the run has diverged."""
     try:
         return monitor.check(context) and monitor.check_force(context)
@@ -548,16 +474,15 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
 
 
 def make_rollout(
-    scenario: Scenario | Sequence[Scenario],
+    scenario: Scenario,
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
 ) -> Any:
-    """Return the rollout of a scenario, or of several with the same blocks: a ``Rollout``, or with
-    a capture one with the same methods. Arguments and errors: see ``Rollout``.
+    """Return the rollout of a scenario: a ``Rollout``, or with a capture one with the same
+    methods. Arguments and errors: see ``Rollout``.
     """
-    first = scenario if isinstance(scenario, Scenario) else scenario[0]
-    kind = service("capture_rollout", "capture") if first.grasps else Rollout
-    if first.closed is None and len(closing_times(first)) > 1:
+    kind = service("capture_rollout", "capture") if scenario.grasps else Rollout
+    if scenario.closed is None and len(closing_times(scenario)) > 1:
         kind = service("later_hands_rollout", "contacts.closes")
-    return kind(scenario if kind is Rollout else first, blocks=blocks, meshcat=meshcat)
+    return kind(scenario, blocks=blocks, meshcat=meshcat)

@@ -237,16 +237,12 @@ def simulate_many(
 ) -> list[RunRecord]:
     """Run many scenarios and return their records in the same order.
 
-    The records have the same bits as with ``simulate``, but missions are not checked before the
-    run. Compatible scenarios run side by side in one diagram, in about a third of the time. They
-    have the same model, controller, blocks, integrator and number of samples, and can differ in
-    seed, payload, postures and the numbers of all other sections (docs/many_runs.md). Other
-    scenarios, and a run that diverges, are run separately.
+    On Drake the records have the same bits as with ``simulate``, but missions are not checked
+    before the run.
 
     Args:
       scenarios: the scenarios to run.
-      batch: largest number of runs side by side; 1: none; default: as many as fit into the
-        second-level cache of the processor.
+      batch: largest number of runs at once on an engine other than Drake.
       keep_errors: True: a failed run has its exception in place of its record.
       engine: ``drake``, or ``compiled`` for machine code, whose results differ by rounding. Drake
         computes the runs that it does not cover (docs/many_runs.md). Each record has the name of

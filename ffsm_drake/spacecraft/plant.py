@@ -135,23 +135,13 @@ def check_pictures(model: Model) -> None:
             raise ModelError(f"model: mesh {path}: cannot be drawn: {cause_of(error)}") from error
 
 
-def make_plant(
-    model: Model, *, flexible: bool = False, copies: int = 1, jointless: bool = False
-) -> MultibodyPlant:
+def make_plant(model: Model, *, flexible: bool = False, jointless: bool = False) -> MultibodyPlant:
     """Return the finalized plant without a diagram, for computations. Arguments and errors: see
     ``add_combined_plant``. A ``jointless`` plant may lack moving joints.
-
-    Each of several ``copies`` of the spacecraft has its own model instances, named
-    ``copy_0::servicer`` and so on; q and v hold copy after copy (``spacecraft.copies``).
     """
     plant = MultibodyPlant(time_step=0.0)
-    load_model(plant, model, flexible=flexible, copies=copies, jointless=jointless)
+    load_model(plant, model, flexible=flexible, jointless=jointless)
     return plant
-
-
-def copy_instance(copy: int, name: str) -> str:
-    """Return the model instance of a copy, for that of the only one."""
-    return f"copy_{copy}::{name}"
 
 
 def load_model(
@@ -160,25 +150,18 @@ def load_model(
     *,
     apart: str | None = None,
     flexible: bool = False,
-    copies: int = 1,
     jointless: bool = False,
 ) -> None:
     """Parse the model into an empty plant, finalize and check it; see ``add_combined_plant``."""
-    for copy in range(copies):
-        first = plant.num_model_instances()
-        source = _parse(plant, model)
-        if apart is not None:
-            _free(plant, apart, model)
-        try:
-            if model.flexible:
-                parts = flexible_parts()
-                (parts.add_flexible if flexible else parts.lock_joints)(plant, model)
-        except DRAKE_ERRORS as error:
-            raise ModelError(f"model.flexible: {cause_of(error)}") from error
-        if copies > 1:  # the next one finds its names free
-            for index in map(ModelInstanceIndex, range(first, plant.num_model_instances())):
-                name = copy_instance(copy, plant.GetModelInstanceName(index))
-                plant.RenameModelInstance(index, name)
+    source = _parse(plant, model)
+    if apart is not None:
+        _free(plant, apart, model)
+    try:
+        if model.flexible:
+            parts = flexible_parts()
+            (parts.add_flexible if flexible else parts.lock_joints)(plant, model)
+    except DRAKE_ERRORS as error:
+        raise ModelError(f"model.flexible: {cause_of(error)}") from error
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     try:
         _add_drives(plant)
@@ -192,8 +175,6 @@ def load_model(
         )
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
-    if copies > 1:
-        return
     if apart is None:
         try:
             coordinates_of(plant, jointless=jointless)

@@ -5,8 +5,7 @@ runs at the stages of the integrator. The plug-in ``compiled`` evaluates them on
 """
 
 import functools
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,45 +83,28 @@ class InstantSystem(LeafSystem):
 
 
 class ContinuousSystem(Diagram):
-    """The Drake system of a ``Continuous`` block for each of several copies of the spacecraft;
-    ports hold copy after copy.
-    """
+    """The Drake system of a ``Continuous`` block."""
 
-    def __init__(self, block: Continuous, *, name: str, copies: int = 1) -> None:
-        """Args: the block; name of the system with the state; number of copies."""
+    def __init__(self, block: Continuous, *, name: str) -> None:
+        """Args: the block; name of the system with the state."""
         super().__init__()
         self._block, start = block, block.start()
         read = {each: block.entries.get(each, range(n)) for each, n in block.inputs.items()}
-        given = {each: _variables(len(of), copies, each) for each, of in read.items()}
-        states = {each: _variables(value.size, copies, each) for each, value in start.items()}
-        outputs, rates = dict[str, list[Any]](), dict[str, list[Any]]()
-        for copy in range(copies):
-            symbols = [
-                {each: values[copy] for each, values in of.items()} for of in (given, states)
-            ]
-            with np.errstate(all="ignore"):  # Drake's expressions may leave flags behind
-                found, changes = block.flow(*symbols)
-            for to, values in ((outputs, found), (rates, changes)):
-                for each, own in values.items():
-                    to.setdefault(each, []).extend(own)
+        given = {each: MakeVectorVariable(len(of), each) for each, of in read.items()}
+        states = {each: MakeVectorVariable(value.size, each) for each, value in start.items()}
+        with np.errstate(all="ignore"):  # Drake's expressions may leave flags behind
+            outputs, rates = block.flow(given, states)
         self._own = SymbolicVectorSystem(
-            input=_joined(given),
-            state=_joined(states),
-            dynamics=[*itertools.chain(*(rates[each] for each in states))],
-            output=[*itertools.chain(*(outputs[each] for each in block.outputs))],
+            input=_joined(given, read),
+            state=_joined(states, states),
+            dynamics=_joined(rates, states),
+            output=_joined(outputs, block.outputs),
         )
-        builder = DiagramBuilder()
-        sizes = {each: copies * n for each, n in block.inputs.items()}
-        places = [
-            (index, copy * block.inputs[each] + entry)
-            for index, (each, of) in enumerate(read.items())
-            for copy in range(copies)
-            for entry in of
-        ]
+        builder, sizes = DiagramBuilder(), dict(block.inputs)
+        places = [(index, entry) for index, of in enumerate(read.values()) for entry in of]
         inputs = builder.AddNamedSystem("inputs", make_selector(sizes, {"read": places}))
         builder.AddNamedSystem(name, self._own)
-        widths = [copies * n for n in block.outputs.values()]
-        parts = builder.AddNamedSystem("outputs", Demultiplexer(widths))
+        parts = builder.AddNamedSystem("outputs", Demultiplexer(list(block.outputs.values())))
         builder.Connect(inputs.get_output_port(), self._own.get_input_port())
         builder.Connect(self._own.get_output_port(), parts.get_input_port())
         for index, each in enumerate(block.inputs):
@@ -132,16 +114,10 @@ class ContinuousSystem(Diagram):
         builder.BuildInto(self)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """The spacecraft is at ``state`` [q; v]; of several copies, rows."""
-        made = [self._block.start(row) for row in np.atleast_2d(state)]
-        values = [of[name] for name in made[0] for of in made]
+        """The spacecraft is at ``state`` [q; v]."""
         own = self.GetMutableSubsystemContext(self._own, context)
-        own.SetContinuousState(np.concatenate(values))
+        own.SetContinuousState(np.concatenate([*self._block.start(state).values()]))
 
 
-def _variables(size: int, copies: int, name: str) -> Any:
-    return MakeVectorVariable(size * copies, name).reshape(copies, size)
-
-
-def _joined(values: Mapping[str, Any]) -> Any:
-    return np.concatenate([np.zeros(0), *(each.ravel() for each in values.values())])
+def _joined(values: Mapping[str, Any], names: Iterable[str]) -> Any:
+    return np.concatenate([np.zeros(0), *(values[name] for name in names)])

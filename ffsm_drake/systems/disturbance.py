@@ -1,6 +1,5 @@
 """The external disturbance: a harmonic and a constant per coordinate (Table 1), in C++ systems."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,17 +20,12 @@ class HarmonicDisturbance(Part):
 
     def build(self, setup: BlockSetup) -> Diagram:
         """Return the force."""
-        return self.build_wide([setup])
-
-    def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram:
-        """Return the forces of several copies, see ``systems.side_by_side``."""
-        settings = [setup.scenario.disturbance for setup in setups]
-        return make_disturbance(settings, setups[0].coordinates)
+        return make_disturbance(setup.scenario.disturbance, setup.coordinates)
 
 
-def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) -> Diagram:
+def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> Diagram:
     """Return a source with output ``generalized_force``: amplitude sin(frequency t + phase) + bias,
-    N m and N, (nv) of each of the settings.
+    N m and N, (nv).
 
     The scales multiply amplitudes and biases, and frequencies (phases stay), so that the paper's
     tau_d2 is ``frequency_scale: 3`` and tau_d3 is ``amplitude_scale: 3``.
@@ -39,21 +33,19 @@ def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) 
     Raises:
       ScenarioError: a harmonic is given for an unknown coordinate.
     """
-    distinct = [each for at, each in enumerate(settings) if each not in settings[:at]]
-    vectors = [_vectors(each, coordinates) for each in distinct]
-    amplitude, frequency, phase, bias = (np.concatenate(of) for of in zip(*vectors, strict=True))
+    *sines, bias = sines_of(settings, coordinates)
+    # An even number of sines: the last bit of a vectorised sine depends on whether it has a
+    # neighbour.
+    nv, odd = bias.size, bias.size % 2
+    amplitude, frequency, phase = (np.append(each, np.zeros(odd)) for each in sines)
     builder = DiagramBuilder()
     harmonic = builder.AddNamedSystem("harmonic", Sine(amplitude, frequency, phase))
     port = harmonic.get_output_port(0)
-    nv, width = len(coordinates.names), amplitude.size // len(distinct)
-    copies = [distinct.index(each) for each in settings]
-    if nv < width or len(distinct) < len(copies):
-        kept = [(0, copy * width + i) for copy in copies for i in range(nv)]
-        taken = make_selector({"harmonics": port.size()}, {"taken": kept})
-        builder.AddNamedSystem("taken", taken)
+    if odd:
+        kept = {"taken": [(0, i) for i in range(nv)]}
+        taken = builder.AddNamedSystem("taken", make_selector({"harmonics": port.size()}, kept))
         builder.Connect(port, taken.get_input_port())
         port = taken.get_output_port()
-    bias = np.concatenate([bias[copy * nv : (copy + 1) * nv] for copy in copies])
     if bias.any():
         biases = builder.AddNamedSystem("bias", ConstantVectorSource(bias))
         biased = builder.AddNamedSystem("biased", Adder(2, bias.size))
@@ -70,16 +62,6 @@ def force_at(time: Any, sines: Any) -> Any:
     """Return the force (nv) of ``sines_of`` at a time, s, both of which may be symbols."""
     amplitude, frequency, phase, bias = sines
     return amplitude * np.sin(frequency * time + phase) + bias
-
-
-def _vectors(settings: Disturbance, coordinates: Coordinates) -> list[np.ndarray]:
-    """``sines_of`` with an even number of sines.
-
-    The vectorised sine of an entry depends, in the last bit, on whether it has a neighbour: with an
-    even number the entries of one spacecraft have the same bits among those of several.
-    """
-    *sines, bias = sines_of(settings, coordinates)
-    return [*(np.append(each, np.zeros(bias.size % 2)) for each in sines), bias]
 
 
 def sines_of(settings: Disturbance, coordinates: Coordinates) -> np.ndarray:

@@ -547,10 +547,9 @@ def place_part(
     *,
     name: str,
     block: str,
-    copies: int = 1,
 ) -> PlacedPart:
-    """Place a part with its signals, checked against the system in its block, for one or several
-    copies of the spacecraft. Raises BlockError.
+    """Place a part with its signals, checked against the system in its block. Raises
+    BlockError.
     """
     place = f"blocks.{name} '{type(part).__name__}'"
     signals = tuple(part.signals(setup))
@@ -564,7 +563,7 @@ def place_part(
         if system is None or not system.HasOutputPort(signal.name):
             raise BlockError(f"{place}: signal '{signal.name}' needs an output port of that name")
         size = system.GetOutputPort(signal.name).size()
-        if size != copies * signal.size:
+        if size != signal.size:
             raise BlockError(
                 f"{place}: output port '{signal.name}' must have size {signal.size}, as its signal "
                 f"has components, not {size}"

@@ -15,8 +15,7 @@ v_0 this is the eigenaxis turn.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
@@ -24,14 +23,14 @@ from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.plugins import service
-from ffsm_drake.scenario import Posture, Scenario, planned_part, scenario_to_dict
+from ffsm_drake.scenario import Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
+from ffsm_drake.systems.frame_path import FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.part import UNIT, Part, Signal, state_signals
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
@@ -76,38 +75,12 @@ class _FrameMotion(PlannedMotion):
         return self._path.rows(times)
 
 
-class _SideBySideMotion(PlannedMotion):
-    """Motions of several copies of the spacecraft: the first entries of all of them, then the
-    rest.
-    """
-
-    def __init__(self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float) -> None:
-        self._motions, self._first = motions, first
-        super().__init__(
-            coordinates=motions[0].coordinates,
-            sample_time=sample_time,
-            begin=motions[0].begin,
-            end=max(motion.end for motion in motions),
-        )
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        made = {motion: motion.rows(times) for motion in set(self._motions)}  # some are shared
-        each = [made[motion] for motion in self._motions]
-        parts = [rows[:, : self._first] for rows in each], [rows[:, self._first :] for rows in each]
-        return np.hstack([*parts[0], *parts[1]])
-
-
 class _MotionSource(LeafSystem):
     """The rows of a motion in one output: with two, Drake would call twice per sample."""
 
-    def __init__(self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float) -> None:
-        """Args: of each copy of the spacecraft; how many entries of all rows go first; s."""
+    def __init__(self, motion: PlannedMotion) -> None:
         super().__init__()
-        self._motion = (
-            motions[0]
-            if len(motions) == 1
-            else _SideBySideMotion(motions, first=first, sample_time=sample_time)
-        )
+        self._motion = motion
         size = self._motion.row(0.0).size
         self.DeclareVectorOutputPort(
             "motion", size, weak_callback(self._calc_motion), {self.time_ticket()}
@@ -235,65 +208,33 @@ class PlannedReference(Part):
 
     def build(self, setup: BlockSetup) -> Diagram:
         """Return the reference of a scenario."""
-        return make_reference([setup.scenario], setup.coordinates)
-
-    def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram | None:
-        """Return the references of several copies of the spacecraft, see ``systems.side_by_side``;
-        None where only some prescribe a frame.
-        """
-        if len({prescribes_frame(setup.scenario) for setup in setups}) > 1:
-            return None
-        return make_reference([setup.scenario for setup in setups], setups[0].coordinates)
+        return make_reference(setup.scenario, setup.coordinates)
 
 
-def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> Diagram:
+def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
     """Return a source of the planned motion, a function of time only.
 
-    Outputs, of each of the scenarios:
+    Outputs:
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: time derivative of v_d (nv).
       desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
     """
-    motions, frames = list[PlannedMotion](), list[PlannedMotion]()
-    made = list[tuple[dict[str, Any], PlannedMotion, PlannedMotion | None]]()
-    for scenario in scenarios:
-        part = scenario_to_dict(planned_part(scenario))
-        found = next((each for each in made if each[0] == part), None)
-        if found is None:
-            planned = make_motion(scenario, coordinates)
-            found = part, planned, make_frame_motion(scenario, planned)
-            made.append(found)
-        motions.append(found[1])
-        if found[2] is not None:
-            frames.append(found[2])
-    return reference_from(motions, frames, coordinates, sample_time=scenarios[0].sample_time)
+    planned = make_motion(scenario, coordinates)
+    return reference_from(planned, make_frame_motion(scenario, planned))
 
 
-def reference_from(
-    motions: Sequence[PlannedMotion],
-    frames: Sequence[PlannedMotion],
-    coordinates: Coordinates,
-    *,
-    sample_time: float,
-) -> Diagram:
-    """``make_reference`` from the motions, and those of frames whose pose is prescribed."""
-    builder = DiagramBuilder()
-    states, velocities = (
-        len(motions) * (len(coordinates.position_names) + len(coordinates.names)),
-        len(motions) * len(coordinates.names),
-    )
-    motion = builder.AddNamedSystem(
-        "motion",
-        _MotionSource(motions, first=states // len(motions), sample_time=sample_time),
-    )
-    parts = builder.AddNamedSystem("parts", Demultiplexer([states, velocities]))
-    builder.Connect(motion.get_output_port(), parts.get_input_port())
+def reference_from(motion: PlannedMotion, frame: PlannedMotion | None = None) -> Diagram:
+    """``make_reference`` from the motion, and that of a frame whose pose is prescribed."""
+    builder, nv = DiagramBuilder(), len(motion.coordinates.names)
+    source = builder.AddNamedSystem("motion", _MotionSource(motion))
+    state = len(motion.coordinates.position_names) + nv
+    parts = builder.AddNamedSystem("parts", Demultiplexer([state, nv]))
+    builder.Connect(source.get_output_port(), parts.get_input_port())
     builder.ExportOutput(parts.get_output_port(0), "desired_state")
     builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
-    if frames:
-        source = _MotionSource(frames, first=FRAME_SIZE, sample_time=sample_time)
-        frame = builder.AddNamedSystem("frame", source)
-        builder.ExportOutput(frame.get_output_port(), "desired_frame")
+    if frame is not None:
+        path = builder.AddNamedSystem("frame", _MotionSource(frame))
+        builder.ExportOutput(path.get_output_port(), "desired_frame")
     reference = builder.Build()
     reference.set_name("reference")
     return reference

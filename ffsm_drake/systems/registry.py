@@ -71,7 +71,7 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
 
 
 def _has_actuators(scenario: Scenario) -> bool:
-    """Ideal ones too, where they can be made: runs side by side may differ in limits alone."""
+    """Ideal ones too, where they can be made."""
     return not scenario.actuation.is_ideal or optional(plugins.SECTIONS, "actuation") is not None
 
 
@@ -235,19 +235,8 @@ def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     """Return the result of a factory for a setup. Raises BlockError naming ``place`` if it
     fails.
     """
-    return _called(factory, "from_setup", setup, place)
-
-
-def call_wide_factory(factory: Any, setups: Sequence[BlockSetup], *, place: str) -> Any:
-    """Return the result of a factory's ``build_wide`` (``systems.side_by_side``) for several
-    setups, None where it has none; errors as ``call_factory``.
-    """
-    return _called(factory, "build_wide", setups, place) if hasattr(factory, "build_wide") else None
-
-
-def _called(factory: Any, method: str, given: Any, place: str) -> Any:
     try:
-        return getattr(factory, method, factory)(given)
+        return getattr(factory, "from_setup", factory)(setup)
     except BaseException as error:
         if passes(error):
             raise

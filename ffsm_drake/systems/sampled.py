@@ -5,7 +5,6 @@ a Drake diagram. The plug-in ``compiled`` calls them with symbols (``ffsm_drake.
 """
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -76,7 +75,6 @@ class Sampled:
     acts: ClassVar[bool] = False
     traced: ClassVar[bool] = True  # else Python calls it in compiled runs too
     optional: ClassVar[tuple[str, ...]] = ()  # inputs that another block may lack
-    wide: ClassVar[bool] = False  # its arrays may have rows, of several copies of the spacecraft
 
     @property
     def latched(self) -> Mapping[str, Sequence[float]]:
@@ -179,8 +177,7 @@ def _phase(block: Sampled, sample: int) -> tuple[Any, ...]:
 
 
 class SampledSystem(Diagram):
-    """The Drake system of a ``Sampled`` block, or of one for each of several copies of the
-    spacecraft; ports then hold copy after copy.
+    """The Drake system of a ``Sampled`` block.
 
     Discrete state, updated every ``sample_time``: the block's memory, a group for each name; of an
     actuator also its latched inputs and phase. Its memory is brought up to date at the next sample,
@@ -190,20 +187,18 @@ class SampledSystem(Diagram):
 
     def __init__(
         self,
-        blocks: Sequence[Sampled],
+        block: Sampled,
         *,
         name: str,
         sample_time: float,
-        copies: int = 1,
         usual: Mapping[str, int] = {},
         place: str = "",
         held: bool = False,
     ) -> None:
         """Args:
-          blocks: the block of each copy, or a wide one of all.
+          block: the block.
           name: of the system.
           sample_time: the control period, s.
-          copies: number of copies, if there is a wide block.
           usual: numbers in the ports of the loop.
           place: name of the block in errors; default: the system's name.
           held: hold the outputs from a sample to the next.
@@ -212,10 +207,9 @@ class SampledSystem(Diagram):
         """
         super().__init__()
         builder, place = DiagramBuilder(), place or name
-        ports = (calling(place, getattr, blocks[0], name) for name in ("inputs", "outputs"))
+        ports = (calling(place, getattr, block, name) for name in ("inputs", "outputs"))
         inputs, outputs = (sized(of, usual, place) for of in ports)
-        copies = max(copies, len(blocks))
-        own = _Stepping(blocks, inputs, outputs, copies, sample_time, place, held=held)
+        own = _Stepping(block, inputs, outputs, sample_time, place, held=held)
         own.set_name(f"{name}_at_samples")
         self._own = builder.AddSystem(own)
         parts = builder.AddNamedSystem("parts", Demultiplexer(own.widths))
@@ -238,7 +232,7 @@ class SampledSystem(Diagram):
         self._own.set_payload(own, properties)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
+        """The spacecraft was at ``state`` [q; v] before the start."""
         self._own.set_initial_state(self.GetMutableSubsystemContext(self._own, context), state)
 
 
@@ -249,27 +243,25 @@ class _Stepping(LeafSystem):
 
     def __init__(
         self,
-        blocks: Sequence[Sampled],
+        block: Sampled,
         inputs: Mapping[str, int],
         outputs: Mapping[str, int],
-        copies: int,
         sample_time: float,
         place: str,
         *,
         held: bool,
     ) -> None:
         super().__init__()
-        self._blocks, self._sample_time, self._place = tuple(blocks), sample_time, place
-        first, self._copies = blocks[0], copies
-        self._is_checked = is_user_supplied(type(first))
-        memory = memory_of(first, place=place)
-        phase = phases_of(first, 1, place=place)[0]
-        ports = {each: self._input(each, size) for each, size in inputs.items()}
+        self._block, self._sample_time, self._place = block, sample_time, place
+        self._is_checked = is_user_supplied(type(block))
+        memory = memory_of(block, place=place)
+        phase = phases_of(block, 1, place=place)[0]
+        ports = {each: self.DeclareVectorInputPort(each, size) for each, size in inputs.items()}
         self._latched = {
-            each: (ports.pop(each), self._state(value), list(first.entries.get(each, ())) or None)
-            for each, value in first.latched.items()
+            each: (ports.pop(each), self._state(value), list(block.entries.get(each, ())) or None)
+            for each, value in block.latched.items()
         }
-        self._acts, self._inputs, self._is_phased = first.acts, ports, phase.size > 0
+        self._acts, self._inputs, self._is_phased = block.acts, ports, phase.size > 0
         self._memory = {each: self._state(value) for each, value in memory.items()}
         if self._is_phased and self._acts:
             self._phase = self.DeclareDiscreteState(phase)
@@ -279,18 +271,18 @@ class _Stepping(LeafSystem):
             if held and not each.startswith(NEXT)
         }
         reads = {self.input_port_ticket(port.get_index()) for port in ports.values()}
-        self._loaded = hasattr(first, "with_payload")
+        self._loaded = hasattr(block, "with_payload")
         if self._loaded:
-            self._payload: Any = None  # of the blocks
+            self._payload: Any = None  # of the block
             self._given = self.DeclareAbstractParameter(Value[object](None))
             reads.add(self.all_parameters_ticket())
         if memory or self._acts:
             reads.add(self.xd_ticket())
         if not self._acts:
             reads.add(self.time_ticket())
-        self._outputs, self._optional = tuple(outputs), first.optional
+        self._outputs, self._optional = tuple(outputs), block.optional
         self._sizes = [*outputs.items(), *((each, value.size) for each, value in memory.items())]
-        self.widths = [copies * size for _, size in self._sizes]
+        self.widths = [size for _, size in self._sizes]
         ends = np.cumsum([0, *self.widths]).tolist()
         places = [slice(*pair) for pair in itertools.pairwise(ends)]
         self._kept = dict(zip(memory, places[len(outputs) :], strict=True))
@@ -304,11 +296,8 @@ class _Stepping(LeafSystem):
             self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
-    def _input(self, name: str, size: int) -> Any:
-        return self.DeclareVectorInputPort(name, self._copies * size)
-
     def _state(self, value: Sequence[float] | np.ndarray) -> Any:
-        return self.DeclareDiscreteState(np.tile(np.ravel(value), self._copies))
+        return self.DeclareDiscreteState(np.ravel(value))
 
     def set_payload(self, context: Context, properties: MassProperties) -> None:
         """Give the payload other mass properties."""
@@ -316,38 +305,33 @@ class _Stepping(LeafSystem):
             context.get_mutable_abstract_parameter(self._given).set_value(properties)
 
     def _take_payload(self, context: Context) -> None:
-        """Take the blocks for the payload of a context."""
+        """Take the block for the payload of a context."""
         given = context.get_abstract_parameter(self._given).get_value()
         if given is not None and given != self._payload:
-            blocks: Any = self._blocks
-            self._payload, self._blocks = given, tuple(each.with_payload(given) for each in blocks)
+            block: Any = self._block
+            self._payload, self._block = given, block.with_payload(given)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """The spacecraft was at ``state`` [q; v] before the start; of several copies, rows."""
+        """The spacecraft was at ``state`` [q; v] before the start."""
         if self._loaded:
             self._take_payload(context)
-        rows = np.reshape(state, (self._copies, -1))
-        blocks = self._blocks * (self._copies // len(self._blocks))
-        own = [
-            memory_of(block, row, place=self._place)
-            for block, row in zip(blocks, rows, strict=True)
-        ]
+        own = memory_of(self._block, state, place=self._place)
         for name, group in self._memory.items():
-            context.SetDiscreteState(group, np.concatenate([np.ravel(each[name]) for each in own]))
+            context.SetDiscreteState(group, np.ravel(own[name]))
 
     @property
     def phase_period(self) -> int:
         """Control samples after which ``phase`` repeats."""
-        return math.lcm(*(block.phase_period for block in self._blocks))
+        return self._block.phase_period
 
-    def phase(self, sample: int) -> tuple[tuple[Any, ...], ...]:
-        """Phase of each block at a control sample."""
-        return tuple(tuple(block.phase(sample)) for block in self._blocks)
+    def phase(self, sample: int) -> tuple[Any, ...]:
+        """Phase of the block at a control sample."""
+        return tuple(self._block.phase(sample))
 
     def _calc_result(self, context: Context, output: BasicVector) -> None:
         if self._loaded:
             self._take_payload(context)
-        time, rows, value = context.get_time(), list[Any](), context.get_discrete_state().value
+        time, value = context.get_time(), context.get_discrete_state().value
         inputs = {
             name: port.Eval(context)
             for name, port in self._inputs.items()
@@ -355,33 +339,22 @@ class _Stepping(LeafSystem):
         }
         inputs |= {name: value(group) for name, (_, group, _) in self._latched.items()}
         memory = {name: value(group) for name, group in self._memory.items()}
-        for copy, block in enumerate(self._blocks):
-            own, phase = (inputs, memory), NO_PHASE
-            if self._copies > 1:
-                own = self._of_copy(copy, inputs), self._of_copy(copy, memory)
-            if self._is_phased:
-                phase = value(self._phase) if self._acts else self._phase_of(block, context)
-            rows.append(self._stepped(block, *own, Now(time, phase)))
-        parts = rows[0]
-        if self._copies > 1:
-            parts = [np.ravel(each) for each in itertools.chain(*zip(*rows, strict=True))]
-        output.SetFromVector(np.concatenate(parts))
+        phase = NO_PHASE
+        if self._is_phased:
+            phase = value(self._phase) if self._acts else self._phase_of(context)
+        output.SetFromVector(np.concatenate(self._stepped(inputs, memory, Now(time, phase))))
 
     def _sample(self, context: Context) -> int:
         return round(context.get_time() / self._sample_time)
 
-    def _phase_of(self, block: Sampled, context: Context) -> Sequence[Any]:
+    def _phase_of(self, context: Context) -> Sequence[Any]:
         if self._is_checked:
-            return tuple(calling(self._place, block.phase, self._sample(context)))
-        return block.phase(self._sample(context))
+            return tuple(calling(self._place, self._block.phase, self._sample(context)))
+        return self._block.phase(self._sample(context))
 
-    def _of_copy(self, copy: int, values: Arrays) -> dict[str, Any]:
-        """The values of a copy; of a wide block all rows."""
-        own = slice(None) if len(self._blocks) == 1 else copy
-        return {name: each.reshape(self._copies, -1)[own] for name, each in values.items()}
-
-    def _stepped(self, block: Sampled, inputs: Arrays, memory: Arrays, now: Now) -> list[Any]:
-        """The outputs of one copy, then its memory, in the order of ``_sizes``."""
+    def _stepped(self, inputs: Arrays, memory: Arrays, now: Now) -> list[Any]:
+        """The block's outputs, then its memory, in the order of ``_sizes``."""
+        block = self._block
         if not self._is_checked:
             outputs, memory = block.step(inputs, memory, now)
             return [*(outputs[name] for name in self._outputs), *map(memory.get, self._kept)]
@@ -405,10 +378,10 @@ class _Stepping(LeafSystem):
         for port, group, entries in self._latched.values():
             read = port.Eval(context)
             if entries is not None:
-                read = read.reshape(self._copies, -1)[:, entries].ravel()
+                read = read[entries]
             values.set_value(group, read)
         if self._acts and self._is_phased:
-            values.set_value(self._phase, np.array(self._blocks[0].phase(self._sample(context))))
+            values.set_value(self._phase, np.array(self._block.phase(self._sample(context))))
 
 
 def _checked(

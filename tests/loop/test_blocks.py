@@ -432,7 +432,7 @@ def test_an_unknown_block_is_refused():
         match=r"blocks.sensors: is not a block; choose reference, "
         r"sensing, controller, ",
     ):
-        make_blocks([scenario], [make_nominal_plant(scenario)], {"sensors": pulse})
+        make_blocks(scenario, make_nominal_plant(scenario), {"sensors": pulse})
 
 
 class Shift(LeafSystem):

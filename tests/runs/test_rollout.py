@@ -115,7 +115,7 @@ def test_a_log_is_frozen(rollout):
 
 
 def scenario_reference(setup):
-    return make_reference([setup.scenario], setup.coordinates)
+    return make_reference(setup.scenario, setup.coordinates)
 
 
 @pytest.mark.parametrize(

@@ -193,13 +193,12 @@ def test_a_stop_without_a_capture_takes_out_the_initial_velocity(loop, drawn):
 
 
 def test_runs_that_stop_from_different_velocities_share_no_reference(loop):
-    """Nor a build: each follows its own from the first sample on, alone and side by side."""
+    """Nor a build: each follows its own from the first sample on."""
     names = loop.coordinates.names
     each = [stopping(dict(zip(names, of, strict=True)), "duration=0.5") for of in DRAWN]
-    for batch in (1, 2):
-        for record, drawn in zip(simulate_many(each, batch=batch), DRAWN, strict=True):
-            assert record.dataset["desired_velocity"].values[0] == pytest.approx(drawn, abs=1e-15)
-            assert np.abs(record.dataset["error"].values).max() < 1e-4
+    for record, drawn in zip(simulate_many(each), DRAWN, strict=True):
+        assert record.dataset["desired_velocity"].values[0] == pytest.approx(drawn, abs=1e-15)
+        assert np.abs(record.dataset["error"].values).max() < 1e-4
 
 
 def test_roll_pitch_and_yaw_cannot_begin_with_a_velocity():

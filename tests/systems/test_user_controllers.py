@@ -17,7 +17,6 @@ from ffsm_drake import (
     BlockError,
     ControlLaw,
     RunRecord,
-    Sample,
     ScenarioError,
     gain,
     load_scenario,
@@ -30,7 +29,6 @@ from ffsm_drake.systems.controllers import (
     controller_names,
     gain_vectors,
     make_controller,
-    make_law,
 )
 from ffsm_drake.testing import ConformanceError, check_controller
 
@@ -461,43 +459,6 @@ def test_gains_default_and_override():
         with pytest.raises(ScenarioError) as caught:
             gains(override)
         assert problem in str(caught.value)
-
-
-@pytest.mark.parametrize("name", controller_names())
-def test_a_law_gives_each_of_several_runs_the_bits_it_has_alone(name):
-    """Arrays (runs, nv) in, arrays (runs, nv) out."""
-    scenario = load_scenario(
-        "flight_sensors" if name == "tdc" else "postcapture", [f"controller={name}"]
-    )
-    law, size = make_law(scenario, make_nominal_plant(scenario)), 11
-    random = np.random.default_rng(0)
-
-    def sample(first):
-        q = random.normal(size=(3, size + 1))
-        others = [1e-4 * random.normal(size=(3, size)) for _ in range(5)]
-        return [
-            q,
-            others[0],
-            q,
-            others[1],
-            others[2],
-            others[3],
-            others[4],
-            np.zeros((3, size)),
-            first,
-        ]
-
-    together = {key: np.tile(value, (3, 1)) for key, value in law.initial_state().items()}
-    alone = [dict(law.initial_state()) for _ in range(3)]
-    for k in range(3):
-        given = sample(k == 0)
-        forces, together = law.step(Sample(*given), together)
-        assert forces.shape == (3, size)
-        for i in range(3):
-            one = [value if isinstance(value, bool) else value[i] for value in given]
-            force, alone[i] = law.step(Sample(*one), alone[i])
-            assert np.array_equal(force, forces[i])
-            assert all(np.array_equal(alone[i][key], together[key][i]) for key in together)
 
 
 def test_a_name_that_exists_nowhere():

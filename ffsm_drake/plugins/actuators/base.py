@@ -76,7 +76,7 @@ class BaseActuators(Sampled):
     sample_time: float
     faults: Sequence[Hit] = ()
     detects: bool = False
-    acts = wide = True
+    acts = True
     in_phase: ClassVar = ("faults",)
 
     @functools.cached_property
@@ -366,11 +366,11 @@ class BaseBlock(CompositeBlock):
     ``BaseActuators``, ``applied_force`` first; with wheels also those of ``Gyroscopic``.
     """
 
-    def __init__(self, base: BaseActuators, *, copies: int = 1) -> None:
+    def __init__(self, base: BaseActuators) -> None:
         super().__init__()
         builder = DiagramBuilder()
         system = builder.AddSystem(
-            SampledSystem([base], name="actuators", sample_time=base.sample_time, copies=copies)
+            SampledSystem(base, name="actuators", sample_time=base.sample_time)
         )
         outputs = {name: system.GetOutputPort(name) for name in base.outputs}
         for name in filter(base.inputs.get, ("commanded_force", "state", "isolated")):
@@ -379,7 +379,7 @@ class BaseBlock(CompositeBlock):
             gyroscopic = Gyroscopic(
                 momentum=base.wheels.initial, num_velocities=base.num_velocities
             )
-            stored = ContinuousSystem(gyroscopic, name="momentum", copies=copies)
+            stored = ContinuousSystem(gyroscopic, name="momentum")
             self._stored = builder.AddNamedSystem("gyroscopic", stored)
             builder.ConnectInput("state", stored.GetInputPort("state"))
             builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("wheel_reaction"))

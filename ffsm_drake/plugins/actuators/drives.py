@@ -178,7 +178,7 @@ class RateLimit(Sampled):
 
     drives: DriveSet
     num_velocities: int
-    acts = wide = True
+    acts = True
 
     @property
     def inputs(self) -> Mapping[str, int]:

@@ -5,10 +5,9 @@ wheels, thrusters.
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, DiagramBuilder, InputPort, System
+from pydrake.systems.framework import DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.plugins.actuators.base import BaseActuators, BaseBlock, Hit
@@ -30,15 +29,11 @@ class Actuators(CompositeBlock):
     """Systems in a row from ``commanded_force`` to ``applied_force``, and some beside them.
 
     The first ports of those in the row are forces; what else they and the others put out are
-    outputs, by name, and all may read ``state``. Of several copies of the spacecraft the ports hold
-    copy after copy.
+    outputs, by name, and all may read ``state``.
     """
 
-    def __init__(
-        self, row: Mapping[str, System], beside: Mapping[str, System], *, copies: int = 1
-    ) -> None:
+    def __init__(self, row: Mapping[str, System], beside: Mapping[str, System]) -> None:
         super().__init__()
-        self._copies = copies
         builder, chain = DiagramBuilder(), list(row.values())
         readers = list[InputPort]()
         for name, system in (*row.items(), *beside.items()):
@@ -61,31 +56,6 @@ class Actuators(CompositeBlock):
         builder.BuildInto(self)
         self.set_name("actuation")
 
-    def park(self, context: Context, copy: int) -> None:
-        """Put a copy's memory to its start (``loop.side_by_side``)."""
-        for system in self.GetSystems():
-            own = self.GetMutableSubsystemContext(system, context)
-            start = system.CreateDefaultContext()
-            # A delay holds the forces of all copies at one sample, then those at the next.
-            width = system.get_input_port(0).size() if isinstance(system, DiscreteTimeDelay) else -1
-            for index in range(own.num_discrete_state_groups()):
-                values = own.get_discrete_state(index).value().copy()
-                if values.size > 1:  # one number is shared
-                    first = start.get_discrete_state(index).value()
-                    self._put_back(values, first, copy, width=width)
-                    own.SetDiscreteState(index, values)
-            if own.num_continuous_states():
-                values = own.get_continuous_state_vector().CopyToVector()
-                self._put_back(values, np.zeros(values.size), copy)
-                own.SetContinuousState(values)
-
-    def _put_back(
-        self, values: np.ndarray, start: np.ndarray, copy: int, *, width: int = -1
-    ) -> None:
-        """Set a copy's entries to those of the start, in vectors with all copies in each width."""
-        shape = (-1 if width > 0 else 1, self._copies, max(width // self._copies, -1))
-        values.reshape(shape)[:, copy] = start.reshape(shape)[:, copy]
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ActuatorRow(Part):
@@ -93,32 +63,14 @@ class ActuatorRow(Part):
 
     def build(self, setup: BlockSetup) -> Actuators | None:
         """The actuators; None of ideal ones."""
-        return self.build_wide([setup])
-
-    def build_wide(self, setups: Sequence[BlockSetup]) -> Actuators | None:
-        """The actuators of several copies of the spacecraft, see ``systems.side_by_side``; None if
-        they are ideal, or differ in more than limits of the force and quantisation.
-        """
-        settings = [allocated(setup.scenario) for setup in setups]
-        first = settings[0]
-        if any(dataclasses.replace(each, **_by_copy(first)) != first for each in settings):
-            return None
-        scenario, step = setups[0].scenario, setups[0].sample_time
-        return _make_actuation(
-            settings,
-            setups[0].coordinates,
-            sample_time=step,
+        scenario = setup.scenario
+        return make_actuation(
+            allocated(scenario),
+            setup.coordinates,
+            sample_time=setup.sample_time,
             faults=_faults(scenario),
             detects=detects(scenario),
         )
-
-
-def _by_copy(settings: Actuation) -> dict[str, Any]:
-    """Settings that may differ between copies of the spacecraft; the drives' torque falls from the
-    limit.
-    """
-    alike = settings.drives is not None
-    return {name: getattr(settings, name) for name in ("limit", "quantization")[alike:]}
 
 
 def make_actuation(
@@ -127,6 +79,8 @@ def make_actuation(
     *,
     sample_time: float,
     base: System | None = None,
+    faults: Sequence[Hit] = (),
+    detects: bool = False,
 ) -> Actuators | None:
     """Build a diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None if
     they are equal.
@@ -141,26 +95,14 @@ def make_actuation(
       coordinates: names of the forces' components.
       sample_time: s.
       base: from force to force (nv), in place of thrusters and wheels.
+      faults: those of thrusters and wheels.
+      detects: whether there is an input for detected faults.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
         every wrench.
     """
-    return _make_actuation([settings], coordinates, sample_time=sample_time, base=base)
-
-
-def _make_actuation(
-    of_copies: Sequence[Actuation],
-    coordinates: Coordinates,
-    *,
-    sample_time: float,
-    base: System | None = None,
-    faults: Sequence[Hit] = (),
-    detects: bool = False,
-) -> Actuators | None:
-    """``make_actuation`` for several settings; differences are within ``_by_copy``."""
-    settings, copies = of_copies[0], len(of_copies)
-    row, beside = _make_limits(of_copies, coordinates, sample_time=sample_time), dict[str, System]()
+    row, beside = _make_limits(settings, coordinates, sample_time=sample_time), dict[str, System]()
     acting, flowing = _acting(
         settings,
         coordinates,
@@ -171,19 +113,17 @@ def _make_actuation(
     )
     for block in acting:
         if isinstance(block, BaseActuators):
-            row["base"] = BaseBlock(block, copies=copies)
+            row["base"] = BaseBlock(block)
         else:
-            row["rate_limit"] = SampledSystem(
-                [block], name="rate_limit", sample_time=sample_time, copies=copies
-            )
+            row["rate_limit"] = SampledSystem(block, name="rate_limit", sample_time=sample_time)
     for each in flowing:
         if isinstance(each, JointFriction):
-            beside["friction"] = ContinuousSystem(each, name=FRICTION, copies=copies)
+            beside["friction"] = ContinuousSystem(each, name=FRICTION)
     if base is not None:
         row["base"] = base
     if beside and not row:
-        row["as_commanded"] = PassThrough(copies * len(coordinates.names))
-    return Actuators(row, beside, copies=copies) if row else None
+        row["as_commanded"] = PassThrough(len(coordinates.names))
+    return Actuators(row, beside) if row else None
 
 
 def _acting(
@@ -236,19 +176,11 @@ def _faults(scenario: Scenario) -> list[Hit]:
 
 
 def _make_limits(
-    of_copies: Sequence[Actuation], coordinates: Coordinates, *, sample_time: float
+    settings: Actuation, coordinates: Coordinates, *, sample_time: float
 ) -> dict[str, System]:
     """Saturation, quantisation and delay, by name; those that there are."""
-    settings = of_copies[0]
     limit, resolution = (
-        np.concatenate(
-            [
-                coordinates.vector(
-                    getattr(each, name) or {}, key=f"actuation.{name}", default=default
-                )
-                for each in of_copies
-            ]
-        )
+        coordinates.vector(getattr(settings, name) or {}, key=f"actuation.{name}", default=default)
         for name, default in (("limit", np.inf), ("quantization", 0.0))
     )
     row: dict[str, System] = {}

@@ -25,7 +25,7 @@ from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, ReducedModel, driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain, step_each
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
 _TRANSLATION = slice(3, NUM_BASE_VELOCITIES)
 
@@ -60,8 +60,6 @@ class Coordinated(ControlLaw):
         return driven_model(dataclasses.replace(given, coordinates=coordinates))
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        if sample.v.ndim > 1:
-            return step_each(self, sample, state)
         internal, q, v, v_d = self.internal, sample.q, sample.v, sample.v_d
         acceleration = sample.a_d.copy()
         acceleration[:3] += 0.5 * cross_of(v_d[:3], v[:3])  # see ``payload``

@@ -14,7 +14,6 @@ after at most 1 / (a (1 - p)) + 1 / (b (g - 1)), wherever it starts.
 """
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
@@ -34,7 +33,6 @@ class FixedTime(InjectedDynamics):
     layers. The law is stiffest there, unless the errors are larger than order one.
     """
 
-    wide: ClassVar[bool] = True
     power: float = gain(0.6, "", "power p of small errors, below 1", scalar=True, positive=True)
     far_power: float = gain(1.4, "", "power g of large errors, above 1", scalar=True, positive=True)
     a_1: np.ndarray = gain(2.0, "rad^(1-p)/s or m^(1-p)/s", "gain a_1 on small errors")

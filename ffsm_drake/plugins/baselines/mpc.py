@@ -46,7 +46,6 @@ from ffsm_drake.systems.controllers.law import (
     State,
     field_values,
     gain,
-    step_each,
 )
 from ffsm_drake.systems.controllers.time_delay import after_grasp
 from ffsm_drake.systems.setup import BlockSetup
@@ -243,8 +242,6 @@ class Mpc(ControlLaw):
         return dict.fromkeys(("wheel_momentum", "programs", "fallbacks"))
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        if sample.v.ndim > 1:
-            return step_each(self, sample, state)
         H = self.model.calc_mass_matrix(sample.q)
         estimate, memory = self.estimator.step(sample, H, state)
         known = estimate.base_force + H @ (sample.a_d - estimate.base_acceleration)

@@ -36,7 +36,6 @@ from ffsm_drake.systems.controllers.law import (
     State,
     field_values,
     gain,
-    step_each,
 )
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -122,8 +121,6 @@ class SlotineLi(ControlLaw):
         return {name: None for name in self.initial_state() if name != "sliding_variable"}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        if sample.v.ndim > 1:
-            return step_each(self, sample, state)
         v_r = sample.v_d + self.slope * sample.e
         a_r = sample.a_d + self.slope * sample.e_dot
         if self.model.coordinates.undriven:

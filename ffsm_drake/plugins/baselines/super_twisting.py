@@ -13,7 +13,6 @@ k_1 = 1.5 C^(1/2) and k_2 = 1.1 C; u stays continuous.
 """
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
@@ -34,7 +33,6 @@ class SuperTwisting(InjectedDynamics):
     K_s = k_1 / width^(1/2), with an integral gain of k_2 / width.
     """
 
-    wide: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(10.0, "1/s", "slope K_D of the surface")
     rate_bound: np.ndarray = gain(

@@ -38,7 +38,6 @@ class TerminalSlidingMode(InjectedDynamics):
     K_P = K_s + G / width_s, K_D = (B/p) width_rate^(1-p) + K_P width_rate^(p-1) / B.
     """
 
-    wide: ClassVar[bool] = True
     sliding_unit: ClassVar[str] = UNIT
     sample_time: float
     power: float = gain(1.5, "", "power p of the rate, between 1 and 2", scalar=True, positive=True)

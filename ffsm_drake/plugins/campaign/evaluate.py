@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
 from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
-from ffsm_drake.runs.batches import Kept, batches_of, run_many
+from ffsm_drake.runs.batches import Kept, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.engine import DRAKE, find_engine, on_drake
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
@@ -246,17 +246,10 @@ class Batch:
         return tuple(Batch((run,)) for run in self.runs)
 
 
-def batches(
-    tasks: Iterator[tuple[Case, str]], *, size: Callable[[], int], apart: Sequence[str] = ()
-) -> Iterator[Batch]:
-    """Runs in their order, at most ``size()`` in a batch. If they go side by side in one diagram,
-    each of the controllers ``apart`` has batches of its own, of as many cases.
-    """
-    while some := tuple(itertools.islice(tasks, (most := size()) * max(len(apart), 1))):
-        for name in apart or ("",):
-            runs = tuple(run for run in some if run[1] == name or not apart)
-            for first in range(0, len(runs), most):
-                yield Batch(runs[first : first + most])
+def batches(tasks: Iterator[tuple[Case, str]], *, size: Callable[[], int]) -> Iterator[Batch]:
+    """Runs in their order, at most ``size()`` in a batch."""
+    while some := tuple(itertools.islice(tasks, size())):
+        yield Batch(some)
 
 
 # A cluster's worker may have several threads; a simulator and the building of one serve one.
@@ -294,7 +287,7 @@ class Evaluator:
     def evaluate_batch(self, batch: Batch) -> list[Row]:
         """Return the rows of a batch, as the function ``evaluate`` returns them."""
         start = time.perf_counter()
-        logs = self._side_by_side(batch)
+        logs = self._together(batch)
         share = (time.perf_counter() - start) / max(len(logs), 1)
         foreseen = self._foreseen(logs)
         rows = []
@@ -316,8 +309,12 @@ class Evaluator:
             return dict(zip(logs, predict_many(scenarios), strict=True))
         return {}
 
-    def _side_by_side(self, batch: Batch) -> dict[int, RunLog]:
-        """Return the logs of those runs that can go side by side, by their place in the batch."""
+    def _together(self, batch: Batch) -> dict[int, RunLog]:
+        """Return the logs of the runs that an engine computes at once, by their place in the batch;
+        none on Drake.
+        """
+        if self._spec.engine == DRAKE:
+            return {}
         scenarios, cases = dict[int, Scenario](), dict[int, Scenario]()
         for place, (case, controller) in enumerate(batch.runs if len(batch.runs) > 1 else ()):
             with contextlib.suppress(Exception):  # the row reports the error
@@ -328,9 +325,6 @@ class Evaluator:
                     cases[case.index] = scenario
                 scenarios[place] = with_controller(cases[case.index], controller)
         places = list(scenarios)
-        if self._spec.engine == DRAKE:
-            groups = batches_of(list(scenarios.values()), len(places))
-            places = [places[at] for group in groups if len(group) > 1 for at in group]
         limit, logs = self._spec.time_limit * max(len(places), 1), dict[int, RunLog]()
         # alone each has its own, and reports an error
         with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
@@ -409,7 +403,7 @@ class Evaluator:
 
     def _run_with_drake(self, scenario: Scenario) -> RunLog:
         kept = self._rollouts.setdefault(scenario.controller, Kept(make_rollout))
-        log: RunLog = kept.rollout(scenario, scenario).run(scenario)
+        log: RunLog = kept.rollout(scenario).run(scenario)
         return log
 
 

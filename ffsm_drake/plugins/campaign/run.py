@@ -34,8 +34,8 @@ from ffsm_drake.plugins.campaign.evaluate import (
 )
 from ffsm_drake.plugins.campaign.spec import Spec, check_engine, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
-from ffsm_drake.runs.batches import run_many, runs_alone, usual_batch
-from ffsm_drake.runs.engine import DRAKE, find_engine
+from ffsm_drake.runs.batches import run_many, usual_batch
+from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
@@ -142,8 +142,8 @@ def run_campaign(
       spec: name of a shipped campaign, path of a file, or a specification from ``load_spec``.
       database: path of the new database.
       workers: number of processes; default: one per processor.
-      batch: largest number of cases side by side in a worker; default: ``usual_batch``. Results
-        do not depend on it.
+      batch: largest number of runs that a worker gets at once; default: ``usual_batch``. Results do
+        not depend on it.
       progress: function that is called after every batch of results.
 
     Returns: the database, for ``open_store`` and ``ffsm campaign report``.
@@ -266,19 +266,12 @@ def _drive(
     report()
     # so small that the workers end at about the same time
     share = (total - before) // (_BATCHES_EACH * workers.in_flight())
-    first = itertools.islice(store.pending(), 1)
     samples = store.spec.scenario.num_control_periods
     usual = usual_batch(find_engine(store.spec.engine), samples=samples)
-    most = max(1, min(batch or usual, share))
-    with contextlib.suppress(FfsmError):  # an error becomes a row
-        if any(runs_alone(scenario_of(store.spec, *each)) for each in first):
-            most = 1  # each result is kept as soon as it is there
-    sizes = BatchSizes(most)
-    # the runs of a case share much, unless controllers cannot share a diagram
-    apart = store.spec.controllers if store.spec.engine == DRAKE else ()
+    sizes = BatchSizes(max(1, min(batch or usual, share)))
     results = run_tasks(
         evaluate,
-        batches(store.pending(), size=sizes, apart=apart),
+        batches(store.pending(), size=sizes),
         arguments=lambda some: (campaign, some),
         workers=workers,
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false

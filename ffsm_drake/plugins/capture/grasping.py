@@ -56,7 +56,7 @@ class Aim:
             velocity += planned
         else:
             posture = approach_posture(self.scenario)
-            position = configuration(loop.single, posture, key="capture.approach.posture")
+            position = configuration(loop.plant, posture, key="capture.approach.posture")
         return loop.split.whole(np.concatenate([position, velocity]))
 
 
@@ -82,7 +82,7 @@ class Meeting:
         cls, scenario: Scenario, target: Target, loop: ClosedLoop, state: np.ndarray
     ) -> "Meeting":
         """The meeting of a target and the gripper at the plant's own [q; v]."""
-        (X_WP, twist), plant = target, loop.single
+        (X_WP, twist), plant = target, loop.plant
         q, v = np.split(state, [plant.num_positions()])
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, q)

@@ -4,6 +4,7 @@ import collections
 import copy
 import dataclasses
 import functools
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,9 +17,8 @@ from ffsm_drake.loop.blocks import DISTURBANCE, factory_of, settle_faults
 from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
-from ffsm_drake.runs.batches import kind_of_run
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.scenario import Block, Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -37,6 +37,25 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _KEPT = 64  # cases
 _DETECTION = "sensing.detection"
+
+
+# Sections that no code depends on; a capture without an approach gives the velocity at the start.
+_FREE = (
+    "controller",
+    "controllers",
+    "description",
+    "random_seed",
+    "divergence_speed",
+    "tolerance",
+    "clearance",
+    "planning",
+    "initial_posture",
+    "initial_velocity",
+    "target_posture",
+    "disturbance",
+    "payload",
+    "capture",
+)
 
 
 class Case:
@@ -241,9 +260,15 @@ class Case:
         return make_controller(given, self.nominal)
 
     @functools.cached_property
-    def group(self) -> str:
-        """Equal for runs with the same diagram on Drake, but for the controller."""
-        return kind_of_run(dataclasses.replace(self.scenario, controller=""))
+    def kind(self) -> str:
+        """Equal for scenarios that differ in their controllers, in numbers other than zero, and in
+        the sections ``_FREE``.
+        """
+        neutral = Scenario()
+        free = {name: getattr(neutral, name) for name in _FREE}
+        data = scenario_to_dict(dataclasses.replace(self.scenario, **free))
+        exact = {name: data[name] for name in ("sample_time", "simulator_config")}
+        return json.dumps(_kind(data) | exact, sort_keys=True)
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -314,8 +339,7 @@ class Run:
             self._lay_out(*found)
             if self.case.detector is not None:
                 self._call_law("fault detection")
-        # with the same diagram on Drake
-        self.key = (self.case.group, scenario.controller, type(self.law), *self.code)
+        self.key = (self.case.kind, scenario.controller, type(self.law), *self.code)
 
     def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
@@ -372,3 +396,17 @@ def case_of(scenario: Scenario) -> Case:
         if len(_cases) > _KEPT:
             _cases.popitem(last=False)
     return _cases[key][1]
+
+
+def _kind(data: Any) -> Any:
+    """Plain data without the values of its numbers other than zero; those by coordinate, and of
+    vectors, as one.
+    """
+    entries = data.values() if isinstance(data, dict) else data if isinstance(data, list) else ()
+    if entries and all(isinstance(each, float) for each in entries):
+        return any(entries)
+    if isinstance(data, dict):
+        return {name: _kind(value) for name, value in data.items()}
+    if isinstance(data, list):
+        return [_kind(value) for value in data]
+    return bool(data) if isinstance(data, float) else data

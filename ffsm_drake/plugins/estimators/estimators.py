@@ -39,7 +39,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.products import matrix_vector, product
+from ffsm_drake.common.products import product
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.estimators.filter_gains import (
     SensedAxis,
@@ -57,7 +57,7 @@ from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
-from ffsm_drake.systems.controllers.law import Sample, State, of_each
+from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sensing.errors import measurement_times
 
@@ -75,12 +75,10 @@ class KalmanEstimator(Estimator):
     """
 
     by_axis: ClassVar[bool] = True
-    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
-    # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e'); those of each of
-    # several runs
-    gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
+    # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
+    gain: np.ndarray
 
     @classmethod
     def make(
@@ -101,12 +99,8 @@ class KalmanEstimator(Estimator):
         ]
         return cls(sample_time=step, gain=np.array(gains))
 
-    @functools.cached_property
-    def _gain(self) -> np.ndarray:
-        return _stacked(self.gain)
-
     def initial_state(self) -> State:
-        zeros = np.zeros(self._gain.shape[-3])
+        zeros = np.zeros(self.gain.shape[-3])
         names = (
             "estimated_error",
             "estimated_error_rate",
@@ -121,7 +115,7 @@ class KalmanEstimator(Estimator):
         """One sample; see Estimator."""
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
         position, rate = sample.e - e, sample.e_dot - e_dot
-        correction = self._gain[..., 0] * position[..., None] + self._gain[..., 1] * rate[..., None]
+        correction = self.gain[..., 0] * position[..., None] + self.gain[..., 1] * rate[..., None]
         e, e_dot, d = e + correction[..., 0], e_dot + correction[..., 1], d + correction[..., 2]
         estimate = Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d)
         return estimate, {
@@ -140,7 +134,6 @@ class LateKalmanEstimator(Estimator):
     up to the measurements' delays, relative to the present reference: [q_d(t_k) - q(t_(k-j)), ...].
     """
 
-    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
@@ -148,8 +141,8 @@ class LateKalmanEstimator(Estimator):
     in_base: bool
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
     # and e'; the first index is the new measurement of that coordinate: none, velocity, position,
-    # both; a tuple for several runs
-    gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
+    # both
+    gain: np.ndarray
 
     @classmethod
     def make(
@@ -169,10 +162,6 @@ class LateKalmanEstimator(Estimator):
             in_base=_axes_matter(axes),
             gain=np.concatenate([*present, *of_e, *of_rate], axis=1),
         )
-
-    @functools.cached_property
-    def _gain(self) -> np.ndarray:
-        return _stacked(self.gain)
 
     @functools.cached_property
     def _owner(self) -> np.ndarray:
@@ -240,7 +229,7 @@ class LateKalmanEstimator(Estimator):
         else:
             rate = sample.e_dot - (expected[..., nv:] - bias)
         axis = self._axis
-        none, of_rate, of_position, gain = np.moveaxis(self._gain, -3, 0)
+        none, of_rate, of_position, gain = np.moveaxis(self.gain, -3, 0)
         if sample.is_new is not None:
             new_position, new_rate = np.split(sample.is_new[..., None], 2, axis=-2)
             without = np.where(new_rate[..., axis, :], of_rate, none)
@@ -284,16 +273,15 @@ class CoupledEstimator(Estimator):
     others one by one.
     """
 
-    wide: ClassVar[bool] = True
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     by_sample: ClassVar[tuple[str, ...]] = ("gain",)
     separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     biased: np.ndarray  # (k,) those of them whose velocities have a bias
     # postures (m, nq) of the gains, and gains (m, 3 n + k, 2 n): correction of [e, e', f, b] per
-    # unit of innovation of [e, e']; tuples for several runs
-    postures: np.ndarray | tuple[np.ndarray, ...] = of_each()
-    gain: np.ndarray | tuple[np.ndarray, ...] = of_each()
+    # unit of innovation of [e, e']
+    postures: np.ndarray
+    gain: np.ndarray
 
     @classmethod
     def make(
@@ -330,12 +318,9 @@ class CoupledEstimator(Estimator):
         """Return the gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle
         of the base's rotation and the joints' positions, rad or m.
         """
-        if isinstance(self.gain, tuple):
-            each = zip(self.gain, self.postures, q_d, strict=True)
-            return np.stack([gain[_nearest(postures, own)] for gain, postures, own in each])
         if len(self.gain) == 1 and q_d.ndim == 1:
             return self.gain[0]
-        nearest: np.ndarray = self.gain[_nearest(np.asarray(self.postures), q_d)]
+        nearest: np.ndarray = self.gain[_nearest(self.postures, q_d)]
         return nearest
 
     def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
@@ -357,7 +342,7 @@ class CoupledEstimator(Estimator):
         innovation = np.concatenate((sample.e[..., self.axes] - old_e, rate), axis=-1)
         n = self.axes.size
         of_e, of_rate, of_force, of_bias = np.split(
-            matrix_vector(self.gain_at(sample.q_d), innovation), [n, 2 * n, 3 * n], axis=-1
+            self.gain_at(sample.q_d).dot(innovation), [n, 2 * n, 3 * n], axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
@@ -380,11 +365,6 @@ class CoupledEstimator(Estimator):
             **kept,
             "estimated_force": force,
         }
-
-
-def _stacked(gain: np.ndarray | tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return a gain, or (B, ...) those of several runs."""
-    return np.stack(gain) if isinstance(gain, tuple) else gain
 
 
 def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, is_wide
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
 
 _KEY = "command_filter"
 
@@ -37,11 +37,6 @@ class FilteredLaw(ControlLaw):
     def contacts_read(self) -> int:  # type: ignore[override]
         """As the wrapped law."""
         return self.law.contacts_read
-
-    @property
-    def wide(self) -> bool:  # type: ignore[override]
-        """True if the wrapped law is."""
-        return is_wide(self.law)
 
     def initial_state(self) -> State:
         """Return the law's state, and that of filters at rest."""

@@ -191,7 +191,7 @@ class _Course:
         """The force at a sample; within the run's thread."""
         assert self.loop is not None
         loop, context = self.loop
-        force: np.ndarray = self.aside.ask((sample, loop.whole_states(context)[0].copy()))
+        force: np.ndarray = self.aside.ask((sample, loop.whole_state(context).copy()))
         return force
 
 

@@ -147,7 +147,7 @@ class _Loop:
         self.nv, self.period = len(coordinates.names), scenario.sample_time
         self.dynamics = make_law(scenario, self.nominal).dynamics
         self.motion = make_motion(scenario, coordinates)
-        self.disturbance = make_disturbance([scenario.disturbance], coordinates)
+        self.disturbance = make_disturbance(scenario.disturbance, coordinates)
         self.disturbance_context = self.disturbance.CreateDefaultContext()
         self.noise = coordinates.vector(
             scenario.sensing.velocity_noise, key="sensing.velocity_noise", default=0.0

@@ -20,7 +20,6 @@ from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.common.so3 import quaternion_rate, skew
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -32,7 +31,6 @@ from ffsm_drake.systems.controllers.law import (
     State,
     field_values,
     gain,
-    of_each,
 )
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
@@ -50,7 +48,6 @@ class Tvlqr(ControlLaw):
     by its size.
     """
 
-    wide: ClassVar[bool] = True
     by_sample: ClassVar[tuple[str, ...]] = ("gains",)
     model: PlantModel
     sample_time: float
@@ -69,32 +66,28 @@ class Tvlqr(ControlLaw):
         "size of a force with weight 1 in the cost",
         positive=True,
     )
-    # K_k (samples, nv, 2 nv), the last one stays; those of each of several runs
-    gains: np.ndarray | tuple[np.ndarray, ...] = of_each(default_factory=lambda: _UNKNOWN)
+    # K_k (samples, nv, 2 nv), the last one stays
+    gains: np.ndarray = dataclasses.field(default_factory=lambda: _UNKNOWN)
 
     def initial_state(self) -> State:
         return {"samples": np.zeros(1)}  # number of samples so far
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        planned = matrix_vector(self.model.calc_mass_matrix(sample.q_d), sample.a_d)
+        planned = self.model.calc_mass_matrix(sample.q_d).dot(sample.a_d)
         planned = planned + self.model.calc_bias(sample.q_d, sample.v_d)
-        gain, error = self._gain_at(state["samples"][..., 0]), (sample.e, sample.e_dot)
-        force = planned + matrix_vector(gain, np.concatenate(error, axis=-1))
+        gain, error = self._gain_at(state["samples"][0]), (sample.e, sample.e_dot)
+        force = planned + gain.dot(np.concatenate(error))
         return force, {"samples": state["samples"] + 1.0}
 
-    def _gain_at(self, samples: np.ndarray) -> np.ndarray:
-        """K_k (..., nv, 2 nv) after some samples (...)."""
-        if isinstance(self.gains, tuple):
-            each = zip(self.gains, samples.astype(int).tolist(), strict=True)
-            return np.stack([own[min(k, len(own) - 1)] for own, k in each])
-        if len(self.gains) == 1 and np.ndim(samples) == 0:
+    def _gain_at(self, samples: Any) -> np.ndarray:
+        """K_k (nv, 2 nv) after so many samples."""
+        if len(self.gains) == 1:
             return self.gains[0]
-        gain: np.ndarray = self.gains[np.minimum(samples.astype(int), len(self.gains) - 1)]
+        gain: np.ndarray = self.gains[min(int(samples), len(self.gains) - 1)]
         return gain
 
     def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
         """K_k of the samples from the first one, for the compiled engine."""
-        assert isinstance(self.gains, np.ndarray)
         return {"gains": self.gains[np.minimum(np.arange(len(q_d)), len(self.gains) - 1)]}
 
     @classmethod

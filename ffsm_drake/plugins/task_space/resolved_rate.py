@@ -5,7 +5,6 @@ Whitney 1969, doi:10.1109/TMMS.1969.299896; with J* Umetani and Yoshida 1989, do
 
 import dataclasses
 import functools
-from typing import ClassVar
 
 import numpy as np
 
@@ -24,7 +23,6 @@ class ResolvedRate(TaskSpaceLaw):
     The rates v_r are tracked with a lag, so the frame is behind its path by about A_d / (k_v K).
     """
 
-    wide: ClassVar[bool] = True
     k_p_rotation: float = gain(2.0, "1/s", "gain K on the attitude error of the frame", scalar=True)
     k_p_position: float = gain(2.0, "1/s", "gain K on the position error of the frame", scalar=True)
     k_v: float = gain(20.0, "1/s", "gain on the rates of the driven coordinates", scalar=True)

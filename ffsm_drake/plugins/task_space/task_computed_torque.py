@@ -5,7 +5,6 @@ doi:10.1109/70.105384.
 """
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +21,6 @@ class TaskComputedTorque(AccelerationLaw):
     of the plan.
     """
 
-    wide: ClassVar[bool] = True
     k_p_rotation: float = gain(
         25.0, "1/s^2", "gain K_p on the attitude error of the frame", scalar=True
     )

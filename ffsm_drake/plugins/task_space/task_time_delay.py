@@ -29,7 +29,6 @@ from ffsm_drake.systems.controllers.law import (
     State,
     field_values,
     gain,
-    is_wide,
 )
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics, after_grasp
@@ -71,11 +70,6 @@ class TaskTimeDelay(AccelerationLaw):
         return Tdc(k_d=self.k_d, k_p=self.k_p)
 
     @property
-    def wide(self) -> bool:  # type: ignore[override]
-        """As its estimator."""
-        return is_wide(self.estimator)
-
-    @property
     def _of_frame(self) -> bool:
         return self.estimator.by_axis
 
@@ -96,7 +90,7 @@ class TaskTimeDelay(AccelerationLaw):
         return {**state, **self.estimator.resume(state, ratio, v_d)}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        if self._of_frame or (sample.v.ndim > 1 and not is_wide(self)):
+        if self._of_frame:
             return super().step(sample, state)
         mass_matrix = self.model.calc_mass_matrix(sample.q)
         estimate, estimator_memory = self.estimator.step(sample, mass_matrix, state)

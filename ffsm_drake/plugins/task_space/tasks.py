@@ -38,8 +38,6 @@ from ffsm_drake.systems.controllers.law import (
     State,
     field_values,
     gain,
-    is_wide,
-    step_each,
 )
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.setup import BlockSetup
@@ -214,8 +212,6 @@ class TaskSpaceLaw(ControlLaw):
         return {"smallest_singular_value": np.zeros(1)}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        if sample.v.ndim > 1 and not is_wide(self):  # several runs, one after the other
-            return step_each(self, sample, state)
         point = self.task_space.at(sample, damping=self.damping)
         on_driven, memory = self.driven_force(point, state)
         force = np.zeros_like(sample.v)
@@ -229,9 +225,8 @@ class TaskSpaceLaw(ControlLaw):
 
     @abc.abstractmethod
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        """tau_a (..., na) at one sample, N m and N, and the law's memory; see ``ControlLaw.step``.
-
-        The point is that of several runs only if the law is ``wide``.
+        """tau_a (..., na) at one sample, N m and N, and the law's memory; see
+        ``ControlLaw.step``.
         """
 
 

@@ -7,11 +7,9 @@ the base's pose is not controlled.
 """
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
-from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
@@ -24,7 +22,6 @@ class TorqueAgainstMomentum(ControlLaw):
     The base torque is -tau_max H / |H|, and proportional to H at the end. The base force is zero.
     """
 
-    wide: ClassVar[bool] = True
     model: PlantModel
     torque: float = gain(10.0, "N m", "size of the base torque tau_max", scalar=True, positive=True)
     decay: float = gain(
@@ -54,13 +51,9 @@ class TorqueAgainstMomentum(ControlLaw):
         on_base = np.concatenate([-self.torque / size * momentum, np.zeros_like(momentum)], axis=-1)
         wanted = self.k_p * (held - joints) - self.k_d * sample.v[..., arm]
         # Solves H [a; wanted] + C = [on_base; tau] for a and tau.
-        rest = on_base - C[..., base] - matrix_vector(H[..., base, arm], wanted)
+        rest = on_base - C[..., base] - H[..., base, arm].dot(wanted)
         a = np.linalg.solve(H[..., base, base], rest[..., None])[..., 0]
-        tau = (
-            matrix_vector(H[..., arm, base], a)
-            + matrix_vector(H[..., arm, arm], wanted)
-            + C[..., arm]
-        )
+        tau = H[..., arm, base].dot(a) + H[..., arm, arm].dot(wanted) + C[..., arm]
         return np.concatenate([on_base, tau], axis=-1), {"held_joints": held}
 
 
@@ -70,7 +63,7 @@ def angular_momentum(mass_matrix: np.ndarray, v: np.ndarray) -> np.ndarray:
     The mass matrix suffices: H v begins with the momentum about the base's origin, and H[3:6, :3]
     is minus the mass times the cross-product matrix of c, from there to the centre of mass.
     """
-    momentum = matrix_vector(mass_matrix, v)
+    momentum = mass_matrix.dot(v)
     c = np.stack([mass_matrix[..., 4, 2], mass_matrix[..., 5, 0], mass_matrix[..., 3, 1]], axis=-1)
     c = c / mass_matrix[..., 3, 3, None]
     about_center: np.ndarray = momentum[..., :3] - np.cross(c, momentum[..., 3:6])

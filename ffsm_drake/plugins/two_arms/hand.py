@@ -92,9 +92,9 @@ class Hand(Stop):
         series = now.logs[-1].series
         work = series[LOSS][-1].item() if LOSS in series else 0.0
         state = _contact(loop.blocks[_BLOCK]).close(root_context, now.state, work=work)
-        loop.set_whole_states(root_context, state[None])
+        loop.set_whole_state(root_context, state)
         reference = loop.diagram.GetOutputPort("desired_state").Eval(root_context)
-        loop.resume(root_context, now.loop, now.context, reference[None], afresh=phase.afresh)
+        loop.resume(root_context, now.loop, now.context, reference, afresh=phase.afresh)
         return now
 
 

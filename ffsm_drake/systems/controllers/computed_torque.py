@@ -2,11 +2,9 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
-from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
@@ -18,7 +16,6 @@ class ComputedTorque(ControlLaw):
     tau = Hhat (a_d + K_d e' + K_p e) + Chat.
     """
 
-    wide: ClassVar[bool] = True
     model: PlantModel
     k_p: np.ndarray = gain(25.0, "1/s^2", "gain K_p on the error")
     k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the rate of the error")
@@ -32,4 +29,4 @@ class ComputedTorque(ControlLaw):
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e
         mass_matrix = self.model.calc_mass_matrix(sample.q)
-        return matrix_vector(mass_matrix, u) + self.model.calc_bias(sample.q, sample.v), state
+        return mass_matrix.dot(u) + self.model.calc_bias(sample.q, sample.v), state

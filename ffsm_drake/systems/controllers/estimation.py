@@ -32,7 +32,6 @@ class Estimator(abc.ABC):
     """An estimator as a pure function of arrays; a subclass is a frozen dataclass."""
 
     by_axis: ClassVar[bool] = False  # whether it treats every coordinate by itself, with no delay
-    wide: ClassVar[bool] = False  # see ControlLaw
     # keys of the scenario's ``estimator`` that are designed: intensities of random walks
     random_walks: ClassVar[tuple[str, ...]] = ()
 
@@ -80,7 +79,6 @@ class OneSampleEstimator(Estimator):
     """Time-delay estimation as published: N(t - L) for N(t), equation (5)."""
 
     by_axis: ClassVar[bool] = True
-    wide: ClassVar[bool] = True
     sample_time: float
     num_velocities: int
 

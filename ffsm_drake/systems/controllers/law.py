@@ -41,7 +41,7 @@ class Sample(NamedTuple):
     """Inputs of a control law at one control sample t_k.
 
     Vectors are in world axes, with v = [w_WB, v_WB, joint rates]. Units are rad, m, s, N m and N.
-    Arrays have the shape (..., size): one run, or several at once.
+    Arrays have the shape (size,).
 
     Example:
       >>> from ffsm_drake import ControlLaw, load_scenario, simulate
@@ -55,22 +55,22 @@ class Sample(NamedTuple):
       False (11,)
     """
 
-    q: np.ndarray  # (..., nq) measured configuration
-    v: np.ndarray  # (..., nv) measured velocity
-    q_d: np.ndarray  # (..., nq) reference
-    v_d: np.ndarray  # (..., nv)
-    a_d: np.ndarray  # (..., nv)
-    e: np.ndarray  # (..., nv) q_d - q, the base's attitude as a rotation vector
-    # (..., nv) rate of e: v_d - v except for the attitude, see coordinates.error_rate
+    q: np.ndarray  # (nq) measured configuration
+    v: np.ndarray  # (nv) measured velocity
+    q_d: np.ndarray  # (nq) reference
+    v_d: np.ndarray  # (nv)
+    a_d: np.ndarray  # (nv)
+    e: np.ndarray  # (nv) q_d - q, the base's attitude as a rotation vector
+    # (nv) rate of e: v_d - v except for the attitude, see coordinates.error_rate
     e_dot: np.ndarray
-    applied_force: np.ndarray  # (..., nv) force over the last period; zero at the first sample
+    applied_force: np.ndarray  # (nv) force over the last period; zero at the first sample
     is_first: bool  # no sample before, or a grasp since
-    # (..., 2 nv) mask of new measurements: of each position, then of each velocity; None: all new
+    # (2 nv) mask of new measurements: of each position, then of each velocity; None: all new
     is_new: np.ndarray | None = None
-    # (..., 19) desired [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the
+    # (19) desired [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the
     # frame F of ``reference.frame``; None: there is none, or the law tracks no frame
     desired_frame: np.ndarray | None = None
-    # (..., 6 contacts) measured wrenches on the target, for a law with ``contacts_read``
+    # (6 contacts) measured wrenches on the target, for a law with ``contacts_read``
     contact_wrench: np.ndarray | None = None
 
 
@@ -132,15 +132,6 @@ def gain(
     return dataclasses.field(metadata={"setting": declared})
 
 
-def of_each(**options: Any) -> Any:
-    """Declare a field of a wide law that has one value for each run, such as gains computed from
-    the model.
-
-    For several runs it is a tuple with one value for each. Options: see ``dataclasses.field``.
-    """
-    return dataclasses.field(metadata={"of_each": True}, **options)
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReachingGain:
     """The gain K_s on a law's sliding variable s; dK_s/dt = rate |s| sgn(|s| - rest(K_s))."""
@@ -167,8 +158,8 @@ class ReachingGain:
 class ControlLaw(abc.ABC):
     """Base class of control laws. A law is a frozen dataclass with a method ``step``.
 
-    Arrays have the shape (..., nv): one run, or several at once. The other methods are optional.
-    Override them for a law that adapts gains, has a sign term, or is to be designed.
+    Arrays have the shape (nv,). The other methods are optional. Override them for a law that adapts
+    gains, has a sign term, or is to be designed.
 
     Example:
       >>> from dataclasses import dataclass
@@ -191,11 +182,6 @@ class ControlLaw(abc.ABC):
     tracks_frame: ClassVar[bool] = False
     # Number of contacts (``contacts``) whose measured wrench it receives.
     contacts_read: ClassVar[int] = 0
-    # True if ``step`` with arrays (B, nv) of B runs gives each row the bits of a separate run.
-    # Vector fields then have a row for each run, and numbers that differ a column (B, 1). Other
-    # fields are equal, except the model and ``of_each`` fields. Runs in one diagram share one law
-    # (``is_wide``).
-    wide: ClassVar[bool] = False
     # Smallest change of its inputs (rad, m, per s) in a linearisation. For a law in single
     # precision, a smaller change would be rounding.
     least_change: ClassVar[float] = 0.0
@@ -305,28 +291,6 @@ class ControlLaw(abc.ABC):
           BlockError: another field without a default, or no ``step``.
         """
         return cls(**field_values(cls, setup))
-
-
-def step_each(law: ControlLaw, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-    """Call the step of a law for one run after another, with a sample (m, ...) of several runs."""
-    forces, memories = list[np.ndarray](), list[State]()
-    for i in range(len(sample.v)):
-        one = {k: v[i] for k, v in sample._asdict().items() if isinstance(v, np.ndarray)}
-        force, memory = law.step(
-            sample._replace(**one), {name: value[i] for name, value in state.items()}
-        )
-        forces.append(force)
-        memories.append(memory)
-    names = memories[0]
-    return np.stack(forces), {name: np.stack([each[name] for each in memories]) for name in names}
-
-
-def is_wide(part: Any) -> bool:
-    """True if the class of a law, or of a part of one, itself declares ``wide``.
-
-    A subclass does not inherit it, because it may have another ``step``.
-    """
-    return "wide" in vars(type(part)) and bool(part.wide)
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:

@@ -2,11 +2,9 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
-from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
@@ -20,7 +18,6 @@ class PdPlus(ControlLaw):
     Chat(q, v) v_d is the symmetric bilinear form whose diagonal is Drake's bias term.
     """
 
-    wide: ClassVar[bool] = True
     model: PlantModel
     k_p: np.ndarray = gain(
         {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},
@@ -54,5 +51,5 @@ class PdPlus(ControlLaw):
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         q, v, v_d = sample.q, sample.v, sample.v_d
         coriolis = 0.25 * (self.model.calc_bias(q, v + v_d) - self.model.calc_bias(q, v - v_d))
-        force = matrix_vector(self.model.calc_mass_matrix(q), sample.a_d) + coriolis
+        force = self.model.calc_mass_matrix(q).dot(sample.a_d) + coriolis
         return force + self.k_d * sample.e_dot + self.k_p * sample.e, state

@@ -1,8 +1,6 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
@@ -67,8 +65,8 @@ class SampledController(LeafSystem):
       sliding_variable, reaching_gain, switching_gain: (nv), if the law's memory has them.
       smallest_singular_value: (1), if the law's memory has it.
     Discrete state, updated every ``sample_time``:
-      generalized_force (nv), has_previous (1; 0 before the first update), with several copies
-        parked (1 after a call of ``park``), then the law's memory by name.
+      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by
+        name.
     """
 
     def __init__(
@@ -79,7 +77,6 @@ class SampledController(LeafSystem):
         coordinates: Coordinates,
         sample_time: float,
         place: str = "",
-        copies: Sequence[ControlLaw] = (),
         restarts: bool = False,
     ) -> None:
         """Args:
@@ -88,28 +85,18 @@ class SampledController(LeafSystem):
           coordinates: names of the generalized velocities.
           sample_time: the control period L, s.
           place: name of the law in errors; default: the system's name.
-          copies: the laws of several copies of the spacecraft, joined in ``law``; all arrays and
-            the memory then have a row for each copy.
-          restarts: whether there is a port ``restart``, a number for each copy.
+          restarts: whether there is a port ``restart``.
 
         Raises BlockError: a user-supplied law breaks its contract.
         """
         super().__init__()
         self.set_name(name)
         self.law, self._place = law, place or name
-        self._laws = tuple(copies) or (law,)
         self._step = checked_step(law, self._place)
-        self._made_with: dict[str, Any] = {
-            "name": name,
-            "coordinates": coordinates,
-            "sample_time": sample_time,
-            "place": place,
-            "restarts": restarts,
-        }
-        self._copies = len(self._laws)
         self._block = LawBlock(law, coordinates)
-        self._restart = self.DeclareVectorInputPort("restart", self._copies) if restarts else None
-        memory = self._first_memory(len(coordinates.names))  # checks the law
+        self._restart = self.DeclareVectorInputPort("restart", 1) if restarts else None
+        memory = memory_of(law, self._place)
+        check_law(law, self._place, memory, len(coordinates.names))
         self._declare_inputs()
         self._declare_state(len(coordinates.names), memory)
         self.DeclareStateOutputPort("generalized_force", self._force)
@@ -121,55 +108,20 @@ class SampledController(LeafSystem):
 
     def _declare_inputs(self) -> None:
         ports = {
-            name: self.DeclareVectorInputPort(name, self._copies * size)
+            name: self.DeclareVectorInputPort(name, size)
             for name, size in self._block.inputs.items()
         }
         self._required = {name: ports.pop(name) for name in REQUIRED}
         self._optional = ports
 
-    def _first_memory(self, num_velocities: int) -> State:
-        """Return the law's memory at the start, of several copies with a row for each."""
-        if self._copies > 1:
-            memories = [law.initial_state() for law in self._laws]
-            return {name: np.stack([each[name] for each in memories]) for name in memories[0]}
-        memory = memory_of(self.law, self._place)
-        check_law(self.law, self._place, memory, num_velocities)
-        return memory
-
     def _declare_state(self, num_velocities: int, memory: State) -> None:
         self._first = memory
-        self._force = self.DeclareDiscreteState(np.zeros(self._copies * num_velocities))
+        self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        if self._copies > 1:
-            self._parked = self.DeclareDiscreteState(np.zeros(self._copies))
         self._memory = {
             key: self.DeclareDiscreteState(value.ravel()) for key, value in memory.items()
         }
         self._shapes = {key: value.shape for key, value in memory.items()}
-
-    def widened(self, law: ControlLaw, copies: Sequence[ControlLaw]) -> "SampledController":
-        """Return the controller of several copies of the spacecraft.
-
-        Args:
-          law: law for all copies, with a row for each copy in all arrays.
-          copies: law of each copy.
-        """
-        return SampledController(law, copies=copies, **self._made_with)
-
-    def park(self, context: Context, copy: int) -> None:
-        """Put a copy's force and memory to their values at the start, where they stay."""
-        is_parked = np.array(context.get_discrete_state(self._parked).value())
-        is_parked[copy] = 1.0
-        context.SetDiscreteState(self._parked, is_parked)
-        for index in (self._force, *self._memory.values()):
-            values = np.array(context.get_discrete_state(index).value())
-            first = self._at_start.get_discrete_state(index).value()
-            values.reshape(self._copies, -1)[copy] = first.reshape(self._copies, -1)[copy]
-            context.SetDiscreteState(index, values)
-
-    @functools.cached_property
-    def _at_start(self) -> Context:
-        return self.CreateDefaultContext()
 
     def state(self, context: Context, name: str) -> np.ndarray:
         """Return a copy of one piece of the discrete state, by its name in the class docstring."""
@@ -191,7 +143,7 @@ class SampledController(LeafSystem):
         context: Context,
         before: "SampledController",
         context_before: Context,
-        references: np.ndarray,
+        reference: np.ndarray,
     ) -> None:
         """Take over from another controller; the next sample is a first one, as velocities jump.
 
@@ -199,22 +151,18 @@ class SampledController(LeafSystem):
           context: this controller's context.
           before: the other controller, with the same law for another payload.
           context_before: the other controller's context.
-          references: [q_d; v_d] at that instant, of each copy: (B, nq + nv).
+          reference: [q_d; v_d] (nq + nv) at that instant.
         """
-        one = {name: shape[self._copies > 1 :] for name, shape in self._shapes.items()}
         memory = {}
-        for name, shape in one.items():  # afresh where the other has nothing alike
-            alike = name in before._memory and before._shapes[name] == self._shapes[name]
+        for name, shape in self._shapes.items():  # afresh where the other has nothing alike
+            alike = name in before._memory and before._shapes[name] == shape
             value = before.state(context_before, name) if alike else self._first[name]
-            memory[name] = value.reshape(self._copies, *shape)
-        resumed = []
-        for copy, (law, other) in enumerate(zip(self._laws, before._laws, strict=True)):
-            own = {name: rows[copy] for name, rows in memory.items()}
-            returned = calling(self._place, law.resume, own, other, references[copy])
-            resumed.append(checked_memory(returned, f"{self._place}: resume", one))
+            memory[name] = value.reshape(shape)
+        returned = calling(self._place, self.law.resume, memory, before.law, reference)
+        resumed = checked_memory(returned, f"{self._place}: resume", self._shapes)
         context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
-            context.SetDiscreteState(index, np.concatenate([np.ravel(of[name]) for of in resumed]))
+            context.SetDiscreteState(index, np.ravel(resumed[name]))
 
     def memory_groups(self) -> Mapping[str, int]:
         """Return the discrete group of each piece of the law's memory, by name."""
@@ -234,9 +182,7 @@ class SampledController(LeafSystem):
         return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
     def read(self, context: Context) -> tuple[State, State]:
-        """Return the inputs of an update, by name: connected input ports, and the law's memory; a
-        row for each of several copies.
-        """
+        """Return the inputs of an update, by name: connected input ports, and the law's memory."""
         value = context.get_discrete_state().value
         inputs = {name: port.Eval(context) for name, port in self._required.items()}
         for name, port in self._optional.items():
@@ -244,9 +190,6 @@ class SampledController(LeafSystem):
                 inputs[name] = port.Eval(context)
         inputs.setdefault("applied_force", value(self._force))
         memory = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
-        if self._copies > 1:
-            inputs = {name: each.reshape(self._copies, -1) for name, each in inputs.items()}
-            memory = {name: each.reshape(self._shapes[name]) for name, each in memory.items()}
         return inputs, memory
 
     def step(
@@ -267,27 +210,11 @@ class SampledController(LeafSystem):
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, before = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
-        alone, afresh = self._copies == 1, None
-        if self._restart is not None and (wanted := self._restart.Eval(context) > 0.5).any():
-            afresh = wanted
-            if afresh.all():
-                is_first, before = True, self._first
+        if self._restart is not None and self._restart.Eval(context).item() > 0.5:
+            is_first, before = True, self._first
         force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        elif afresh is not None:  # some of the copies
-            other, anew = self.step(inputs, self._first, is_first=True, time=context.get_time)
-            force = np.where(afresh[:, None], other, force)
-            memory = {name: values.copy() for name, values in memory.items()}
-            for name, values in memory.items():
-                values[afresh] = anew[name][afresh]
-        if not alone and (kept := context.get_discrete_state().value(self._parked)).any():
-            parked = kept > 0.0
-            force = np.where(parked[:, None], 0.0, force)
-            memory = {name: values.copy() for name, values in memory.items()}
-            for name, values in memory.items():
-                values[parked] = before[name][parked]
-        discrete_values.set_value(self._force, force if alone else force.reshape(-1))
+        discrete_values.set_value(self._force, force)
         for name, index in self._memory.items():
-            values = memory[name]
-            discrete_values.set_value(index, values if alone else values.reshape(-1))
+            discrete_values.set_value(index, memory[name])

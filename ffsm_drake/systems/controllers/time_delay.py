@@ -17,7 +17,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.common.products import matrix_vector
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
@@ -26,7 +25,6 @@ from ffsm_drake.systems.controllers.law import (
     Sample,
     State,
     field_values,
-    is_wide,
 )
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -54,7 +52,6 @@ class InjectedDynamics(abc.ABC):
     # True if it acts on each coordinate separately and is linear while the states of ``held`` are
     # constant: ``ffsm stability`` then prints limits by coordinate.
     by_axis: ClassVar[bool] = False
-    wide: ClassVar[bool] = False  # see ControlLaw
 
     def initial_state(self) -> State:
         """Return the initial states of the law: name -> array. By default there are none."""
@@ -172,11 +169,6 @@ class TimeDelayControl(ControlLaw):
         return self.dynamics.held()
 
     @property
-    def wide(self) -> bool:  # type: ignore[override]
-        """As its estimator and its dynamics."""
-        return is_wide(self.dynamics) and is_wide(self.estimator)
-
-    @property
     def by_axis(self) -> Self | None:
         return self if self.dynamics.by_axis and self.estimator.by_axis else None
 
@@ -243,4 +235,4 @@ def time_delay_force(
     """Return the generalized force tau_k (..., nv) of equation (6): tau_{k-1} + Hhat (u_k -
     q''_{k-1}), N m and N.
     """
-    return delayed_force + matrix_vector(nominal_mass_matrix, u - delayed_acceleration)
+    return delayed_force + nominal_mass_matrix.dot(u - delayed_acceleration)

@@ -186,7 +186,6 @@ def test_code_is_compared_with_the_first_run_that_completes():
 @pytest.mark.parametrize(
     "given",
     [
-        "environment.solar_pressure.area=10",
         "blocks.forces={drag: {system: 'tests_drag:none'}}",
         "actuation.thrusters.layout=12x5N",
         "simulator_config.use_error_control=true",

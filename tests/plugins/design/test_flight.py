@@ -255,7 +255,7 @@ def test_the_limit_of_a_loop_that_diverges_at_once_is_unknown():
 def test_the_limit_says_nothing_of_sensors_it_does_not_know(monkeypatch):
     lab = types.ModuleType("lab_of_the_sensors")
     lab.Sensors = lambda setup: make_sensing(
-        [setup.scenario.sensing], setup.coordinates, sample_time=setup.sample_time
+        setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time
     )
     monkeypatch.setitem(sys.modules, lab.__name__, lab)
     limit = find_limit(

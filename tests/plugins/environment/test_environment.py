@@ -74,7 +74,7 @@ def coast(
     )
     block = EnvironmentForce(force=orbital_force(settings, model), carrier=Carrier(Scenario()))
     system = builder.AddSystem(
-        SampledSystem([block], name="environment", sample_time=sample_time, held=True)
+        SampledSystem(block, name="environment", sample_time=sample_time, held=True)
     )
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
     builder.Connect(

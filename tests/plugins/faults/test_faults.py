@@ -224,7 +224,7 @@ def test_refused(name, faults, said):
 
 
 @pytest.mark.slow
-def test_side_by_side_they_go_alone_and_a_run_says_what_broke():
+def test_many_runs_are_those_alone_and_a_run_says_what_broke():
     scenario = scenario_with("thrusters.a_x", "leaking")
     alone = simulate(scenario)
     for record in simulate_many([scenario, scenario]):

@@ -176,13 +176,6 @@ def test_a_policy_without_a_file_is_refused(name):
         load_scenario("postcapture", [{"controller": name}])
 
 
-def test_runs_of_a_policy_go_side_by_side(pd):
-    scenarios = [flown(pd, "duration=0.2").replace(random_seed=seed) for seed in (1, 2)]
-    together, alone = (dict(run_many(scenarios, batch=batch)) for batch in (2, 1))
-    for index, log in alone.items():
-        np.testing.assert_array_equal(together[index].series["state"], log.series["state"])
-
-
 def test_compiled_runs_call_a_policy(pd):
     pytest.importorskip("llvmlite", reason="needs llvmlite, an extra")
     scenarios = [flown(pd, "duration=0.5").replace(random_seed=seed) for seed in (1, 2)]

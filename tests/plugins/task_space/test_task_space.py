@@ -23,7 +23,7 @@ from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import complete_gains, controller_setup, make_law
-from ffsm_drake.systems.controllers.law import Sample, is_wide
+from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 LAWS = ("resolved_rate", "task_computed_torque", "task_time_delay")
@@ -325,39 +325,6 @@ def test_an_estimator_of_the_coordinates_serves_a_frame(estimator):
     assert 1e-9 < np.abs(log.frame_error).max() < 2e-3
     if late:  # the estimate is what makes it work
         assert followed("task_time_delay", *noise).ending.status == "diverged"
-
-
-@pytest.mark.parametrize("estimator", [("kind=coupled",), ("kind=kalman", *LATE)])
-@pytest.mark.parametrize("has_path", [False, True])
-def test_a_law_on_estimated_coordinates_takes_many_states_at_once(estimator, has_path):
-    """Each row has the bits that it has alone, at random states and measurements."""
-    kind, *late = estimator
-    noise = ["sensing.velocity_noise=1e-5", "sensing.position_noise=1e-6"]
-    scenario = scenario_of("controller=task_time_delay", f"estimator.{kind}", *noise, *late)
-    law = make_closed_loop(scenario).blocks["controller"].law
-    assert is_wide(law)
-    random, samples = np.random.default_rng(0), []
-    for seed in range(6):
-        sample = sample_at(*state_of(scenario, seed))
-        new = random.random(2 * sample.v.size) < 0.5 if late else None
-        path = sample.desired_frame if has_path else None
-        samples.append(sample._replace(is_new=new, desired_frame=path))
-    states = [
-        {name: 0.01 * random.normal(size=at.shape) for name, at in law.initial_state().items()}
-        for _ in samples
-    ]
-    state = {name: np.stack([each[name] for each in states]) for name in states[0]}
-    for is_first in (True, False):
-        whole = Sample(
-            *(None if each[0] is None else np.stack(each) for each in zip(*samples, strict=True))
-        )
-        force, memory = law.step(whole._replace(is_first=is_first), state)
-        for row, sample in enumerate(samples):
-            own_force, own_memory = law.step(sample._replace(is_first=is_first), states[row])
-            np.testing.assert_array_equal(force[row], own_force)
-            assert set(memory) == set(own_memory)
-            for name, value in own_memory.items():
-                np.testing.assert_array_equal(memory[name][row], value, err_msg=name)
 
 
 def at_zero_momentum(scenario):

@@ -36,7 +36,7 @@ class Approach(PhaseKind):
     ) -> Situation:
         """Put the servicer at its start."""
         if now.sample == 0:
-            loop.set_whole_states(root_context, now.own.aim.start(loop)[None])
+            loop.set_whole_state(root_context, now.own.aim.start(loop))
         return super().enter(now, phase, loop, root_context)
 
     def judge(self, now: Situation) -> tuple[str, Situation]:

@@ -53,7 +53,7 @@ class Close(PhaseKind):
             force.GetMyMutableContextFromRoot(root_context),
             payload=chase.scenario.payload.truth,
             target=chase.path[now.sample],
-            state=loop.whole_states(root_context)[0],
+            state=loop.whole_state(root_context),
         )
         return replaced(now, pushed=(now.sample, force.motions))
 

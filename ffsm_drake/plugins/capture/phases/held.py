@@ -48,8 +48,8 @@ class Held(Stop):
         made = meeting.grasp(chase.aim.scenario, loop, chase.path[: now.sample])
         assert made.contact is not None
         state = np.concatenate([meeting.q, made.contact.grasp.velocity])
-        loop.set_whole_states(root_context, state[None])
-        reference = chase.aim.reference[None]
+        loop.set_whole_state(root_context, state)
+        reference = chase.aim.reference
         loop.resume(root_context, now.loop, now.context, reference, afresh=phase.afresh)
         # to the blocks, which resume with nothing in the gripper
         loop.set_payload(root_context, made.payload)

@@ -436,7 +436,7 @@ class DifferencedLoop:
         )
 
     def _law_of_many(self, index: int) -> "_LawOfMany | None":
-        """The controller's update at a control sample for many states at once, of a shipped law."""
+        """The controller's update at a control sample for many states, of a shipped law."""
         controller = self.loop.blocks["controller"]
         if not isinstance(controller, SampledController) or not is_shipped(controller.law):
             return None
@@ -514,7 +514,7 @@ class _Update:
 
 class _LawOfMany:
     """The update at a control sample in two steps: first every block except the controller, and the
-    controller's inputs; then the control law, for many states at once for speed.
+    controller's inputs; then the control law, for many states.
     """
 
     def __init__(
@@ -580,15 +580,19 @@ class _LawOfMany:
         larger = np.fmax(1.0, least / np.fmax(np.abs(change).max(axis=1, keepdims=True), 1e-12))
         if least:
             read = read[0] + larger * change
-        inputs, own = (
-            {name: read[:, slot] for name, slot in slots.items()}
-            for slots in (self._inputs, self._own)
-        )
-        force, after = self._controller.step(inputs, own)
+        made = [self._stepped(row) for row in read]
         for name, part in self._parts.items():
-            values = {"generalized_force": force, **after}[name]
+            values = np.stack([np.ravel(each[name]) for each in made])
             found[:, part] = values[0] + (values - values[0]) / larger if least else values
         return found
+
+    def _stepped(self, row: np.ndarray) -> dict[str, np.ndarray]:
+        """The force and the law's memory after the update, from a row of ``read``."""
+        inputs, own = (
+            {name: row[slot] for name, slot in slots.items()} for slots in (self._inputs, self._own)
+        )
+        force, after = self._controller.step(inputs, own)
+        return {"generalized_force": force, **after}
 
 
 def _jacobian(

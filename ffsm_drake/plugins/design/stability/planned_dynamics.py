@@ -116,7 +116,7 @@ class PlannedDynamics:
 
     def _disturbances(self, times: np.ndarray) -> np.ndarray:
         """The disturbance (n, nv) at times (n,), N m or N."""
-        disturbance = make_disturbance([self.scenario.disturbance], self.coordinates)
+        disturbance = make_disturbance(self.scenario.disturbance, self.coordinates)
         port = disturbance.GetOutputPort("generalized_force")
         context, forces = disturbance.CreateDefaultContext(), []
         for time in times.tolist():

@@ -26,7 +26,6 @@ class Aismc(InjectedDynamics):
     """
 
     by_axis: ClassVar[bool] = True
-    wide: ClassVar[bool] = True
     chooses_k_s: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")

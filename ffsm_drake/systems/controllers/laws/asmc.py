@@ -38,7 +38,6 @@ class Asmc(InjectedDynamics):
     """
 
     by_axis: ClassVar[bool] = True
-    wide: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
     k_s: np.ndarray = gain(80.0, "1/s", "constant reaching gain K_s")

@@ -17,7 +17,6 @@ class Tdc(InjectedDynamics):
     """
 
     by_axis: ClassVar[bool] = True
-    wide: ClassVar[bool] = True
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
 

@@ -4,7 +4,6 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
@@ -31,8 +30,6 @@ class TdeAismc(Aismc):
     u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e. K_s adapts at
     another rate than in AISMC. Gains are diagonals (nv).
     """
-
-    wide: ClassVar[bool] = True
 
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
