@@ -377,8 +377,8 @@ def test_the_tutorial_is_stored_without_outputs():
     assert notebook["metadata"]["kernelspec"]["name"] == "python3"
 
 
-# the law itself, its fields, gains of the paper's laws, and a method of any block's factory
-NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s"}
+# the law itself, its fields, gains of the paper's laws, and what an engine records of its own law
+NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s", "logged"}
 READ = re.compile(r"(?:getattr|hasattr|attribute_of)\(\s*(?:[\w.]+\.)?(?:law|factory)\b, \"(\w+)\"")
 
 

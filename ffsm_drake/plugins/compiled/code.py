@@ -206,9 +206,9 @@ class _Part:
         if kind in _READ:
             yield from self._fetched(index)
         elif kind == "loop":
-            for place, each in enumerate(operands[1:]):
-                value = self._operand(each)
-                yield from _store(self._registers, value, f"loop.{index}.b", place, "s")
+            for place, operand in enumerate(operands[1:]):
+                given = self._operand(operand)
+                yield from _store(self._registers, given, f"loop.{index}.b", place, "s")
             yield f"  call void @{self._name}.{operands[0]}(ptr %loop.{index}.b)"
         elif kind in _COMPARED or kind in TRUTHS or kind == "select":
             yield from self._chosen(name, kind, list(map(self._operand, operands)))
