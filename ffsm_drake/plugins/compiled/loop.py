@@ -262,7 +262,11 @@ class Blocks:
         return any("measurement_is_new" in stage.outputs for stage in self.sensors)
 
     def _found(self, name: str) -> int:
-        return 0 if self.detector is None else dict(self.detector.outputs).get(name, 0)
+        return (
+            0
+            if self.detector is None
+            else sized(self.detector.outputs, {}, "detection").get(name, 0)
+        )
 
     @property
     def _gyrates(self) -> bool:
@@ -293,7 +297,7 @@ class Blocks:
             "estimated_state": "measurement", "measurement_is_new": "is_new",
             "fault_detected": "detected",
         }  # fmt: skip
-        sizes = dict(self.detector.outputs)
+        sizes = sized(self.detector.outputs, {}, "detection")
         return {name: (cell, 0, sizes[name]) for name, cell in cells.items() if name in sizes}
 
     @property
