@@ -160,7 +160,7 @@ def results_data(
     records: Sequence[RunRecord], distances: Sequence[float] | None = None
 ) -> list[dict[str, Any]]:
     """Return the results of the table above as plain data."""
-    of_each = (
+    columns = (
         [{}] * len(records)
         if distances is None
         else [{"distance_to_lqg": distance} for distance in distances]
@@ -176,5 +176,5 @@ def results_data(
             **({} if record.grasp is None else {"grasp": record.grasp}),
             **distance,
         }
-        for record, distance in zip(records, of_each, strict=True)
+        for record, distance in zip(records, columns, strict=True)
     ]

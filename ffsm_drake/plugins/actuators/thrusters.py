@@ -264,15 +264,15 @@ class FiredThrusters(Part):
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Forces, open valves, and what of the commanded wrench they could give."""
-        of_each = functools.partial(Signal, components=tuple(self.units), dimension="thruster")
+        by_unit = functools.partial(Signal, components=tuple(self.units), dimension="thruster")
         return (
-            of_each(
+            by_unit(
                 name="thruster_force",
                 unit="N",
                 meaning="mean force of each thruster from this sample to the next",
                 heading="",
             ),
-            of_each(
+            by_unit(
                 name="thruster_open",
                 unit="1",
                 meaning="open share of the sample for each thruster",
@@ -312,11 +312,11 @@ class FiredThrusters(Part):
 
         return (
             *self._propellant_metrics(),
-            self._of_each("impulse", "N s", self._impulse),
+            self._by_unit("impulse", "N s", self._impulse),
             _of_all("impulse", "N s", self._impulse),
-            self._of_each("pulses", "1", _count),
+            self._by_unit("pulses", "1", _count),
             _of_all("pulses", "1", _count, heading="pulses"),
-            self._of_each("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
+            self._by_unit("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
             Metric(key="thrusters.shortest_pulse", unit="s", label="", column="", of=_shortest),
             Metric(
                 key="thrusters.saturated",
@@ -347,7 +347,7 @@ class FiredThrusters(Part):
             ),
         )
 
-    def _of_each(self, key: str, unit: str, of: Callable[[View], np.ndarray]) -> Metric:
+    def _by_unit(self, key: str, unit: str, of: Callable[[View], np.ndarray]) -> Metric:
         return Metric(
             key=f"thrusters.{key}",
             unit=unit,

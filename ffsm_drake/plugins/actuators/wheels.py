@@ -370,20 +370,20 @@ class ReactionWheels(Part):
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Momentum, torque and speed of the wheels, and their torque on the base."""
-        of_each = functools.partial(
+        by_unit = functools.partial(
             Signal, components=tuple(self.settings.units), dimension="wheel"
         )
         in_world = functools.partial(
             Signal, components=("x", "y", "z"), dimension="axis", heading=""
         )
         return (
-            of_each(
+            by_unit(
                 name="wheel_momentum",
                 unit="N m s",
                 meaning="momentum of each wheel about its axis",
                 heading="Wheels: momentum",
             ),
-            of_each(
+            by_unit(
                 name="wheel_torque",
                 unit="N m",
                 meaning="torque of each wheel's motor from this sample to the next",
@@ -410,7 +410,7 @@ class ReactionWheels(Part):
                 meaning="1 while thrusters unload the wheels",
                 heading="",
             ),
-            of_each(
+            by_unit(
                 name="wheel_speed",
                 unit="rad/s",
                 meaning="speed of each wheel in the base",
@@ -427,7 +427,7 @@ class ReactionWheels(Part):
                 unit=unit,
                 meaning=meaning,
                 dimension="wheel",
-                values=self._of_each(name).tolist(),
+                values=self._by_unit(name).tolist(),
             )
             for name, unit, meaning in (
                 ("torque_limit", "N m", "largest torque of the motor, in both directions"),
@@ -576,11 +576,11 @@ class ReactionWheels(Part):
             ),
         ]
 
-    def _of_each(self, name: str) -> np.ndarray:
+    def _by_unit(self, name: str) -> np.ndarray:
         return np.array([getattr(unit, name) for unit in self.settings.units.values()], dtype=float)
 
     def _limit(self, name: str, unit: str) -> Limit:
-        largest, names = self._of_each(f"{name}_limit"), tuple(self.settings.units)
+        largest, names = self._by_unit(f"{name}_limit"), tuple(self.settings.units)
         return Limit(
             quantity=f"wheel_{name}", source=f"actuation.wheels: {name}_limit", names=names,
             units=(unit,) * len(names), upper=largest, lower=-largest,
@@ -593,7 +593,7 @@ class ReactionWheels(Part):
         """Speeds (n, wheels) in the base, rad/s."""
         state, first = run["state"], len(run.coordinates.position_names)
         w_WB = in_body_axes(state[:, :4], state[:, first : first + 3])
-        axes = self._of_each("axis")
+        axes = self._by_unit("axis")
         axes /= np.linalg.norm(axes, axis=1)[:, None]
-        speed: np.ndarray = run["wheel_momentum"] / self._of_each("inertia") - w_WB @ axes.T
+        speed: np.ndarray = run["wheel_momentum"] / self._by_unit("inertia") - w_WB @ axes.T
         return speed
