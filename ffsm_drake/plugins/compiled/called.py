@@ -41,11 +41,10 @@ class Laws:
         self._memory = {name: own.pop(name) for name in memory}
         self._inputs = own
         self._after = _parts(memory, first=blocks.nv)
-        self._detectors, looked, found = list(detectors), blocks.detector_inputs, {}
-        if self._detectors:
-            found = blocks.detector_outputs
-        else:
-            looked = {}
+        self._detectors = list(detectors)
+        looked, found = blocks.detector_inputs, blocks.detector_outputs
+        if not detectors:
+            looked = found = {}
         read = sum(size for *_, size in inputs.values()) + kept
         self._looks = _parts({name: size for name, (*_, size) in looked.items()}, first=read)
         self._found = _parts(

@@ -262,11 +262,8 @@ class Blocks:
         return any("measurement_is_new" in stage.outputs for stage in self.sensors)
 
     def _found(self, name: str) -> int:
-        return (
-            0
-            if self.detector is None
-            else sized(self.detector.outputs, {}, "detection").get(name, 0)
-        )
+        ports = {} if self.detector is None else sized(self.detector.outputs, {}, "detection")
+        return ports.get(name, 0)
 
     @property
     def _gyrates(self) -> bool:
