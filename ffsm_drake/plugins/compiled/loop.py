@@ -161,21 +161,6 @@ class Blocks:
         return {name: np.asarray(v, float) for name, v in self.law.initial_state().items()}
 
     @functools.cached_property
-    def kept(self) -> list[dict[str, np.ndarray]]:
-        """The memory of each stage of sensing at its start."""
-        return [_at_start(each) for each in self.sensors]
-
-    @functools.cached_property
-    def kept_acting(self) -> list[dict[str, np.ndarray]]:
-        """The memory of each actuator at its start."""
-        return [_at_start(each) for each in self.actuators]
-
-    @functools.cached_property
-    def kept_pushing(self) -> list[dict[str, np.ndarray]]:
-        """The memory of each force at its start."""
-        return [_at_start(each) for each in self.forces.values()]
-
-    @functools.cached_property
     def flowing(self) -> dict[str, np.ndarray]:
         """The states of the flows at their start, which follow the plant's."""
         return {name: value for each in self.flows for name, value in _at_start(each).items()}
@@ -209,11 +194,11 @@ class Blocks:
         return {
             "x": len(self.known) + len(self.hidden) + _total(self.flowing),
             "memory": _total(self.memory), "applied": self.nv, "drift": self.num_drifts,
-            "waiting": self.waits * self.nv, "stored": sum(map(_total, self.kept)),
-            "loaded": sum(map(_total, self.kept_acting)),
-            "pushed": sum(map(_total, self.kept_pushing)),
+            "waiting": self.waits * self.nv, "stored": _size(self.sensors),
+            "loaded": _size(self.actuators),
+            "pushed": _size(self.forces.values()),
             "held_before": sum(self._held.values()) if self.last else 0,
-            "watched": 0 if self.watch is None else _total(_at_start(self.watch)),
+            "watched": 0 if self.watch is None else _size([self.watch]),
             "commanded": 0 if self.watch is None else self.nv,
         }  # fmt: skip
 
@@ -479,11 +464,11 @@ class Blocks:
             "flown": _row(flown[name] for name in self.flown),
             "waiting_after": waiting[: -self.nv],
             "loaded_after": loaded,
-            "held_after": self._kept(cells, signals),
+            "held_after": self._holds(cells, signals),
             "commanded_after": traced([]) if self.watch is None else commanded,
         }
 
-    def _kept(self, cells: Any, signals: Mapping[str, Any]) -> Any:
+    def _holds(self, cells: Any, signals: Mapping[str, Any]) -> Any:
         """What is held, for the last forces at the next sample."""
         if not self.last:
             return traced([])
@@ -493,7 +478,7 @@ class Blocks:
         """Add what the sensors show to the signals; return their memory after the sample."""
         after = list[Any]()
         stages = with_symbols(self.sensors, cells.sensors, traced([]), traced_model)
-        stored = _stored(self.sensors, self.kept, cells.stored, cells.phases)
+        stored = _stored(self.sensors, cells.stored, cells.phases)
         for stage, (memory, phase) in zip(stages, stored, strict=True):
             inputs = _read(stage, stage.inputs, signals)
             ports = sized(stage.outputs, usual_sizes("sensing", self.coordinates), "sensing")
@@ -509,7 +494,7 @@ class Blocks:
         after = list[Any]()
         blocks, _ = self._with_symbols(cells)
         phases = cells.phases[phases_of(self.sensors, 1).size :]
-        stored = _stored(self.actuators, self.kept_acting, cells.loaded, phases)
+        stored = _stored(self.actuators, cells.loaded, phases)
         for block, (memory, phase) in zip(blocks, stored, strict=True):
             ports = sized(block.inputs, {}, "actuation")
             inputs = _read(block, ports, {**signals, next(iter(ports)): signals["force"]})
@@ -544,7 +529,7 @@ class Blocks:
         own, usual = tuple(self.forces.values()), usual_sizes("forces", self.coordinates)
         blocks = with_symbols(own, cells.forces, traced([]), traced_model)
         phases = cells.phases[phases_of((*self.sensors, *self.actuators), 1).size :]
-        stored = _stored(own, self.kept_pushing, cells.pushed, phases)
+        stored = _stored(own, cells.pushed, phases)
         for block, (memory, phase) in zip(blocks, stored, strict=True):
             ports, inputs = sized(block.outputs, usual, "forces"), sized(block.inputs, usual, "")
             found, kept = _stepped(
@@ -673,14 +658,19 @@ def _parts(values: Any, shapes: Mapping[str, np.ndarray]) -> tuple[dict[str, Any
 
 
 def _stored(
-    blocks: Iterable[Sampled], likes: Iterable[Mapping[str, np.ndarray]], values: Any, phases: Any
+    blocks: Iterable[Sampled], values: Any, phases: Any
 ) -> Iterator[tuple[dict[str, Any], Any]]:
     """Memory and phase of each of some blocks."""
-    for block, like in zip(blocks, likes, strict=True):
-        own, values = _parts(values, like)
+    for block in blocks:
+        own, values = _parts(values, _at_start(block))
         count = len(block.phase(0))
         yield own, phases[:count]
         phases = phases[count:]
+
+
+def _size(blocks: Iterable[Sampled]) -> int:
+    """Numbers in the memory of blocks."""
+    return sum(_total(_at_start(each)) for each in blocks)
 
 
 def _row(values: Iterable[Any]) -> Any:
