@@ -3,7 +3,7 @@
 python docs/train_reach.py [--steps 100000] [--out FOLDER]
 
 Needs pip install 'ffsm-drake[gymnasium,policy]' stable-baselines3 onnx. The agent commands the
-torques of the joints, five times a second, in 16 runs side by side of a reach of 5 s. Writes
+torques of the joints, five times a second, in 16 copies of a reach of 5 s. Writes
 reach.onnx, for ``controller: policy:reach.onnx``, and the curve of docs/gymnasium.md, reach.png.
 """
 
@@ -51,8 +51,8 @@ class Copies(VecEnv):
         self._steps, self._sum = self._steps + self.num_envs, self._sum + reward
         self.returns += [(self._steps, each) for each in self._sum[over]]
         self._sum[over] = 0.0
-        if over.all():  # begins anew in a step of its own
-            seen = self.envs.step(self._actions)[0]
+        if over.any():  # not in a step of its own
+            seen = self.envs.reset(options={"reset_mask": over})[0]
         infos = [
             {"terminal_observation": last[i], "TimeLimit.truncated": bool(cut[i])}
             if over[i]

@@ -317,6 +317,7 @@ class _Runs(_Text):
             place += width
         yield "  br i1 %ends, label %end, label %onward"
         yield "onward:"
+        yield from self._stopped()
         yield from self._kept()
         yield "  br label %move"
         yield from self._moved(functions, "onward", "stepped")
@@ -383,7 +384,7 @@ class _Runs(_Text):
 
     def _lost(self) -> Iterator[str]:
         """The lanes with a velocity beyond the bound, or a number that is not finite: it minus
-        itself is not zero. Their state is no number from then on, so that they ask for no loops.
+        itself is not zero.
         """
         reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
         yield from self._bounded("%times")
@@ -402,12 +403,17 @@ class _Runs(_Text):
                 yield f"  {more} = or {wholes} {lost}, {bits}"
                 lost = more
         yield f"  store {wholes} {lost}, ptr %lost, align 8"
-        yield f"  %x.before = load {wholes}, ptr %x, align 8"
-        yield f"  %x.after = or {wholes} %x.before, {lost}"
-        yield f"  store {wholes} %x.after, ptr %x, align 8"
         yield f"  %are_lost = icmp ne {wholes} {lost}, zeroinitializer"
         yield f"  %lanes = bitcast {self._registers.truths} %are_lost to i{width}"
         yield f"  %no_lane = icmp eq i{width} %lanes, -1"
+
+    def _stopped(self) -> Iterator[str]:
+        """The state of lost lanes is no number from then on, so that they ask for no loops."""
+        wholes = self._registers.wholes
+        yield f"  %lost.now = load {wholes}, ptr %lost, align 8"
+        yield f"  %x.before = load {wholes}, ptr %x, align 8"
+        yield f"  %x.after = or {wholes} %x.before, %lost.now"
+        yield f"  store {wholes} %x.after, ptr %x, align 8"
 
     def _bounded(self, times: str, prefix: str = "") -> Iterator[str]:
         """The lost lanes at ``x``, as ``%beyond``, and the times at which the others are seen."""
