@@ -125,7 +125,8 @@ class Lanes:
             laws, call = self._calls[register]
             self._kernel.call(*self._addresses[register], samples, call)
             if laws is not None and laws.stopped is not None:
-                raise laws.stopped
+                stopped, laws.stopped = laws.stopped, None
+                raise stopped
         if samples:
             self._places += np.uint64(samples) * self._strides
             self._cells[:, places["begun"]] += samples * (self._strides[:, 0] > 0)

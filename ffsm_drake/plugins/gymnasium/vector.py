@@ -38,6 +38,8 @@ class MissionVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
 
         Raises the errors of ``MissionEnv``; FfsmError: the engine cannot simulate the mission.
         """
+        if num_envs < 1:
+            raise FfsmError(f"num_envs: must be 1 or more, not {num_envs}")
         one = MissionEnv(*args, **settings)
         super().__init__([functools.partial(copy.copy, one)] * num_envs)
         self.action_names, self.observation_names = one.action_names, one.observation_names
@@ -72,6 +74,8 @@ class MissionVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
             return super().reset(seed=seed, options=options)
         seeds = range(seed, seed + self.num_envs) if isinstance(seed, int) else seed
         chosen = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        if self._left is None and not chosen.all():
+            raise FfsmError("options: reset_mask leaves copies without an episode: leave it out")
         self._autoreset_envs = self._autoreset_envs & ~chosen
         self._begin(np.flatnonzero(chosen), seeds or [None] * self.num_envs)
         return self._observations.copy(), {}
@@ -121,6 +125,11 @@ class MissionVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         if anew.any():
             self._begin(np.flatnonzero(anew), [None] * self.num_envs)
         return self._observations.copy(), self.envs[0].reward_of(terms), ended, cut, info
+
+    def close_extras(self, **settings: Any) -> None:
+        """End the runs."""
+        self._left = None
+        super().close_extras(**settings)
 
     def _terms(self, samples: np.ndarray) -> dict[str, np.ndarray]:
         """The reward's terms of a step in which the copies acted at so many samples (num_envs)."""

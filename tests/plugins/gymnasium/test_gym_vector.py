@@ -53,7 +53,7 @@ def assert_equal_info(info, expected, exact=False):
             np.testing.assert_array_equal(info[name], values)
 
 
-LAWS = ("tdc", "tde_aismc", "pd_plus", "computed_torque", "aismc", "super_twisting")
+LAWS = ("tvlqr", "tdc", "tde_aismc", "pd_plus", "computed_torque", "aismc", "super_twisting")
 SCENARIOS = (
     "postcapture", "free_floating", "flight_sensors", "slow_navigation", "flexible_panels",
     "seven_joint", "planar_detumble", "envisat", "reaction_null", "ets_vii", "paper",
@@ -158,9 +158,22 @@ def test_a_copy_has_the_same_bits_whatever_the_number_of_copies():
 def test_it_says_how_copies_begin():
     env = made(overrides=("duration=1",))
     assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.NEXT_STEP
-    with pytest.raises(FfsmError, match="call reset"):
-        env.step(np.zeros(env.action_space.shape))
-    env.close()
+    zeros = np.zeros(env.action_space.shape)
+    for _ in range(2):
+        with pytest.raises(FfsmError, match="call reset"):
+            env.step(zeros)
+        env.reset(seed=1)
+        env.step(zeros)
+        env.close()
+    with pytest.raises(FfsmError, match="num_envs: must be 1 or more, not 0"):
+        MissionVectorEnv(0, "postcapture")
+
+
+def test_a_first_reset_of_some_copies_is_refused():
+    pytest.importorskip("llvmlite", reason="needs llvmlite, an extra")
+    env = made(overrides=("duration=1",), engine="compiled")
+    with pytest.raises(FfsmError, match="reset_mask leaves copies without an episode"):
+        env.reset(options={"reset_mask": np.array([True, False, True])})
 
 
 @pytest.mark.parametrize(
