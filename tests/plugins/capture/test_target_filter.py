@@ -205,7 +205,7 @@ def released(start, environment, begin, end):
     scenario = dataclasses.replace(scenario, environment=environment)
     nominal = make_nominal_plant(scenario)
     setup = BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=StateSplit())
-    force = GripperForce([setup], closes=Compliance())
+    force = GripperForce(setup, closes=Compliance())
     context = force.CreateDefaultContext()
     state = np.zeros(2 * len(nominal.coordinates.names) + 1)
     state[0] = 1.0
