@@ -50,10 +50,10 @@ class MissionRollout(PhasedRollout):
         if scenario.closing is None:
             kinds["met"] = Held()
         else:
-            kinds |= {"met": Close(), "held": Held()}
-            if chase.capture.retreat is not None:
-                kinds |= dict.fromkeys(("missed", "bounced", "slipped"), Retreat())
-                kinds["seen"] = Again()
+            kinds |= {"met": Close(scenario.closing), "held": Held()}
+            if retreat := chase.capture.retreat:
+                kinds |= dict.fromkeys(("missed", "bounced", "slipped"), Retreat(retreat))
+                kinds["seen"] = Again(retreat)
         return Mission(kinds=kinds, own=chase, finish=_with_target)
 
 

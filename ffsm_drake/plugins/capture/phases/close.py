@@ -1,5 +1,6 @@
 """The gripper closes on the target (``capture.closing``)."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -18,26 +19,27 @@ from ffsm_drake.runs.ending import BOUNCED, SLIPPED
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.capture import Compliance
+from ffsm_drake.scenario.capture import Closing, Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
 
 
+@dataclasses.dataclass(frozen=True)
 class Close(PhaseKind):
     """The gripper closes; limp joints keep their last force."""
+
+    settings: Closing
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
         chase: Chase = now.own
-        assert chase.capture.closing is not None
-        limp = chase.capture.closing.joints == "limp"
         part = Gripper(chase.capture.compliance or Compliance())
         phase = phase_of(
             now,
             (chase.numbered("closing"), now.sample + chase.closing),
             blocks={GRIPPER: part, **chase.supervised(waits=True)},
-            joint_force=_lately(now.logs[-1]) if limp else None,
+            joint_force=_lately(now.logs[-1]) if self.settings.joints == "limp" else None,
             sees=False,
         )
         return phase, now
@@ -66,13 +68,11 @@ class Close(PhaseKind):
         first, _ = chase.pushed
         now = replaced(now, path=np.vstack([chase.moved[: now.sample], onward]), pushed=(0, []))
         turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
-        closing = chase.capture.closing
-        assert closing is not None
-        if math.isinf(met.left) and max(turning, moving) <= closing.rest:
+        if math.isinf(met.left) and max(turning, moving) <= self.settings.rest:
             return "held", now
         away = float(np.linalg.norm(met.offset[3:]))
         status = SLIPPED
-        if met.left < first * chase.scenario.sample_time + closing.time:
+        if met.left < first * chase.scenario.sample_time + self.settings.time:
             status = BOUNCED
         how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
         motion = f"{number(moving)} m/s and {number(turning)} rad/s"

@@ -3,12 +3,11 @@
 import dataclasses
 
 import numpy as np
-from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.interpolate import CubicSpline
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.settings import setting
-from ffsm_drake.common.so3 import composed, cross_of, matrix_of
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.runs.phases import Phase
@@ -28,66 +27,50 @@ class Settings:
     direction: list[float] = setting(
         [],
         "",
-        "direction of ``distance``, in the axes that ``relative`` names; empty: away from the "
-        "centre of mass of the target",
+        "direction of ``distance``, world axes; empty: away from the centre of mass of the target",
     )
     relative: str = setting(
         "target",
         "",
-        "what the base is at rest to: the target, with which it turns and moves, or the world",
+        "what the base is at rest to: the centre of mass of the target, or the world",
         one_of=("target", "world"),
     )
 
 
 class Hold(PlannedMotion):
-    """The base at rest to a target or the world, and the joints at the start of the approach."""
+    """The base at rest to the centre of mass of a target, or to the world, with its attitude at the
+    grasp and the joints at the start of the approach.
+    """
 
     def __init__(
         self, scenario: Scenario, model: PlantModel, settings: Settings, *, begin: float, end: float
     ) -> None:
         """Args: nominal model with the target; begin and end in the run, s."""
         coordinates, period = model.coordinates, scenario.sample_time
-        planned = planned_contact(scenario, model)
-        X_WP, path = target_path(scenario, model, planned)
-        grasp = scenario.initial_posture
-        X_WB = RigidTransform(RollPitchYaw(grasp.base_rpy), grasp.base_position)
-        center = X_WP @ np.array(scenario.payload.truth.center_of_mass)
-        away = np.array(settings.direction)
-        if not away.size:
-            away = X_WB.translation() - center
-        elif settings.relative == "target":
-            away = X_WP.rotation() @ away
-        place = X_WB.translation() + settings.distance * away / np.linalg.norm(away)
-        X_WH = RigidTransform(X_WB.rotation(), place)
-        posture = configuration(model.plant, approach_posture(scenario), key="capture.approach")
-        self._joints, self._begin = posture[7:], begin
-        self._turns, fixed = settings.relative == "target", X_WH
-        if self._turns:
-            fixed = X_WP.inverse() @ X_WH
-            samples = np.arange(len(path))
-            self._path = CubicSpline(period * samples, path)
-        self._fixed = fixed.rotation().ToQuaternion().wxyz(), fixed.translation()
+        X_WP, path = target_path(scenario, model, planned_contact(scenario, model))
+        grasp, arm = scenario.initial_posture, np.array(scenario.payload.truth.center_of_mass)
+        place, center = np.array(grasp.base_position), X_WP @ arm
+        away = np.array(settings.direction) if settings.direction else place - center
+        place = place + settings.distance * away / np.linalg.norm(away)
+        posture = dataclasses.replace(
+            approach_posture(scenario), base_position=place.tolist(), base_rpy=grasp.base_rpy
+        )
+        self._q = configuration(model.plant, posture, key="capture.approach.posture")
+        self._begin = begin
+        self._way: CubicSpline | None = None
+        if settings.relative == "target":
+            ways = path[:, 4:7] + matrix_of(path[:, :4]) @ arm - center
+            self._way = CubicSpline(period * np.arange(len(path)), ways)
         super().__init__(coordinates=coordinates, sample_time=period, end=end - begin)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
-        rows, (quaternion, way) = np.zeros((times.size, nq + 2 * nv)), self._fixed
-        rows[:, 7:nq] = self._joints
-        if not self._turns:
-            rows[:, :4], rows[:, 4:7] = quaternion, way
-            return rows
-        at = self._begin + times
-        motion, rate = self._path(at), self._path(at, 1)
-        q_WP = motion[:, :4] / np.linalg.norm(motion[:, :4], axis=1, keepdims=True)
-        arm, w, alpha = matrix_of(q_WP) @ way, motion[:, 7:10], rate[:, 7:10]
-        turns = cross_of(w, arm)
-        rows[:, :4] = composed(q_WP, np.tile(quaternion, (times.size, 1)))
-        rows[:, 4:7] = motion[:, 4:7] + arm
-        rows[:, nq : nq + 3], rows[:, nq + 3 : nq + 6] = w, motion[:, 10:] + turns
-        a = nq + nv
-        rows[:, a : a + 3] = alpha
-        rows[:, a + 3 : a + 6] = rate[:, 10:] + cross_of(alpha, arm) + cross_of(w, turns)
+        nq, nv = self._q.size, len(self.coordinates.names)
+        rows = np.zeros((times.size, nq + 2 * nv))
+        rows[:, :nq] = self._q
+        if self._way is not None:
+            for order, first in enumerate((4, nq + 3, nq + nv + 3)):
+                rows[:, first : first + 3] += self._way(self._begin + times, order)
         return rows
 
 

@@ -1,7 +1,7 @@
 """Away from a target that was not captured, and to it again (``capture.retreat``)."""
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.systems.framework import Context
@@ -15,16 +15,19 @@ from ffsm_drake.plugins.capture.phases.moves import Move
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
+from ffsm_drake.scenario.capture import Retreat as Settings
 from ffsm_drake.spacecraft.plant import base_rpy, posture_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _AGAIN = ("controller", "supervisor")  # they begin anew
 
 
+@dataclasses.dataclass(frozen=True)
 class Again(PhaseKind):
     """To the target again, which has been looked at since the last try."""
 
-    touched = False  # whether the gripper has touched the target since it was seen
+    settings: Settings
+    touched: ClassVar[bool] = False  # whether the gripper has touched the target since it was seen
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
@@ -50,9 +53,7 @@ class Again(PhaseKind):
     def _to_next_try(self, now: Situation, away: Move, end: int) -> tuple[Phase | None, Situation]:
         """The way to the next try, from the end of a retreat; None: there is none."""
         chase: Chase = now.own
-        assert chase.capture.retreat is not None
-        left = chase.tries < chase.capture.retreat.tries
-        found = next_try(now, away.goal, end) if left else None
+        found = next_try(now, away.goal, end) if chase.tries < self.settings.tries else None
         if found is None:
             return None, now
         aim, across = found
@@ -71,13 +72,13 @@ class Again(PhaseKind):
 class Retreat(Again):
     """Away from the target, and to it again; a measured target is looked at in between."""
 
-    touched = True
+    touched: ClassVar[bool] = True
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
         failed, now = now, replaced(now, known=_seen(now), why=now.failed)
         chase: Chase = now.own
-        away = _away(now)
+        away = _away(now, self.settings)
         end = now.sample + round(away.duration / chase.scenario.sample_time)
         if end > chase.scenario.num_control_periods:
             return None, failed
@@ -97,8 +98,7 @@ class Retreat(Again):
         chase: Chase = now.own
         if chase.again is not None:
             return met(now)
-        assert chase.capture.retreat is not None
-        if chase.expected is not None and chase.tries < chase.capture.retreat.tries:
+        if chase.expected is not None and chase.tries < self.settings.tries:
             return "seen", now
         return "apart", _apart(now)
 
@@ -125,16 +125,14 @@ def _seen(now: Situation) -> Path:
     return dataclasses.replace(path, motion=np.vstack([chase.path[: now.sample], path.motion]))
 
 
-def _away(now: Situation) -> Move:
+def _away(now: Situation, retreat: Settings) -> Move:
     """Motion from the measured state to rest away from the target, within the limits and the time
     of the run: straight away from it, or in the nearest clear direction to a face, an edge or a
     corner of a cube.
     """
     chase: Chase = now.own
     scenario, coordinates = chase.scenario, now.loop.coordinates
-    retreat = chase.capture.retreat
     assert chase.known is not None
-    assert retreat is not None
     q, v = np.split(measured_state(now), [len(coordinates.position_names)])
     from_target = q[4:7] - chase.known.center(now.sample)
     apart = float(np.linalg.norm(from_target))
