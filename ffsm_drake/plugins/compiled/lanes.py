@@ -4,6 +4,8 @@ Between the samples, their law's memory can be read and written: an agent's acti
 agent sees. A lane has the same bits whatever the others do.
 """
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +15,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.logs import engine_of, log_of, planned_signals
+from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, Outcome
 from ffsm_drake.runs.log import RunLog
@@ -148,7 +151,12 @@ class Lanes:
         outcome = Outcome(status=COMPLETED, time=end, message=f"completed {end:g} s")
         if diverged:
             outcome = self._divergence(lane)
-        return log_of(run, series, outcome, time, self._kernel.parts)
+        log = log_of(run, series, outcome, time, self._kernel.parts)
+        return dataclasses.replace(log, make_model=lambda _: self._model)
+
+    @functools.cached_property
+    def _model(self) -> PosedModel:
+        return posed_model(self._run.scenario)
 
     def _divergence(self, lane: int) -> Outcome:
         time = float(self.cell("seen_at")[lane])
