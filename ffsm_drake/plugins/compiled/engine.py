@@ -63,8 +63,6 @@ class Compiled(Engine):
             ("capture.approach", scenario.approach is not None),
             ("contacts", scenario.contacts),
             ("error control", config.use_error_control),
-            ("flexible joints",
-             any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
              config.integration_scheme not in SCHEMES),
