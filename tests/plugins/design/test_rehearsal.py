@@ -204,10 +204,12 @@ def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
 
 @pytest.mark.long
 def test_predicted_divergence_is_that_of_runs_with_these_noises():
-    """A law that is not covered has that of the linear loop."""
+    """Faults play no part, and a run that is not covered has that of the linear loop."""
     base = load_scenario("thrusters_and_wheels", ["duration=0.5"])
-    changes = ["divergence_speed=1e-4"], ["divergence_speed=2.2e-3"], ["faults.detection={}"]
-    cases = [base, *(override_scenario(base, each) for each in changes)]
+    broken = "faults.events={a: {unit: thrusters.a_x, kind: stuck_on, time: [0.1]}}"
+    changes = ["divergence_speed=1e-4", broken], ["divergence_speed=2.2e-3"]
+    adaptive = ["simulator_config.use_error_control=true"]
+    cases = [base, *(override_scenario(base, each) for each in (*changes, adaptive))]
     found = shares_diverged([timed(each) for each in cases], seeds=3)
     for case, share in zip(cases[:3], found, strict=False):
         runs = [override_scenario(case, [f"random_seed={seed}"]) for seed in range(3)]

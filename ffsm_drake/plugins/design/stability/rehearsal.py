@@ -369,11 +369,11 @@ class _Runs:
 
 
 def shares_diverged(scenarios: Sequence[Scenario], *, seeds: int) -> list[float | Exception]:
-    """Return the share of noise sequences with divergence, for each scenario: of compiled runs, or
-    of ``rehearse`` where they are not covered, or its error.
+    """Return the share of noise sequences with divergence, for each scenario: of compiled runs
+    without faults and supervisor, or of ``rehearse`` where they are not covered, or its error.
     """
     runs = [
-        dataclasses.replace(scenario, random_seed=seed)
+        dataclasses.replace(scenario, random_seed=seed, faults=None, supervisor=None)
         for scenario in scenarios
         for seed in range(seeds)
     ]
