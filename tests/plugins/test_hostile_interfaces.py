@@ -438,7 +438,11 @@ def begun(kind):
         plant.exit_initialization_mode()
         return plant, plant._course.aside, np.zeros(11), lambda: plant.do_step(0.0, 0.01)
     several = kind == "several"
-    env = MissionVectorEnv(2, "postcapture", SHORT) if several else MissionEnv("postcapture", SHORT)
+    env = (
+        MissionVectorEnv(1, "postcapture", SHORT, engine="drake")
+        if several
+        else MissionEnv("postcapture", SHORT)
+    )
     env.reset(seed=1)
     first, zeros = env.envs[0] if several else env, np.zeros(env.action_space.shape)
     run, answer = first._exchange.run, np.zeros(first.action_space.shape)
