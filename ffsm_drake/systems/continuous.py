@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 from pydrake.symbolic import MakeVectorVariable
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import Demultiplexer, SymbolicVectorSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import MassProperties
-from ffsm_drake.systems.sampled import Arrays
+from ffsm_drake.systems.sampled import Arrays, BlockSystem
 from ffsm_drake.systems.selection import make_selector
 
 
@@ -49,7 +48,7 @@ class Continuous:
         raise NotImplementedError(f"{type(self).__name__} has no flow")
 
 
-class InstantSystem(LeafSystem):
+class InstantSystem(BlockSystem):
     """The Drake system of a ``Continuous`` block without a state of its own, which is called at the
     stages of the integrator. Its input ``time`` is no port.
 
@@ -58,8 +57,7 @@ class InstantSystem(LeafSystem):
 
     def __init__(self, block: Continuous, *, name: str) -> None:
         """Args: the block, and the name of the system."""
-        super().__init__()
-        self._block: Any = block
+        super().__init__(block)
         self._ports = {
             each: self.DeclareVectorInputPort(each, size)
             for each, size in block.inputs.items()
@@ -71,14 +69,11 @@ class InstantSystem(LeafSystem):
         untie(self)
         self.set_name(name)
 
-    def set_payload(self, context: Context, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        if hasattr(self._block, "with_payload"):
-            self._block = self._block.with_payload(properties)
-
     def _calc(self, name: str, context: Context, output: BasicVector) -> None:
         inputs = {each: port.Eval(context) for each, port in self._ports.items()}
-        found, _ = self._block.flow({**inputs, "time": np.array([context.get_time()])}, {})
+        found, _ = self.block_at(context).flow(
+            {**inputs, "time": np.array([context.get_time()])}, {}
+        )
         output.SetFromVector(found[name])
 
 

@@ -236,7 +236,32 @@ class SampledSystem(Diagram):
         self._own.set_initial_state(self.GetMutableSubsystemContext(self._own, context), state)
 
 
-class _Stepping(LeafSystem):
+class BlockSystem(LeafSystem):
+    """A system around a block, which may depend on the true payload: a parameter of the context."""
+
+    def __init__(self, block: Any) -> None:
+        """Args: the block; for payloads, it has a method ``with_payload``."""
+        super().__init__()
+        self._block, self._loaded = block, hasattr(block, "with_payload")
+        self._payload: Any = None  # of the block
+        if self._loaded:
+            self._given = self.DeclareAbstractParameter(Value[object](None))
+
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        if self._loaded:
+            context.get_mutable_abstract_parameter(self._given).set_value(properties)
+
+    def block_at(self, context: Context) -> Any:
+        """Return the block with the payload of a context."""
+        if self._loaded:
+            given = context.get_abstract_parameter(self._given).get_value()
+            if given is not None and given != self._payload:
+                self._payload, self._block = given, self._block.with_payload(given)
+        return self._block
+
+
+class _Stepping(BlockSystem):
     """The functions of ``SampledSystem``; one output with the block's outputs and the memory after
     the sample, each of ``widths`` numbers.
     """
@@ -251,8 +276,8 @@ class _Stepping(LeafSystem):
         *,
         held: bool,
     ) -> None:
-        super().__init__()
-        self._block, self._sample_time, self._place = block, sample_time, place
+        super().__init__(block)
+        self._sample_time, self._place = sample_time, place
         self._is_checked = is_user_supplied(type(block))
         memory = memory_of(block, place=place)
         phase = phases_of(block, 1, place=place)[0]
@@ -271,10 +296,7 @@ class _Stepping(LeafSystem):
             if held and not each.startswith(NEXT)
         }
         reads = {self.input_port_ticket(port.get_index()) for port in ports.values()}
-        self._loaded = hasattr(block, "with_payload")
         if self._loaded:
-            self._payload: Any = None  # of the block
-            self._given = self.DeclareAbstractParameter(Value[object](None))
             reads.add(self.all_parameters_ticket())
         if memory or self._acts:
             reads.add(self.xd_ticket())
@@ -299,23 +321,9 @@ class _Stepping(LeafSystem):
     def _state(self, value: Sequence[float] | np.ndarray) -> Any:
         return self.DeclareDiscreteState(np.ravel(value))
 
-    def set_payload(self, context: Context, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        if self._loaded:
-            context.get_mutable_abstract_parameter(self._given).set_value(properties)
-
-    def _take_payload(self, context: Context) -> None:
-        """Take the block for the payload of a context."""
-        given = context.get_abstract_parameter(self._given).get_value()
-        if given is not None and given != self._payload:
-            block: Any = self._block
-            self._payload, self._block = given, block.with_payload(given)
-
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start."""
-        if self._loaded:
-            self._take_payload(context)
-        own = memory_of(self._block, state, place=self._place)
+        own = memory_of(self.block_at(context), state, place=self._place)
         for name, group in self._memory.items():
             context.SetDiscreteState(group, np.ravel(own[name]))
 
@@ -329,8 +337,7 @@ class _Stepping(LeafSystem):
         return tuple(self._block.phase(sample))
 
     def _calc_result(self, context: Context, output: BasicVector) -> None:
-        if self._loaded:
-            self._take_payload(context)
+        block = self.block_at(context)
         time, value = context.get_time(), context.get_discrete_state().value
         inputs = {
             name: port.Eval(context)
@@ -342,7 +349,7 @@ class _Stepping(LeafSystem):
         phase = NO_PHASE
         if self._is_phased:
             phase = value(self._phase) if self._acts else self._phase_of(context)
-        output.SetFromVector(np.concatenate(self._stepped(inputs, memory, Now(time, phase))))
+        output.SetFromVector(np.concatenate(self._stepped(block, inputs, memory, Now(time, phase))))
 
     def _sample(self, context: Context) -> int:
         return round(context.get_time() / self._sample_time)
@@ -352,9 +359,8 @@ class _Stepping(LeafSystem):
             return tuple(calling(self._place, self._block.phase, self._sample(context)))
         return self._block.phase(self._sample(context))
 
-    def _stepped(self, inputs: Arrays, memory: Arrays, now: Now) -> list[Any]:
+    def _stepped(self, block: Sampled, inputs: Arrays, memory: Arrays, now: Now) -> list[Any]:
         """The block's outputs, then its memory, in the order of ``_sizes``."""
-        block = self._block
         if not self._is_checked:
             outputs, memory = block.step(inputs, memory, now)
             return [*(outputs[name] for name in self._outputs), *map(memory.get, self._kept)]

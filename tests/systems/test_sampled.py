@@ -1,7 +1,7 @@
 """Blocks as pure functions, in Drake diagrams."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -104,3 +104,29 @@ def test_a_block_without_inputs_follows_time():
     record = simulate(load_scenario("postcapture", SHORT), blocks={"reference": Clock})
     shown = record.dataset["desired_position"].values
     assert np.array_equal(shown[:, -1], record.dataset["time"].values)
+
+
+@pytest.mark.parametrize(
+    ("key", "block"),
+    [
+        ("environment={altitude: 7.0e5, gravity_gradient: true}", "forces.environment"),
+        ("faults.events={it: {unit: joints.joint_1, kind: jammed, time: [0.0]}}", "forces.jam"),
+    ],
+)
+def test_a_payload_is_that_of_its_context(key, block):
+    """Contexts of one loop with other payloads, read in turns."""
+    loop = make_closed_loop(load_scenario("postcapture", [key]))
+    contexts = [loop.diagram.CreateDefaultContext() for _ in range(2)]
+    truth = loop.scenario.payload.truth
+    for context, share in zip(contexts, (1.0, 3.0), strict=True):
+        loop.initialize(loop.diagram, context)
+        loop.set_payload(context, replace(truth, mass=share * truth.mass))
+    system = loop.blocks[block]
+    port = next(filter(system.HasOutputPort, ("next_generalized_force", "generalized_force")))
+
+    def force(context):
+        context.SetTime(context.get_time() + 1e-9)  # computed anew
+        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(context)).copy()
+
+    first, other, again = force(contexts[0]), force(contexts[1]), force(contexts[0])
+    assert np.abs(first - again).max() < 0.01 * np.abs(first - other).max()
