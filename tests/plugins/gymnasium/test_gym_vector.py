@@ -127,6 +127,7 @@ def several(random, draws):
         assert_like_drake(random, *given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_compiled_copies_are_those_of_drake(seed):
     several(np.random.default_rng(seed), 1)
