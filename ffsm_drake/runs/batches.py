@@ -1,7 +1,7 @@
 """Many runs, one after another on Drake or many at once on an engine."""
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
@@ -58,7 +58,7 @@ def run_many(
                     yield index, log
                 else:
                     left[index] = on_drake(log)
-    kept = Kept(make_rollout)
+    kept = Kept()
     try:
         for index, name in left.items():
             result = _on_drake(kept, scenarios[index])
@@ -83,15 +83,14 @@ class Kept:
     differ between runs are built anew.
     """
 
-    def __init__(self, make: Callable[[Scenario], Any]) -> None:
-        """Args: makes a rollout for a scenario."""
-        self._make, self._rollout = make, None
+    def __init__(self) -> None:
+        self._rollout: Any = None
 
     def rollout(self, scenario: Scenario) -> Any:
         """Return the rollout of a scenario."""
         if self._rollout is None or user_supplied(scenario) or not self._rollout.accepts(scenario):
             self.drop()
-            self._rollout = self._make(scenario)
+            self._rollout = make_rollout(scenario)
         return self._rollout
 
     def drop(self) -> None:

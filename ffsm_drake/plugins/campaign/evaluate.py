@@ -35,7 +35,6 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
-from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import in_words
@@ -402,7 +401,7 @@ class Evaluator:
         return dataclasses.replace(self._run_with_drake(scenario), engine=on_drake(found))
 
     def _run_with_drake(self, scenario: Scenario) -> RunLog:
-        kept = self._rollouts.setdefault(scenario.controller, Kept(make_rollout))
+        kept = self._rollouts.setdefault(scenario.controller, Kept())
         log: RunLog = kept.rollout(scenario).run(scenario)
         return log
 

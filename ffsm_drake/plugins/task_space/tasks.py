@@ -102,9 +102,7 @@ class TaskSpace:
         )
 
     def by_row(self, rotation: float, position: float) -> np.ndarray:
-        """One number for the frame's rotation and one for its position by row of the task (..., m),
-        or columns of them of several runs.
-        """
+        """One number for the frame's rotation and one for its position by row of the task (m)."""
         both = np.broadcast_arrays(rotation * np.ones(3), position * np.ones(3))
         return np.concatenate(both, axis=-1)[..., self.rows]
 

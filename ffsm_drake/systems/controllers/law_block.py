@@ -18,8 +18,7 @@ Errors = Callable[[Any, Any, int], tuple[Any, Any]]
 class LawBlock(Sampled):
     """A control law as a ``Sampled`` block, for ``SampledController`` or on symbols.
 
-    The law sees no error of undriven coordinates, and commands no force on them. Its arrays may
-    have rows, a row for each of several copies of the spacecraft.
+    The law sees no error of undriven coordinates, and commands no force on them.
     """
 
     def __init__(

@@ -200,8 +200,8 @@ class SampledController(LeafSystem):
         is_first: bool = False,
         time: Callable[[], float] = float,
     ) -> tuple[np.ndarray, State]:
-        """Return the force, and the law's memory after it, from what ``read`` gives: of one update,
-        or of several at once, (m, ...) each; ``time`` gives its time (s), for errors.
+        """Return the force, and the law's memory after it, from what ``read`` gives; ``time`` gives
+        its time (s), for errors.
         """
         sample = self._block.sample(inputs, is_first=is_first)
         force, memory = self._step(sample, memory, time)
