@@ -67,7 +67,8 @@ def drawn(random):
     given = [f"duration={random.choice([0.05, 0.12, 0.4])}"]
     diverges = bool(random.integers(2))
     if diverges:
-        given.append(f"divergence_speed={random.choice([0.15, 0.3, 0.8])}")
+        start = max(map(abs, load_scenario(name).initial_velocity.values()), default=0.0)
+        given.append(f"divergence_speed={start + random.choice([0.15, 0.3, 0.8])}")
     if random.integers(2):
         mass = load_scenario(name).payload.truth.mass
         given.append(f"payload.truth.mass={mass * random.uniform(0.5, 2.0)}")
