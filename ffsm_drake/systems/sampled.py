@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -243,21 +243,22 @@ class BlockSystem(LeafSystem):
         """Args: the block; for payloads, it has a method ``with_payload``."""
         super().__init__()
         self._block, self._loaded = block, hasattr(block, "with_payload")
-        self._payload: Any = None  # of the block
+        self._payload: tuple[MassProperties, ...] = ()  # of the block
         if self._loaded:
-            self._given = self.DeclareAbstractParameter(Value[object](None))
+            # a tuple: None is no value of Drake on Python 3.13
+            self._given = self.DeclareAbstractParameter(AbstractValue.Make(()))
 
     def set_payload(self, context: Context, properties: MassProperties) -> None:
         """Give the payload other mass properties."""
         if self._loaded:
-            context.get_mutable_abstract_parameter(self._given).set_value(properties)
+            context.get_mutable_abstract_parameter(self._given).set_value((properties,))
 
     def block_at(self, context: Context) -> Any:
         """Return the block with the payload of a context."""
         if self._loaded:
             given = context.get_abstract_parameter(self._given).get_value()
-            if given is not None and given != self._payload:
-                self._payload, self._block = given, self._block.with_payload(given)
+            if given and given != self._payload:
+                self._payload, self._block = given, self._block.with_payload(*given)
         return self._block
 
 
