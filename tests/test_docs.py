@@ -368,6 +368,18 @@ def test_units_are_in_the_reference(key, unit):
     assert row.split("|")[4].strip() == unit
 
 
+NAMED = re.compile(r"(?<![\w/.])((?:tests|benchmarks|examples|ffsm_drake)/[\w/.-]+\.(?:py|yaml))")
+
+
+def test_named_files_exist():
+    """A claim names the test that shows it, a guide the file to change; NAME is the reader's."""
+    root = DOCS.parent
+    pages = [*DOCS.rglob("*.md"), root / "README.md", root / "CONTRIBUTING.md"]
+    named = {file for page in pages for file in NAMED.findall(page.read_text(encoding="utf-8"))}
+    assert len(named) > 100
+    assert not [file for file in named if "NAME" not in file and not (root / file).exists()]
+
+
 def test_the_tutorial_is_stored_without_outputs():
     notebook = json.loads((DOCS / "tutorial.ipynb").read_text())
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]

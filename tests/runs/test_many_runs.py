@@ -30,7 +30,7 @@ KINDS = {
     "limit": ("actuation.limit={joints: 4.0}",),
     "error control": ("simulator_config.use_error_control=true",),
     "orbit": ("environment={altitude: 7.0e5, gravity_gradient: true}",),
-    "faults": ("faults.events={one: {unit: sensors.joint_1, kind: frozen, time: 0.05}}",),
+    "faults": ("faults.events={one: {unit: sensing.joint_1, kind: frozen, time: [0.05]}}",),
     "user's": (f"blocks.forces.drag={LAB}:noisy_drag",),
     "user's number": ("blocks.forces.spring={system: " + LAB + ":Spring, settings: {pull: 3.0}}",),
 }
