@@ -110,6 +110,8 @@ class Coordinates:
         coordinates not mentioned. Raises ScenarioError, naming ``key``, for an unknown name or a
         coordinate without a value.
         """
+        if not values and default is not None:
+            return np.full(len(self.names), float(default))
         self.check_names(values, key=key)
         result = [
             values.get(name, values.get(group, values.get("all", default)))

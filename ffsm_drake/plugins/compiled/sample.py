@@ -44,10 +44,15 @@ class TracedSample:
     measurements, and what drifts in the sensors.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Raises NotCovered."""
+    def __init__(self, scenario: Scenario, given: Scenario) -> None:
+        """Args: the scenario, and one whose run is used if it differs in ``actuation.limit`` alone.
+        Raises NotCovered.
+        """
         Compiled().check(scenario)
-        run = case_of(scenario).run(scenario)
+        unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
+        is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
+        own = given if is_alike else scenario
+        run = case_of(own).run(own)
         if run.blocks.called:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:
@@ -90,7 +95,7 @@ class TracedSample:
         for name in set(run.states) - {"drift"}:
             first = places[name] - places["x"]
             self.start[first : first + self._sizes[name]] = run.states[name]
-        self._parameters = run.parameters
+        self._parameters = run.parameters | {"limit": np.full(blocks.nv, np.inf)}
         self._cells = self._filled(self._plain)
         self._row = np.zeros(sum(blocks.row.values()))  # without noise
         self._in_row, first = dict[str, slice](), 0
@@ -208,10 +213,10 @@ class TracedSample:
         return cells[first : first + size]
 
 
-def traced_sample(scenario: Scenario) -> TracedSample | None:
-    """Return the sample of a scenario; None: it is not covered."""
+def traced_sample(scenario: Scenario, given: Scenario) -> TracedSample | None:
+    """Return the sample of a scenario; None: it is not covered. Args: see ``TracedSample``."""
     try:
-        return TracedSample(scenario)
+        return TracedSample(scenario, given)
     except FfsmError:
         return None
 

@@ -82,7 +82,7 @@ def test_a_law_with_branches_has_the_runs_of_drake(monkeypatch):
     found = check(scenarios, called=True)
     assert " test_called_laws.py:" in found[0].engine
     with pytest.raises(NotCovered, match=r"test_called_laws\.py:"):
-        TracedSample(scenarios[0])
+        TracedSample(scenarios[0], scenarios[0])
 
 
 @pytest.mark.slow

@@ -10,7 +10,8 @@ import pytest
 
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.compiled.sample import TracedSample
-from ffsm_drake.plugins.design.stability import linearization
+from ffsm_drake.plugins.design.stability import linearization, traced
+from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 
@@ -100,7 +101,7 @@ def check_loop(name, law, overrides, share, monkeypatch):
     with Linearizer(scenario) as linearizer:
         assert linearizer.is_exact
         exact = linearizer.at(linearizer.part(share))
-    monkeypatch.setattr(linearization, "traced_sample", lambda scenario: None)
+    monkeypatch.setattr(linearization, "traced_sample", lambda scenario, given: None)
     with Linearizer(scenario) as linearizer:
         assert not linearizer.is_exact
         differenced = linearizer.at(linearizer.part(share))
@@ -152,7 +153,7 @@ def test_a_force_of_a_user_is_left_to_differences():
 def test_the_slope_of_the_momentum(name):
     """Against differences of Drake's momentum, for drawn states and payloads."""
     rng, scenario = np.random.default_rng(0), load_scenario(name, ["controller=tdc", *SHORT])
-    sample = TracedSample(scenario)
+    sample = TracedSample(scenario, scenario)
     for truth in (None, dataclasses.replace(scenario.payload.truth, mass=40.0)):
         own = (
             scenario.payload
@@ -186,3 +187,15 @@ def test_any_derivative_is_exact(law, given):
 def test_any_loop_is_that_of_differences(law, given, monkeypatch):
     for share in (0.0, 0.5, 1.0):
         check_loop(given[0], law, given[1], share, monkeypatch)
+
+
+@pytest.mark.parametrize("name", ["flight_sensors", "slow_navigation"])
+def test_the_code_of_a_run_without_its_limit(name):
+    """The sample of a run whose limit of force is infinite is that of a scenario without one."""
+    given = load_scenario(name, ["controller=tdc", "actuation.limit={all: 1.0e-3}", *SHORT])
+    bare = without_limits(given)
+    own, shared = (traced.traced_sample(bare, each) for each in (bare, given))
+    changed = own.start + 1e-3 * np.random.default_rng(0).standard_normal(own.size)
+    for one, other in zip(own.derivative(3, changed), shared.derivative(3, changed), strict=True):
+        for expected, found in zip(one, other, strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)

@@ -75,7 +75,7 @@ class Linearizer:
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self._choices = self.given.blocks.choices()
-        sample = None if others else traced_sample(self.scenario)
+        sample = None if others else traced_sample(self.scenario, self.given)
         if sample is None:
             self.coordinates = make_nominal_plant(self.scenario).coordinates
             self.motion = make_motion(self.scenario, self.coordinates)

@@ -169,13 +169,15 @@ class TracedLoop:
         return found
 
 
-def traced_sample(scenario: Scenario) -> Any:
+def traced_sample(scenario: Scenario, given: Scenario) -> Any:
     """Return the traced sample of a scenario with a shipped law; None: it is not covered. Wheels
-    give what is commanded.
+    give what is commanded. ``given``: the scenario with its limits.
     """
     make = optional(SERVICES, "traced_sample")
     actuation = dataclasses.replace(scenario.actuation, wheels=None)
-    sample = None if make is None else make(dataclasses.replace(scenario, actuation=actuation))
+    sample = (
+        None if make is None else make(dataclasses.replace(scenario, actuation=actuation), given)
+    )
     if sample is None or not is_shipped(sample.law) or sample.law.least_change:
         return None
     return sample
