@@ -21,6 +21,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.runs.stage import DrakeStage, Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -65,19 +66,12 @@ class Situation:
     """What passes from phase to phase."""
 
     sample: int = 0  # the first of the next phase
-    loop: Any = None  # ClosedLoop of the last phase
-    context: Any = None  # of its diagram, at its end
+    stage: Any = None  # Stage of the last phase, at its end
     logs: tuple[RunLog, ...] = ()  # of the phases
     names: tuple[tuple[str, int], ...] = ()  # phases with an end, and the sample after it
     failed: Outcome | None = None  # outcome of a run that failed between two phases
     made: GraspLog | None = None  # the grasp
     own: Any = None  # what the kinds of a mission keep
-
-    @property
-    def state(self) -> np.ndarray:
-        """The plant's own [q; v]."""
-        state: np.ndarray = self.loop.whole_state(self.context)
-        return state
 
     def failing(self, status: str, message: str) -> "Situation":
         """The situation of a run that ends so, unless another phase follows."""
@@ -100,13 +94,11 @@ class PhaseKind:
         """Return the phase that begins now; None: the run ends."""
         raise NotImplementedError
 
-    def enter(
-        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
-    ) -> Situation:
+    def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Put the loop of a phase where it begins. By default: where the last one ended."""
         if now.sample > 0:
-            loop.set_whole_state(root_context, now.state)
-            loop.resume(root_context, now.loop, now.context, afresh=phase.afresh)
+            stage.place(now.stage.state)
+            stage.resume(now.stage, afresh=phase.afresh)
         return now
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
@@ -191,7 +183,7 @@ class PhasedRollout:
 
     def accepts(self, scenario: Scenario) -> bool:
         """As ``Rollout.accepts``."""
-        return self._loops[0.0].accepts(self._plan(scenario, Phase(holds=True)))
+        return self._loops[0.0].accepts(plan_of(scenario, Phase(holds=True)))
 
     def check(self) -> None:
         """As ``Rollout.check``."""
@@ -201,35 +193,29 @@ class PhasedRollout:
     def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
         """As ``Rollout.run``; where a hand grasps, the log holds the velocity after it."""
         start, scenario = time.perf_counter(), scenario or self._scenario
-        mission, alone = self.mission(scenario), list[Rollout]()
-        run = _Run(mission, scenario)
+        course, alone = Course(self.mission(scenario), scenario), list[Rollout]()
 
         def joined() -> RunLog:
-            return run.joined(time.perf_counter() - start)
+            return course.joined(time.perf_counter() - start)
 
         try:
-            while (phase := run.plan()) is not None:
-                plan = self._plan(scenario, phase)
+            while (phase := course.plan()) is not None:
+                plan = plan_of(scenario, phase)
                 rollout = self._loop_of(phase, plan)
                 if rollout not in self._loops.values():
                     alone.append(rollout)
                 try:
-                    log = rollout.run(plan, progress=progress, leg=run.leg(phase, rollout.loop))
+                    log = rollout.run(plan, progress=progress, leg=_leg(course, phase))
                 except BlockError as error:
                     if error.log is not None:
-                        run.note(phase, error.log)
+                        course.note(phase, error.log)
                         error.log = joined()
                     raise
-                run.note(phase, log)
+                course.note(phase, log)
         finally:
             for rollout in alone:
                 rollout.release()
         return joined()
-
-    def _plan(self, scenario: Scenario, phase: Phase) -> Scenario:
-        """The scenario of the loop of a phase."""
-        closed = phase.closed if len(closing_times(scenario)) > 1 else None
-        return dataclasses.replace(phase.scenario or scenario, holds=phase.holds, closed=closed)
 
     def _loop_of(self, phase: Phase, plan: Scenario) -> Rollout:
         """The loop of a phase: one that is kept, or a new one."""
@@ -241,35 +227,57 @@ class PhasedRollout:
         return Rollout(plan, blocks={**(self._blocks or {}), **own}, joint_force=phase.joint_force)
 
 
-class _Run:
-    """A run on its way through the phases of a mission."""
+def plan_of(scenario: Scenario, phase: Phase) -> Scenario:
+    """Return the scenario of the loop of a phase."""
+    closed = phase.closed if len(closing_times(scenario)) > 1 else None
+    return dataclasses.replace(phase.scenario or scenario, holds=phase.holds, closed=closed)
+
+
+def _leg(course: "Course", phase: Phase) -> Leg:
+    """The leg of a phase on Drake."""
+
+    def begin(loop: ClosedLoop, root_context: Context) -> None:
+        course.enter(phase, DrakeStage(loop, root_context))
+
+    def end(loop: ClosedLoop, root_context: Context) -> None:
+        course.leave(DrakeStage(loop, root_context))
+
+    return Leg(first=course.sample, last=phase.names[-1][1], begin=begin, end=end)
+
+
+class Course:
+    """The way of a run through the phases of a mission: ``plan``, ``enter``, ``leave``, ``note``
+    for each, and ``joined``.
+    """
 
     def __init__(self, mission: Mission, scenario: Scenario) -> None:
+        """Args: the mission of a scenario."""
         self._mission, self._scenario = mission, scenario
         self._now, self._kind = Situation(own=mission.own), mission.kinds.get("")
 
+    @property
+    def sample(self) -> int:
+        """The first sample of the next phase."""
+        return self._now.sample
+
     def plan(self) -> Phase | None:
-        """The next phase; None: the run ends."""
+        """Return the next phase; None: the run ends."""
         if self._kind is None:
             return None
         phase, self._now = self._kind.plan(self._now)
         return phase
 
-    def leg(self, phase: Phase, loop: ClosedLoop) -> Leg:
-        """The leg of a phase in its loop."""
-        before = self._now
+    def enter(self, phase: Phase, stage: Stage) -> None:
+        """Put the loop of a phase, at its start, where the phase begins."""
+        assert self._kind is not None
+        self._now = self._kind.enter(self._now, phase, stage)
 
-        def begin(loop: ClosedLoop, root_context: Context) -> None:
-            assert self._kind is not None
-            self._now = self._kind.enter(before, phase, loop, root_context)
-
-        def end(loop: ClosedLoop, root_context: Context) -> None:
-            self._now = dataclasses.replace(self._now, loop=loop, context=root_context)
-
-        return Leg(first=before.sample, last=phase.names[-1][1], begin=begin, end=end)
+    def leave(self, stage: Stage) -> None:
+        """Note the loop of a phase at its end."""
+        self._now = dataclasses.replace(self._now, stage=stage)
 
     def note(self, phase: Phase, log: RunLog) -> None:
-        """Keep the log of a phase, and find the kind of the next one."""
+        """Keep the log of a phase that is left, and find the kind of the next one."""
         ends = tuple((name, last) for name, last in phase.names if last is not None)
         now = dataclasses.replace(
             self._now,
@@ -284,7 +292,7 @@ class _Run:
         self._now = now
 
     def joined(self, total: float) -> RunLog:
-        """The log of all phases; NaN in the phases without a series. Args: wall time, s."""
+        """Return the log of all phases; NaN in the phases without a series. Args: wall time, s."""
         logs = self._mission.complete(self._now.logs)
         last, time_of = logs[-1], np.concatenate([log.time for log in logs])
         empty = {

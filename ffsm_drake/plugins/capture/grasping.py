@@ -6,7 +6,6 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.approach import approach_posture, planned_approach
 from ffsm_drake.plugins.capture.contact import (
     contact_at,
@@ -16,6 +15,7 @@ from ffsm_drake.plugins.capture.contact import (
 )
 from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.inertia import SIX
@@ -46,9 +46,9 @@ class Aim:
         pose = [*X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()]
         self.expected = np.concatenate([pose, planned.target_velocity])
 
-    def start(self, loop: ClosedLoop) -> np.ndarray:
+    def start(self, model: PlantModel) -> np.ndarray:
         """The plant's own [q; v] of the servicer where the run starts."""
-        velocity = loop.coordinates.vector(
+        velocity = model.coordinates.vector(
             self.scenario.initial_velocity, key="initial_velocity", default=0.0
         )
         if self.scenario.blocks.phases:
@@ -56,8 +56,8 @@ class Aim:
             velocity += planned
         else:
             posture = approach_posture(self.scenario)
-            position = configuration(loop.plant, posture, key="capture.approach.posture")
-        return loop.split.whole(np.concatenate([position, velocity]))
+            position = configuration(model.plant, posture, key="capture.approach.posture")
+        return model.split.whole(np.concatenate([position, velocity]))
 
 
 def target_at(motion: np.ndarray) -> Target:
@@ -78,16 +78,12 @@ class Meeting:
     mismatch: np.ndarray  # (6) of the target from the hand: angular velocity, velocity
 
     @classmethod
-    def of(
-        cls, scenario: Scenario, target: Target, loop: ClosedLoop, state: np.ndarray
-    ) -> "Meeting":
-        """The meeting of a target and the gripper at the plant's own [q; v]."""
-        (X_WP, twist), plant = target, loop.plant
-        q, v = np.split(state, [plant.num_positions()])
-        context = plant.CreateDefaultContext()
-        plant.SetPositions(context, q)
-        model = dataclasses.replace(loop.model(context), plant=plant)
-        X_WQ = RigidTransform(payload_body(scenario, model).EvalPoseInWorld(context))
+    def of(cls, scenario: Scenario, target: Target, stage: Stage) -> "Meeting":
+        """The meeting of a target and the gripper of a stage."""
+        (X_WP, twist), model = target, stage.model()
+        q, v = np.split(stage.state, [model.plant.num_positions()])
+        model.plant.SetPositions(model.context, q)
+        X_WQ = RigidTransform(payload_body(scenario, model).EvalPoseInWorld(model.context))
         offset = X_WQ.translation() - X_WP.translation()
         twist = twist.copy()
         twist[3:] += np.cross(twist[:3], offset)
@@ -120,9 +116,8 @@ class Meeting:
             if limits[name] is not None and size > limits[name]
         )
 
-    def grasp(self, scenario: Scenario, loop: ClosedLoop, path: np.ndarray) -> MadeGrasp:
-        """Grasp the target after its path (n, 13) at the samples before; ``loop``: with it."""
-        model = loop.true_model(scenario)
+    def grasp(self, scenario: Scenario, model: PlantModel, path: np.ndarray) -> MadeGrasp:
+        """Grasp the target after its path (n, 13) at the samples before; ``model``: true."""
         payload = seen_from(scenario.payload.truth, self.lies)
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=payload)
         contact = contact_at(scenario, model, q=self.q, velocity=self.v, target_velocity=self.twist)

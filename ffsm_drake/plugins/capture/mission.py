@@ -9,14 +9,14 @@ so the position error of the arm becomes part of the mass properties of the payl
 import dataclasses
 import functools
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from ffsm_drake.loop.blocks import GRIPPER
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.grasping import Aim, grasped_at_start, with_grasp
 from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
-from ffsm_drake.plugins.capture.phases.approach import Approach
+from ffsm_drake.plugins.capture.phases.approach import CONTACTS, Approach
 from ffsm_drake.plugins.capture.phases.chase import Chase
 from ffsm_drake.plugins.capture.phases.close import Close, free_motion
 from ffsm_drake.plugins.capture.phases.held import Held
@@ -40,24 +40,30 @@ class MissionRollout(PhasedRollout):
         return functools.partial(show_apart, Aim(scenario).path[:, :7])
 
     def mission(self, scenario: Scenario) -> Mission:
-        """The phases of a capture, and what follows a target that was not captured."""
-        if scenario.grasp_time == 0.0:
-            return Mission(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
-        chase = _chase(scenario)
-        kinds: dict[str, PhaseKind] = {
-            **_up_to(chase.aim.sample - chase.closing, scenario, self.held())
-        }
-        if scenario.closing is None:
-            kinds["met"] = Held()
-        else:
-            kinds |= {"met": Close(scenario.closing), "held": Held()}
-            if retreat := chase.capture.retreat:
-                kinds |= dict.fromkeys(("missed", "bounced", "slipped"), Retreat(retreat))
-                kinds["seen"] = Again(retreat)
-        return Mission(kinds=kinds, own=chase, finish=_with_target)
+        """See PhasedRollout."""
+        return mission_of(scenario, self.held().blocks.get(CONTACTS))
 
 
-def _up_to(contact: int, scenario: Scenario, held: ClosedLoop) -> Mapping[str, Approach]:
+def mission_of(scenario: Scenario, hands: Any = None) -> Mission:
+    """Return the phases of a capture, and what follows a target that was not captured.
+
+    Args: the scenario; the block of further hands that grasp with the gripper.
+    """
+    if scenario.grasp_time == 0.0:
+        return Mission(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
+    chase = _chase(scenario)
+    kinds: dict[str, PhaseKind] = {**_up_to(chase.aim.sample - chase.closing, scenario, hands)}
+    if scenario.closing is None:
+        kinds["met"] = Held()
+    else:
+        kinds |= {"met": Close(scenario.closing), "held": Held()}
+        if retreat := chase.capture.retreat:
+            kinds |= dict.fromkeys(("missed", "bounced", "slipped"), Retreat(retreat))
+            kinds["seen"] = Again(retreat)
+    return Mission(kinds=kinds, own=chase, finish=_with_target)
+
+
+def _up_to(contact: int, scenario: Scenario, hands: Any) -> Mapping[str, Approach]:
     """The scenario's own phases and the approach, up to the sample of the contact: neighbours
     with the same blocks share a loop.
     """
@@ -73,7 +79,7 @@ def _up_to(contact: int, scenario: Scenario, held: ClosedLoop) -> Mapping[str, A
             found[-1] = dataclasses.replace(found[-1], names=names)
         else:
             afresh = tuple({**own, **before})
-            found.append(Approach(names=((name, last),), blocks=own, afresh=afresh, held=held))
+            found.append(Approach(names=((name, last),), blocks=own, afresh=afresh, hands=hands))
         before = own
     return {
         str(index or ""): each

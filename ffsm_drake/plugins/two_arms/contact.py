@@ -303,17 +303,17 @@ class ContactForce(Diagram):
         """Hold the hands where they are at the plant's own [q; v]."""
         self._contact.hold(state)
 
-    def close(self, root_context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
+    def close(self, context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
         """The plant's own [q; v] after late hands have closed where they are; rigid ones by a
         plastic impact.
 
-        Args: a context of the diagram; the state before; work of the closings before, J.
+        Args: the system's context; the state before; work of the closings before, J.
         """
         after, ledger = self._contact.close(state)
         for source, values in zip(
             self._made, ([ledger[name] for name in _CLOSING], [work - ledger["loss"]]), strict=True
         ):
-            own = source.GetMyMutableContextFromRoot(root_context)
+            own = self.GetMutableSubsystemContext(source, context)
             source.get_mutable_source_value(own).set_value(np.array(values))
         return after
 

@@ -15,7 +15,6 @@ import math
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context
 
 from ffsm_drake.common.plugins import service
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -23,6 +22,7 @@ from ffsm_drake.plugins.two_arms.contact import CLOSING, GAP, LOSS, WRENCHES, Co
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, Show, Situation, Stop
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
@@ -74,7 +74,7 @@ class Hand(Stop):
         """See PhaseKind."""
         scenario, block = self.scenario, self.held.blocks[_BLOCK]
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
-        beyond = _contact(block).beyond(now.state, envelope)
+        beyond = _contact(block).beyond(now.stage.state, envelope)
         if not beyond:
             names = (("stop", self.until),)
             return Phase(names=names, holds=True, closed=self.time, afresh=(_BLOCK,)), now
@@ -83,18 +83,16 @@ class Hand(Stop):
         missed = f"the hand of contacts.{name} misses its place at {at}: {beyond}"
         return None, now.failing(MISSED, missed)
 
-    def enter(
-        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
-    ) -> Situation:
+    def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Close the hands of the phase."""
         if now.made is not None:
-            loop.set_payload(root_context, now.made.payload)
+            stage.carry(now.made.payload)
         series = now.logs[-1].series
         work = series[LOSS][-1].item() if LOSS in series else 0.0
-        state = _contact(loop.blocks[_BLOCK]).close(root_context, now.state, work=work)
-        loop.set_whole_state(root_context, state)
-        reference = loop.diagram.GetOutputPort("desired_state").Eval(root_context)
-        loop.resume(root_context, now.loop, now.context, reference, afresh=phase.afresh)
+        hands = _contact(stage.blocks[_BLOCK])
+        state = hands.close(stage.context(_BLOCK), now.stage.state, work=work)
+        stage.place(state)
+        stage.resume(now.stage, stage.desired, afresh=phase.afresh)
         return now
 
 

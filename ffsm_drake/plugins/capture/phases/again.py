@@ -49,7 +49,7 @@ def next_try(now: Situation, start: Posture, first: int) -> tuple[Aim, Move] | N
         X_0S = X_W0.inverse() @ X_WB @ X_BS
         way = np.linalg.norm(X_0S.translation())
         candidates.append((way + _LENGTH * X_0S.rotation().ToAngleAxis().angle(), sample, X_WB))
-    coordinates = now.loop.coordinates
+    coordinates = now.stage.coordinates
     for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
         scenario = _try(chase, X_WB, X_WB @ X_BS, chase.known.motion[sample])
         begin = sample - chase.approach
@@ -86,7 +86,7 @@ def is_clear(
     assert chase.known is not None
     samples, scenario = samples.round().astype(int), chase.scenario
     times = (samples - first) * scenario.sample_time
-    q = motion.rows(times)[:, : len(now.loop.coordinates.position_names)]
+    q = motion.rows(times)[:, : len(now.stage.coordinates.position_names)]
     nearest = closest_of(scenario, times, q, target=chase.known.motion[samples, :7])
     return all(each.keeps(scenario.clearance + margin) for each in nearest)
 

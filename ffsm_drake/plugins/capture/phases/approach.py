@@ -4,13 +4,11 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from pydrake.systems.framework import Context
-
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.grasping import Meeting
 from ffsm_drake.plugins.capture.phases.chase import Chase, given_up, met
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.systems.registry import Factory
 
 CONTACTS = "forces.contacts"
@@ -24,20 +22,18 @@ class Approach(PhaseKind):
     blocks: Mapping[str, Factory]
     afresh: tuple[str, ...]
     then: str = ""  # outcome; "": whether the gripper meets the target
-    held: ClosedLoop  # with the hands on the target
+    hands: Any = None  # the block of further hands that grasp with the gripper
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
         blocks = {**now.own.followed(None), **self.blocks}
         return Phase(names=self.names, blocks=blocks, afresh=self.afresh), now
 
-    def enter(
-        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
-    ) -> Situation:
+    def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Put the servicer at its start."""
         if now.sample == 0:
-            loop.set_whole_state(root_context, now.own.aim.start(loop))
-        return super().enter(now, phase, loop, root_context)
+            stage.place(now.own.aim.start(stage.model()))
+        return super().enter(now, phase, stage)
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
         """Whether the gripper meets the target."""
@@ -46,10 +42,9 @@ class Approach(PhaseKind):
             return (self.then, now) if self.then else met(now)
         envelope = chase.capture.envelope
         message = given_up(now)
-        beyond = Meeting.of(chase.scenario, chase.aim.target, now.loop, now.state).beyond(envelope)
-        if not beyond and CONTACTS in self.held.blocks:  # further hands
-            hands: Any = self.held.blocks[CONTACTS]
-            beyond = hands.beyond(now.state, envelope)
+        beyond = Meeting.of(chase.scenario, chase.aim.target, now.stage).beyond(envelope)
+        if not beyond and self.hands is not None:
+            beyond = self.hands.beyond(now.stage.state, envelope)
         if message or beyond:
             at = f"t = {chase.scenario.grasp_time:g} s"
             message = message or f"the target is missed at {at}: {beyond}"

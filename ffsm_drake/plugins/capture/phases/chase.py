@@ -124,7 +124,7 @@ def phase_of(
     plan, motion = dataclasses.replace(chase.aim.scenario, holds=holds), None
     own: dict[str, Factory] = {}
     if chase.moves:
-        motion = along(chase.moves, plan, now.loop.coordinates, again=chase.again)
+        motion = along(chase.moves, plan, now.stage.coordinates, again=chase.again)
         own = chase.supervised(begin=chase.moves[0].begin if chase.again is None else chase.again)
     own |= blocks or {}
     if chase.expected is not None:
@@ -135,12 +135,6 @@ def phase_of(
     return Phase(
         names=names, scenario=plan, motion=motion, blocks=own, holds=holds, afresh=afresh, **how
     )
-
-
-def measured_state(now: Situation) -> np.ndarray:
-    """The state [q; v] that the servicer measures."""
-    found: np.ndarray = now.loop.diagram.GetOutputPort("estimated_state").Eval(now.context)
-    return found
 
 
 def given_up(now: Situation) -> str:
@@ -159,7 +153,7 @@ def met(now: Situation) -> tuple[str, Situation]:
     if since := given_up(now):
         return failed(now, MISSED, f"is not met: {since}")
     target = target_at(chase.path[now.sample])
-    meeting = Meeting.of(chase.aim.scenario, target, now.loop, now.state)
+    meeting = Meeting.of(chase.aim.scenario, target, now.stage)
     if beyond := meeting.beyond(chase.capture.envelope):
         return failed(now, MISSED, f"is missed: {beyond}")
     return "met", now

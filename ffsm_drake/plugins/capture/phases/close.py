@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import GRIPPER
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.gripper import Gripper, Met
 from ffsm_drake.plugins.capture.phases.chase import Chase, failed, phase_of, replaced
 from ffsm_drake.runs.ending import BOUNCED, SLIPPED
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Closing, Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
@@ -44,26 +43,24 @@ class Close(PhaseKind):
         )
         return phase, now
 
-    def enter(
-        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
-    ) -> Situation:
+    def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Begin to close."""
-        now = super().enter(now, phase, loop, root_context)
+        now = super().enter(now, phase, stage)
         chase: Chase = now.own
-        force: Any = loop.blocks[GRIPPER]
+        force: Any = stage.blocks[GRIPPER]
         force.begin(
-            force.GetMyMutableContextFromRoot(root_context),
+            stage.context(GRIPPER),
             payload=chase.scenario.payload.truth,
             target=chase.path[now.sample],
-            state=loop.whole_state(root_context),
+            state=stage.state,
         )
         return replaced(now, pushed=(now.sample, force.motions))
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
         """Whether the gripper holds the target."""
         chase: Chase = now.own
-        force: Any = now.loop.blocks[GRIPPER]
-        met: Met = force.met(force.GetMyContextFromRoot(now.context), now.state)
+        force: Any = now.stage.blocks[GRIPPER]
+        met: Met = force.met(now.stage.context(GRIPPER), now.stage.state)
         onward = free_motion(chase.scenario, met.motion, now.sample)
         first, _ = chase.pushed
         now = replaced(now, path=np.vstack([chase.moved[: now.sample], onward]), pushed=(0, []))

@@ -4,16 +4,15 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context
 
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.approach import given_approach
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
 from ffsm_drake.plugins.capture.phases.approach import CONTACTS
-from ffsm_drake.plugins.capture.phases.chase import Chase, measured_state, phase_of, replaced
+from ffsm_drake.plugins.capture.phases.chase import Chase, phase_of, replaced
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.phases import Phase, Situation, Stop
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -36,25 +35,22 @@ class Held(Stop):
         how: Any = {"follows": False, "sees": False, "afresh": ("controller",)}
         return phase_of(now, ("stop", self.until), holds=True, **how), now
 
-    def enter(
-        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
-    ) -> Situation:
+    def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Grasp the target; the run continues from the state after the grasp."""
         if now.sample == 0:
             return now
         chase: Chase = now.own
         target = target_at(chase.path[now.sample]) if chase.closing else chase.aim.target
-        meeting = Meeting.of(chase.aim.scenario, target, now.loop, now.state)
-        made = meeting.grasp(chase.aim.scenario, loop, chase.path[: now.sample])
+        meeting = Meeting.of(chase.aim.scenario, target, now.stage)
+        made = meeting.grasp(chase.aim.scenario, stage.model(), chase.path[: now.sample])
         assert made.contact is not None
         state = np.concatenate([meeting.q, made.contact.grasp.velocity])
-        loop.set_whole_state(root_context, state)
-        reference = chase.aim.reference
-        loop.resume(root_context, now.loop, now.context, reference, afresh=phase.afresh)
+        stage.place(state)
+        stage.resume(now.stage, chase.aim.reference, afresh=phase.afresh)
         # to the blocks, which resume with nothing in the gripper
-        loop.set_payload(root_context, made.payload)
-        if CONTACTS in loop.blocks:
-            hands: Any = loop.blocks[CONTACTS]
+        stage.carry(made.payload)
+        if CONTACTS in stage.blocks:
+            hands: Any = stage.blocks[CONTACTS]
             hands.hold(state)
         return dataclasses.replace(now, made=made)
 
@@ -64,7 +60,7 @@ def _at_rest_in_gripper(now: Situation) -> Scenario:
     chase: Chase = now.own
     scenario = chase.aim.scenario
     model = make_nominal_plant(scenario)
-    q, v = np.split(measured_state(now), [model.plant.num_positions()])
+    q, v = np.split(now.stage.measured, [model.plant.num_positions()])
     body = payload_body(scenario, model)
     w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
     arm = body.EvalPoseInWorld(model.context).rotation() @ chase.arm

@@ -4,17 +4,16 @@ import dataclasses
 from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import Context
 
 from ffsm_drake.common.numbers import number
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.capture.approach import approach_posture, gentle_duration, outwards
 from ffsm_drake.plugins.capture.phases.again import INSTANTS, is_clear, next_try
-from ffsm_drake.plugins.capture.phases.chase import Chase, measured_state, met, phase_of, replaced
+from ffsm_drake.plugins.capture.phases.chase import Chase, met, phase_of, replaced
 from ffsm_drake.plugins.capture.phases.moves import Move
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario.capture import Retreat as Settings
 from ffsm_drake.spacecraft.plant import base_rpy, posture_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -35,15 +34,13 @@ class Again(PhaseKind):
         phase, found = self._to_next_try(now, now.own.moves[0], now.sample)
         return phase, found if phase else _apart(found)
 
-    def enter(
-        self, now: Situation, phase: Phase, loop: ClosedLoop, root_context: Context
-    ) -> Situation:
+    def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """The reference forgets what it displaced and, after a touch, how the target moved."""
-        now = super().enter(now, phase, loop, root_context)
+        now = super().enter(now, phase, stage)
         if now.own.expected is not None:
-            block: Any = loop.blocks["reference"]
+            block: Any = stage.blocks["reference"]
             touched = self.touched and now.own.why.status != MISSED
-            block.renew(block.GetMyMutableContextFromRoot(root_context), touched=touched)
+            block.renew(stage.context("reference"), touched=touched)
         return now
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
@@ -108,7 +105,7 @@ def _apart(now: Situation) -> Situation:
     chase: Chase = now.own
     assert chase.why is not None
     path = Path(motion=chase.path, arm=chase.arm)
-    far = number(float(np.linalg.norm(now.state[4:7] - path.center(now.sample - 1))))
+    far = number(float(np.linalg.norm(now.stage.state[4:7] - path.center(now.sample - 1))))
     message = f"{chase.why.message}; the servicer retreats to {far} m from it"
     return now.failing(chase.why.status, message)
 
@@ -119,8 +116,8 @@ def _seen(now: Situation) -> Path:
     assert chase.known is not None
     if chase.expected is None:
         return dataclasses.replace(chase.known, motion=chase.path)
-    block: Any = now.loop.blocks["reference"]
-    context = block.GetMyContextFromRoot(now.context)
+    block: Any = now.stage.blocks["reference"]
+    context = now.stage.context("reference")
     path: Path = block.known_path(context, now.sample, len(chase.path) - now.sample)
     return dataclasses.replace(path, motion=np.vstack([chase.path[: now.sample], path.motion]))
 
@@ -131,9 +128,9 @@ def _away(now: Situation, retreat: Settings) -> Move:
     corner of a cube.
     """
     chase: Chase = now.own
-    scenario, coordinates = chase.scenario, now.loop.coordinates
+    scenario, coordinates = chase.scenario, now.stage.coordinates
     assert chase.known is not None
-    q, v = np.split(measured_state(now), [len(coordinates.position_names)])
+    q, v = np.split(now.stage.measured, [len(coordinates.position_names)])
     from_target = q[4:7] - chase.known.center(now.sample)
     apart = float(np.linalg.norm(from_target))
     # to ``distance`` beyond where the base is at the grasp
@@ -162,7 +159,7 @@ def _away(now: Situation, retreat: Settings) -> Move:
 
 def _paced(now: Situation, move: Move) -> Move:
     """A retreat that lasts as long as the limits ask for and the run leaves."""
-    scenario, coordinates = now.own.scenario, now.loop.coordinates
+    scenario, coordinates = now.own.scenario, now.stage.coordinates
 
     def motion_in(duration: float) -> PlannedMotion:
         return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
