@@ -20,7 +20,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    LeafSystem,
+)
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
@@ -35,7 +41,7 @@ from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.sampled import Arrays, Now, Sampled
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
@@ -87,13 +93,14 @@ class SupervisorPart(Part):
         """The supervisor of a scenario."""
         return None if scenario.supervisor is None else cls()
 
-    def build(self, setup: BlockSetup) -> LeafSystem:
+    def build(self, setup: BlockSetup) -> Diagram:
         """The block."""
-        return _Supervisor(setup, begin=self._begin, waits=self._waits)
+        return _System(self.supervisor(setup), setup)
 
-    def watch(self, setup: BlockSetup) -> "Watch":
-        """What the block does while it lets plan and force pass."""
-        return _watch(setup, begin=self._begin, waits=self._waits)
+    def supervisor(self, setup: BlockSetup) -> "Supervisor":
+        """Return what the block does. Raises ScenarioError: no force has a limit."""
+        block = _block(setup, begin=self._begin, waits=self._waits)
+        return Supervisor(block=block, scenario=setup.scenario, coordinates=setup.coordinates)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""
@@ -207,109 +214,182 @@ class NewPlan:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Watch(Sampled):
-    """The supervisor without requests, until it acts.
+class Supervising(Sampled):
+    """The modes, but for new plans.
 
-    Inputs: ``estimated_state``, ``desired_state``, and ``generalized_force``, the law's at the
-    sample before. Outputs: ``mode`` and ``mode_cause``, which is not 0 if it acts at this sample.
-    Memory: the time for which the force was beyond the limits, s.
+    Inputs: ``estimated_state``, ``desired_state``, ``generalized_force`` of the law at the sample
+    before, and ``abort_request``. Phase: the mode along the plan, and whether the gripper is empty.
+
+    Outputs are those of its memory that ``outputs`` names, and ``asks``: 1 if the sample needs a
+    plan, or the answer that there is none, in the memory before it (``Supervisor.answered``).
     """
 
     model: PlantModel  # the nominal one
-    largest: np.ndarray  # limits (nv) of the force
+    largest: np.ndarray  # limits (nv) of the force that saturates
+    limit: np.ndarray  # limits (nv) of the damping force
     error: np.ndarray  # bounds (nv)
     rate: np.ndarray
     is_bounded: bool
     waits: bool
-    saturated_time: float  # s
+    saturated_time: np.ndarray  # s
+    damping: np.ndarray  # 1/s
+    share: np.ndarray  # of the low pass, in a sample
+    end_share: np.ndarray
+    end_time: np.ndarray  # s
     sample_time: float  # s
     grasp_time: float  # s
     end: float  # s, of the scenario's own motion
     is_empty: bool  # the gripper
     in_phase: ClassVar = ("grasp_time", "end", "is_empty")
+    optional: ClassVar = ("abort_request",)
 
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Sampled."""
         nv = len(self.largest)
         return dict.fromkeys(("estimated_state", "desired_state"), 2 * nv + 1) | {
-            "generalized_force": nv
-        }
+            "generalized_force": nv, "abort_request": 1,
+        }  # fmt: skip
 
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Sampled."""
-        return {"mode": 1, "mode_cause": 1}
+        nv = len(self.largest)
+        return {
+            "mode": 1, "mode_cause": 1, "restart": 1, "force": nv, "held": 2 * nv + 1,
+            "plan": 2 * nv + 4, "asks": 1,
+        }  # fmt: skip
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
-        """See Sampled."""
-        return {"over": np.zeros(1)}
+        """See Sampled. ``restart``, the first: 1 while the law restarts, and ``force`` acts."""
+        sizes = {name: size for name, size in self.outputs.items() if name != "asks"}
+        # time of saturation and of little force, s; number of plans; request before; answer: 1 a
+        # plan, 2 none
+        sizes |= dict.fromkeys(("over", "quiet", "plans", "asked", "answer"), 1)
+        sizes = {"restart": 1, **sizes, "filtered": sizes["force"]}
+        return {name: np.zeros(size) for name, size in sizes.items()}
 
     def phase(self, sample: Any) -> Sequence[Any]:
-        """The mode."""
-        times = self.sample_time * np.atleast_1d(sample)
-        modes = np.array([float(self.mode_at(time)) for time in times.tolist()])
-        return [modes.reshape(np.shape(sample))]
+        """Along the scenario's own plan."""
+        return self.modes(self.sample_time * np.asarray(sample), np.zeros(3))
+
+    def modes(self, times: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The mode at times (s) along a plan (a row of ``NewPlan``, or zeros), and whether the
+        gripper is empty.
+        """
+        half = 0.5 * self.sample_time
+        is_empty = self.is_empty | (times < self.grasp_time - half)
+        end = plan[0] + plan[1] if plan[1] else self.end
+        modes = np.where(times < end - 1e-9, Mode.STOP, Mode.HOLD)
+        if plan[1]:
+            modes = np.full_like(modes, Mode.RETREAT) if plan[2] else modes
+        else:
+            is_grasp = (self.grasp_time > 0.0) & (times < self.grasp_time + half)
+            modes = np.where(is_grasp, Mode.GRASP, modes)
+            modes = np.where(is_empty, Mode.APPROACH, modes)
+        return modes, is_empty
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        state, desired = inputs["estimated_state"], inputs["desired_state"]
-        cause, over = np.zeros_like(memory["over"]), memory["over"]
-        if not self.waits:
-            cause, over = self.look(over, inputs["generalized_force"], desired, state)
-        return {"mode": np.reshape(now.phase, 1), "mode_cause": cause}, {"over": over}
+        mode, is_empty = (np.reshape(each, 1) for each in now.phase)
+        state, command = inputs["estimated_state"], inputs["generalized_force"]
+        was_damping = memory["mode"] == float(Mode.RATE_DAMPING)
+        cause, after = self._causes(inputs, memory, was_damping)
+        acts = cause != 0.0
+        after["over"] = np.where(acts, 0.0, after["over"])
+        is_planned = memory["answer"] == 1.0
+        flees = acts & (is_empty != 0.0)
+        retreats = flees & is_planned
+        damps = was_damping | (acts & ~retreats)
 
-    def look(
-        self, over: np.ndarray, force: np.ndarray | None, desired: np.ndarray, state: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cause (1) to act, and the time (1) for which the force was beyond the limits.
+        q, v = np.split(state, [len(state) - len(command)])
+        wanted = self.damping * (self.model.calc_mass_matrix(q) @ v)
+        damping = -(1.0 / np.maximum(1.0, (np.abs(wanted) / self.limit).max())) * wanted
+        filtered = np.where(was_damping, memory["filtered"], wanted)
+        filtered = filtered + self.share * (wanted - filtered)
+        is_quiet = (np.abs(filtered) <= self.end_share * self.limit).all()
+        quiet = np.where(acts, 0.0, memory["quiet"])
+        quiet = np.where(damps, np.where(is_quiet, quiet + self.sample_time, 0.0), quiet)
+        is_over = damps & (quiet >= self.end_time - 1e-9)
+        is_planned = is_planned & (is_over | retreats)
 
-        Args: this time before, the force of the law, if it was commanded, and the two states.
-        """
-        cause = np.zeros_like(over)
-        if force is not None:
-            step, is_over = self.sample_time, (np.abs(force) > self.largest).any()
-            over = np.maximum(0.0, over + np.where(is_over, step, -step))
+        clipped = np.clip(command, -self.limit, self.limit)
+        after |= {
+            "mode": np.where(damps & ~is_planned, float(Mode.RATE_DAMPING), mode),
+            "mode_cause": np.where(acts, cause, memory["mode_cause"]),
+            "restart": np.where(damps | retreats, 1.0, 0.0),
+            "force": np.where(damps, damping, np.where(retreats, clipped, memory["force"])),
+            "held": np.where(damps, state, memory["held"]),
+            "filtered": np.where(damps, filtered, memory["filtered"]),
+            "quiet": np.where(is_over, 0.0, quiet),  # without a plan damping goes on
+            "plans": memory["plans"] + np.where(is_planned, 1.0, 0.0),
+            "plan": memory["plan"], "answer": np.zeros_like(memory["answer"]),
+        }  # fmt: skip
+        asks = (flees | is_over) & (memory["answer"] == 0.0)
+        after = {name: after[name] for name in memory}
+        outputs = {name: after[name] for name in self.outputs if name != "asks"}
+        return outputs | {"asks": np.where(asks, 1.0, 0.0)}, after
+
+    def _causes(
+        self, inputs: Arrays, memory: Arrays, was_damping: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The cause (1) to act, and memory after the sample."""
+        cause, over, asked = np.zeros_like(memory["over"]), memory["over"], memory["asked"]
+        if self.waits:
+            return cause, {"over": over, "asked": asked}
+        step, is_over = self.sample_time, np.abs(inputs["generalized_force"]) > self.largest
+        longer = np.maximum(0.0, over + np.where(is_over.any(), step, -step))
+        # a force that was not commanded does not count
+        longer = np.where(memory["restart"] != 0.0, over, longer)
         if self.is_bounded:
-            errors = self.model.calc_tracking_errors(desired, state, len(self.largest) + 1)
+            errors = self.model.calc_tracking_errors(
+                inputs["desired_state"], inputs["estimated_state"], len(self.largest) + 1
+            )
             for each, bound, error in zip(
                 (Cause.RATE, Cause.ERROR), (self.rate, self.error), errors[::-1], strict=True
             ):
                 cause = np.where((np.abs(error) > bound).any(), float(each), cause)
-        is_long = over > self.saturated_time + 1e-9
-        return np.where(is_long, float(Cause.SATURATED), cause), over
-
-    def is_before_grasp(self, time: float) -> bool:
-        """Whether the gripper is empty at a time, s."""
-        return self.is_empty or time < self.grasp_time - 0.5 * self.sample_time
-
-    def mode_at(self, time: float) -> Mode:
-        """Return the mode along the scenario's own plan at a time, s."""
-        if self.is_before_grasp(time):
-            return Mode.APPROACH
-        if self.grasp_time > 0.0 and time < self.grasp_time + 0.5 * self.sample_time:
-            return Mode.GRASP
-        return Mode.STOP if time < self.end - 1e-9 else Mode.HOLD
+        is_long = longer > self.saturated_time + 1e-9
+        cause = np.where(is_long, float(Cause.SATURATED), cause)
+        asks = np.where(inputs.get("abort_request", np.zeros(1)) > 0.5, 1.0, 0.0)
+        cause = np.where((asks != 0.0) & (asked == 0.0), float(Cause.REQUEST), cause)
+        return np.where(was_damping, 0.0, cause), {
+            "over": np.where(was_damping, over, longer),
+            "asked": np.where(was_damping, asked, asks),
+        }
 
 
-def _watch(setup: BlockSetup, *, begin: float, waits: bool) -> Watch:
+def _block(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
     """Raises ScenarioError: no force has a limit."""
     scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
     assert settings is not None
-    largest = actuation_limit(scenario, coordinates, helped=True).upper
+    largest, limit = (
+        actuation_limit(scenario, coordinates, helped=helped).upper for helped in (True, False)
+    )
+    if not np.isfinite(limit).any():
+        raise ScenarioError(
+            "supervisor",
+            "cannot detect saturation, because no force has a limit; set actuation.limit, "
+            "actuation.thrusters or actuation.wheels",
+        )
     error, rate = (
         coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
         for name, given in (("error", settings.error), ("rate", settings.rate))
     )
     rest = scenario.planned_end  # of the scenario's own motion, s
-    return Watch(
+    return Supervising(
         model=setup.nominal,
         largest=largest,
+        limit=limit,
         error=error,
         rate=rate,
         is_bounded=bool(np.isfinite([error, rate]).any()),
         waits=waits,
-        saturated_time=settings.saturated_time,
+        saturated_time=np.array(settings.saturated_time),
+        damping=np.array(settings.damping),
+        share=np.array(min(1.0, setup.sample_time / settings.filter_time)),
+        end_share=np.array(settings.end_share),
+        end_time=np.array(settings.end_time),
         sample_time=setup.sample_time,
         grasp_time=begin + scenario.grasp_time,
         end=begin + (make_motion(scenario, coordinates).end if rest is None else rest),
@@ -317,58 +397,123 @@ def _watch(setup: BlockSetup, *, begin: float, waits: bool) -> Watch:
     )
 
 
-class _Supervisor(LeafSystem):
-    """The modes, with their memory in discrete state, updated once a control sample.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Supervisor(Sampled):
+    """The supervisor with its plans."""
 
-    Inputs: those of the block. Outputs: ``desired_state``, ``desired_acceleration``,
-    ``generalized_force``, ``restart`` (1: the law starts afresh at this sample), ``mode``,
-    ``mode_cause``.
+    block: Supervising
+    scenario: Scenario
+    coordinates: Coordinates
+    optional: ClassVar = Supervising.optional
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return self.block.inputs
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return self.block.outputs
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled."""
+        return self.block.start(state)
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        time = np.array([now.time])
+        while True:
+            now = now._replace(phase=self.block.modes(time, memory["plan"]))
+            outputs, after = self.block.step(inputs, memory, now)
+            if not outputs["asks"][0]:
+                return outputs, after
+            memory = self.answered(memory, inputs["estimated_state"], now.time)
+
+    def answered(self, memory: Arrays, state: np.ndarray, time: float) -> dict[str, np.ndarray]:
+        """Return the memory before a sample that asks, with the plan from its measured state."""
+        found = plan_anew(self, state, time, plans=int(memory["plans"][0]))
+        made = {"answer": np.array([2.0 if found is None else 1.0])}
+        return {**memory, **made, **({} if found is None else {"plan": found.as_row()})}
+
+    def motion(self, plan: np.ndarray) -> PolynomialMotion:
+        """The motion of a row of ``NewPlan``, as a function of the time since its begin."""
+        made = NewPlan.from_row(plan.copy(), len(self.coordinates.position_names))
+        return made.motion(self.scenario, self.coordinates)
+
+
+def plan_anew(
+    supervisor: Supervisor, state: np.ndarray, time: float, *, plans: int
+) -> NewPlan | None:
+    """Return a plan from the measured state after a number of others. If no plan is within its
+    share of the limits: None, or with an empty gripper the plan with the least use of them, since
+    rate damping would leave the light joints to the disturbance.
+    """
+    block, scenario = supervisor.block, supervisor.scenario
+    settings, (q, v) = scenario.supervisor, np.split(state, [len(state) - len(block.limit)])
+    assert settings is not None
+    most = settings.plan_share * settings.retry_factor**plans * block.limit
+    retreats, duration = bool(block.modes(np.array(time), np.zeros(3))[1]), _SHORTEST
+    least, gentlest = np.inf, None
+    while duration <= _LONGEST:
+        plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
+        motion = plan.motion(scenario, supervisor.coordinates)
+        rows = motion.rows(np.linspace(0.0, duration, _INSTANTS))
+        force = block.model.calc_tracking_force(*np.split(rows, [q.size, q.size + v.size], axis=1))
+        share = float((np.abs(force) / most).max())
+        if share <= 1.0:
+            return plan
+        if retreats and share < least:
+            least, gentlest = share, plan
+        duration *= _GROWTH
+    return gentlest
+
+
+class _System(Diagram):
+    """The Drake system. Inputs: those of the block. Outputs: ``desired_state``,
+    ``desired_acceleration``, ``generalized_force``, ``restart`` (1: the law starts afresh at this
+    sample), ``mode``, ``mode_cause``.
     """
 
-    def __init__(self, setup: BlockSetup, *, begin: float, waits: bool) -> None:
+    def __init__(self, supervisor: Supervisor, setup: BlockSetup) -> None:
         super().__init__()
-        self._scenario = scenario = setup.scenario
-        self._model, self._watch = setup.nominal, _watch(setup, begin=begin, waits=waits)
-        self._coordinates = coordinates = setup.coordinates
-        self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
-        assert scenario.supervisor is not None
-        self._settings, self._step = scenario.supervisor, setup.sample_time
-        self._limit = actuation_limit(scenario, coordinates, helped=False).upper
-        if not np.isfinite(self._limit).any():
-            raise ScenarioError(
-                "supervisor",
-                "cannot detect saturation, because no force has a limit; set actuation.limit, "
-                "actuation.thrusters or actuation.wheels",
-            )
-        self._declare()
-        self._motion_of: tuple[bytes, PlannedMotion] | None = None  # a cache, of a new plan's row
-        untie(self)
+        builder = DiagramBuilder()
+        own = SampledSystem(
+            supervisor, name="supervising", sample_time=setup.sample_time, held=True
+        )
+        own, passing = builder.AddSystem(own), builder.AddSystem(_Passing(supervisor))
+        passing.set_name("passing")
+        for port in map(passing.get_input_port, range(passing.num_input_ports())):
+            if own.HasOutputPort(name := port.get_name()):
+                builder.Connect(own.GetOutputPort(name), port)
+        for name in ("desired_state", "desired_acceleration", "generalized_force"):
+            index = builder.ExportInput(passing.GetInputPort(f"given_{name}"), name)
+            builder.ExportOutput(passing.GetOutputPort(name), name)
+            if name == "generalized_force":
+                builder.ConnectInput(index, own.GetInputPort(name))
+        builder.Connect(passing.GetOutputPort("desired_state"), own.GetInputPort("desired_state"))
+        for name in ("estimated_state", "abort_request"):
+            builder.ExportInput(own.GetInputPort(name), name)
+        for name in ("restart", "mode", "mode_cause"):
+            builder.ExportOutput(own.GetOutputPort(name), name)
+        builder.BuildInto(self)
 
-    def _declare(self) -> None:
-        nv, states = self._nv, self._nq + self._nv
-        self._measured = self.DeclareVectorInputPort("estimated_state", states)
-        self._planned = self.DeclareVectorInputPort("desired_state", states)
-        self._planned_acceleration = self.DeclareVectorInputPort("desired_acceleration", nv)
-        self._command = self.DeclareVectorInputPort("generalized_force", nv)
-        self._request = self.DeclareVectorInputPort("abort_request", 1)
-        first = {
-            "mode": [float(Mode.APPROACH if self._watch.is_before_grasp(0.0) else Mode.STOP)],
-            "cause": np.zeros(1),
-            "restart": np.zeros(1),  # 1 while the law restarts at each sample, with damping's force
-            # saturated time, time below ``end_share``, number of new plans, request before
-            "counters": np.zeros(4),
-            "force": np.zeros(nv),
-            "filtered": np.zeros(nv),
-            "held": np.zeros(states),  # measured at the last sample of damping
-            "plan": np.zeros(3 + states),  # ``NewPlan``; duration 0: none
+
+class _Passing(LeafSystem):
+    """What the supervisor lets pass: the plan, or what replaces it; and the force."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        super().__init__()
+        self._supervisor, sizes = supervisor, supervisor.block.outputs
+        states, nv = sizes["held"], sizes["force"]
+        motion = {"given_desired_state": states, "given_desired_acceleration": nv}
+        motion |= {name: sizes[name] for name in ("mode", "held", "plan")}
+        force = {"given_generalized_force": nv, "restart": 1, "force": nv}
+        self._ports = {
+            name: self.DeclareVectorInputPort(name, size) for name, size in (motion | force).items()
         }
-        self._groups = {name: self.DeclareDiscreteState(row) for name, row in first.items()}
-        own, read = self.xd_ticket(), self.input_port_ticket
-        motion = {
-            own,
-            self.time_ticket(),
-            read(self._planned.get_index()),
-            read(self._planned_acceleration.get_index()),
+        read = {
+            name: self.input_port_ticket(port.get_index()) for name, port in self._ports.items()
         }
         for name, within in (
             ("desired_state", slice(0, states)),
@@ -378,164 +523,41 @@ class _Supervisor(LeafSystem):
                 name,
                 within.stop - within.start,
                 functools.partial(weak_callback(self._calc_motion), within),
-                motion,
+                {self.time_ticket(), *(read[name] for name in motion)},
             )
         self.DeclareVectorOutputPort(
             "generalized_force",
             nv,
             weak_callback(self._calc_force),
-            {own, read(self._command.get_index())},
+            {read[name] for name in force},
         )
-        for name, group in (("restart", "restart"), ("mode", "mode"), ("mode_cause", "cause")):
-            self.DeclareStateOutputPort(name, self._groups[group])
-        self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weak_callback(self._update))
-
-    def _memory(self, context: Context) -> dict[str, np.ndarray]:
-        """A copy of the discrete state, by group."""
-        return {name: self._now(context, name).copy() for name in self._groups}
-
-    def _now(self, context: Context, name: str) -> np.ndarray:
-        values: np.ndarray = context.get_discrete_state(self._groups[name]).value()
-        return values
+        self._motion_of: tuple[bytes, PlannedMotion] | None = None  # a cache, of a new plan's row
+        untie(self)
 
     def _calc_motion(self, within: slice, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._motion(context)[within])
 
     def _motion(self, context: Context) -> np.ndarray:
         """[q_d; v_d; a_d] of the plan in force; in rate damping the state last measured."""
-        if self._now(context, "mode")[0] == Mode.RATE_DAMPING:
-            return np.concatenate([self._now(context, "held"), np.zeros(self._nv)])
-        plan = self._now(context, "plan")
+        ports = self._ports
+        if ports["mode"].Eval(context)[0] == Mode.RATE_DAMPING:
+            held = ports["held"].Eval(context)
+            return np.pad(held, (0, ports["given_desired_acceleration"].size()))
+        plan = ports["plan"].Eval(context)
         if plan[1] > 0.0:
             return self._along(plan, context.get_time())
-        planned = self._planned, self._planned_acceleration
-        return np.concatenate([port.Eval(context) for port in planned])
+        given = "given_desired_state", "given_desired_acceleration"
+        return np.concatenate([ports[name].Eval(context) for name in given])
 
     def _along(self, plan: np.ndarray, time: float) -> np.ndarray:
         """[q_d; v_d; a_d] of a new plan."""
-        key, since = plan.tobytes(), time - plan[0]
+        key, since, step = plan.tobytes(), time - plan[0], self._supervisor.block.sample_time
         if self._motion_of is None or self._motion_of[0] != key:
-            made = NewPlan.from_row(plan.copy(), self._nq)
-            self._motion_of = key, made.motion(self._scenario, self._coordinates)
-        sample = round(since / self._step) * self._step
+            self._motion_of = key, self._supervisor.motion(plan)
+        sample = round(since / step) * step
         return self._motion_of[1].row(sample if abs(sample - since) < 1e-9 else since)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        damped = self._now(context, "restart")[0] > 0.0
-        output.SetFromVector(self._now(context, "force") if damped else self._command.Eval(context))
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        memory, time = self._memory(context), context.get_time()
-        state, command = self._measured.Eval(context), self._command.Eval(context)
-        was_damping = bool(memory["mode"][0] == Mode.RATE_DAMPING)
-        cause = self._cause(context, state, command, memory)
-        if cause != Cause.NONE:
-            memory["cause"][0] = cause
-            memory["counters"][:2] = 0.0
-            mode = self._react(time, state, command, memory)
-        elif was_damping:
-            mode = Mode.RATE_DAMPING
-        else:
-            memory["restart"][0] = 0.0
-            mode = self._mode_at(time, memory["plan"])
-        if mode == Mode.RATE_DAMPING:
-            mode = self._damp(time, state, memory, begins=not was_damping)
-        memory["mode"][0] = float(mode)
-        for name, row in memory.items():
-            values.set_value(self._groups[name], row)
-
-    def _react(
-        self, time: float, state: np.ndarray, command: np.ndarray, memory: dict[str, np.ndarray]
-    ) -> Mode:
-        """Rate damping; before the grasp a retreat at once, if there is a plan for it."""
-        if not self._watch.is_before_grasp(time):
-            return Mode.RATE_DAMPING
-        plan = self._plan_anew(time, state, int(memory["counters"][2]))
-        if plan is None:
-            return Mode.RATE_DAMPING
-        memory["counters"][2] += 1.0
-        memory["plan"][:] = plan.as_row()
-        memory["force"][:] = np.clip(command, -self._limit, self._limit)
-        memory["restart"][0] = 1.0
-        return Mode.RETREAT
-
-    def _cause(
-        self,
-        context: Context,
-        state: np.ndarray,
-        command: np.ndarray,
-        memory: dict[str, np.ndarray],
-    ) -> Cause:
-        """Why to damp the rates now, if there is a reason and they are not damped; the counters in
-        ``memory`` are brought up to date.
-        """
-        if self._watch.waits or memory["mode"][0] == Mode.RATE_DAMPING:
-            return Cause.NONE
-        counters, desired = memory["counters"], self._motion(context)[: state.size]
-        force = None if memory["restart"][0] else command  # the law's, if it was commanded
-        found, counters[:1] = self._watch.look(counters[:1], force, desired, state)
-        cause = Cause(int(found[0]))
-        if self._request.HasValue(context):
-            asked = bool(self._request.Eval(context)[0] > 0.5)
-            if asked and counters[3] == 0.0:
-                cause = Cause.REQUEST
-            counters[3] = asked
-        return cause
-
-    def _damp(
-        self, time: float, state: np.ndarray, memory: dict[str, np.ndarray], *, begins: bool
-    ) -> Mode:
-        """Command tau = -sigma kappa Hhat v, until kappa Hhat v, low-passed, has been small for a
-        time and there is a plan from then on.
-        """
-        settings, limit = self._settings, self._limit
-        q, v = np.split(state, [self._nq])
-        wanted = settings.damping * (self._model.calc_mass_matrix(q) @ v)
-        scale = 1.0 / max(1.0, float((np.abs(wanted) / limit).max()))
-        memory["force"][:], memory["held"][:] = -scale * wanted, state
-        memory["restart"][0] = 1.0
-        filtered = wanted if begins else memory["filtered"]
-        filtered = filtered + min(1.0, self._step / settings.filter_time) * (wanted - filtered)
-        memory["filtered"][:], counters = filtered, memory["counters"]
-        is_quiet = (np.abs(filtered) <= settings.end_share * limit).all()
-        counters[1] = counters[1] + self._step if is_quiet else 0.0
-        if counters[1] >= settings.end_time - 1e-9:
-            counters[1] = 0.0  # without a plan damping continues
-            plan = self._plan_anew(time, state, int(counters[2]))
-            if plan is not None:
-                counters[2] += 1.0
-                memory["plan"][:] = plan.as_row()
-                return self._mode_at(time, memory["plan"])
-        return Mode.RATE_DAMPING
-
-    def _plan_anew(self, time: float, state: np.ndarray, plans: int) -> NewPlan | None:
-        """A plan from the measured state after a number of others. If no plan is within its share
-        of the limits: None, or with an empty gripper the plan with the least use of them, since
-        rate damping would leave the light joints to the disturbance.
-        """
-        settings, (q, v) = self._settings, np.split(state, [self._nq])
-        most = settings.plan_share * settings.retry_factor**plans * self._limit
-        retreats, duration = self._watch.is_before_grasp(time), _SHORTEST
-        least, gentlest = np.inf, None
-        while duration <= _LONGEST:
-            plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
-            motion = plan.motion(self._scenario, self._coordinates)
-            rows = motion.rows(np.linspace(0.0, duration, _INSTANTS))
-            force = self._model.calc_tracking_force(
-                *np.split(rows, [self._nq, self._nq + self._nv], axis=1)
-            )
-            share = float((np.abs(force) / most).max())
-            if share <= 1.0:
-                return plan
-            if retreats and share < least:
-                least, gentlest = share, plan
-            duration *= _GROWTH
-        return gentlest
-
-    def _mode_at(self, time: float, plan: np.ndarray) -> Mode:
-        """The mode outside rate damping."""
-        if plan[1]:
-            if plan[2]:
-                return Mode.RETREAT
-            return Mode.STOP if time < plan[0] + plan[1] - 1e-9 else Mode.HOLD
-        return self._watch.mode_at(time)
+        is_own = self._ports["restart"].Eval(context)[0] > 0.0
+        name = "force" if is_own else "given_generalized_force"
+        output.SetFromVector(self._ports[name].Eval(context))

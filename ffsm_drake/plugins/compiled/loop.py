@@ -331,7 +331,7 @@ class Blocks:
                 for at, name in enumerate(("disturbance", *self._named))
             }
         if self.watch is not None:
-            made |= {name: ("mode", at, 1) for at, name in enumerate(self.watch.outputs)}
+            made |= {name: ("mode", at, 1) for at, name in enumerate(("mode", "mode_cause"))}
         if self.detector is not None:
             made["fault_detected"] = ("detected", 0, sizes["detected"])
         if sizes["hidden_push"]:

@@ -179,9 +179,9 @@ class Case:
         return tuple(row), tuple(beside)
 
     def _watching(self) -> Any:
-        """What the supervisor does until it acts; None: there is none."""
+        """The supervisor's block; None: there is none."""
         part: Any = section_parts(self._settled).get("supervisor")
-        return None if part is None else part.watch(self._setup("supervisor", {}))
+        return None if part is None else part.supervisor(self._setup("supervisor", {})).block
 
     def detectors(self) -> list[tuple[Sampled, Arrays]]:
         """The detector, with its memory at the start; none without it."""
