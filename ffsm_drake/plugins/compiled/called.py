@@ -53,7 +53,7 @@ class Laws:
         self._cells_of = (
             [*inputs.values(), ("memory", 0, kept), *looked.values()],
             [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept), *found.values()],
-            [("lost", 0, 1), ("begun", 0, 1)],
+            [("lost", 0, 1), ("begun", 0, 1), ("first_at", 0, 1)],
         )
 
     def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
@@ -71,16 +71,19 @@ class Laws:
     def _called(
         self, cells: np.ndarray, entries: Sequence[np.ndarray], sample: int, other: Any
     ) -> bool:
-        reads, writes, (lost, begun) = entries
+        reads, writes, (lost, begun, first_at) = entries
         try:
             rows, made = (
                 np.ascontiguousarray(cells[reads].T),
                 np.full((cells.shape[1], writes.size), np.nan),
             )
-            are_lost, samples = cells[lost].view(np.int64), cells[begun] + sample
+            are_lost, are_first = (
+                cells[lost].view(np.int64),
+                cells[begun] + sample == cells[first_at],
+            )
             for lane in range(len(self._controllers)):
                 if not are_lost[lane]:
-                    self.step(lane, rows[lane], made[lane], is_first=samples[lane] == 0.0)
+                    self.step(lane, rows[lane], made[lane], is_first=are_first[lane])
             cells[writes] = made.T
             return True
         except BaseException as error:  # Python prints and forgets what a callback raises
@@ -94,7 +97,7 @@ class Laws:
           lane: its number.
           row: what it reads.
           made: gets its force and memory, or NaN: it fails.
-          is_first: whether no sample was before.
+          is_first: whether no sample was before, or a grasp since.
         """
         inputs = {name: row[part] for name, part in self._inputs.items()}
         memory = {name: row[part] for name, part in self._memory.items()}

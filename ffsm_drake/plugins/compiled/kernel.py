@@ -2,12 +2,13 @@
 
 All numbers of its runs stand in one array of cells, each a register wide. At every control sample
 it reads rows of each run (reference, noise) and writes rows of its signals. Its last sample changes
-no state, so that a further call can go on with it.
+no state, so that a further call can go on with it: a *leg* of a run is a call.
 """
 
 import ctypes
 import functools
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,25 @@ from ffsm_drake.systems.part import Parts
 
 _BYTES = 8  # of a number
 _ROWS = 32  # of the log, which the second-level cache holds
+
+
+class LaneState(NamedTuple):
+    """Where the leg of a run begins or ends: just before a control sample."""
+
+    cells: Mapping[str, np.ndarray]  # (n) by the names of ``Blocks.states``
+    sample: int = 0  # of the run
+    first_at: int = 0  # the sample that is a first one for the law
+
+
+class LaneEnd(NamedTuple):
+    """The end of a leg."""
+
+    state: LaneState  # before the last sample, or the one at which the lane leaves
+    log: Mapping[str, np.ndarray]  # signals (samples, size) by the names of ``Blocks.log``
+    measured: np.ndarray  # (nq + nv) as the law would read it before the update of that sample
+    # the last sample in the log of a run that leaves its bound, has a number that is not finite, a
+    # supervisor that acts there, or a law whose call fails
+    left: int | None
 
 
 class Kernel:
@@ -43,49 +63,100 @@ class Kernel:
         self._code = text.code(f"runs of {self.width}", key)
         self.call = self._code.function("run", 2, ctypes.c_int64, ctypes.c_void_p)
 
-    def run(
+    def cells_of(self, parameters: Mapping[str, np.ndarray], begin: LaneState) -> np.ndarray:
+        """Return the numbers (size) of a lane that begins. Arguments: see ``leg``."""
+        cells, own = np.zeros(self.size), {"begun": begin.sample, "first_at": begin.first_at}
+        for name, values in {**parameters, **begin.cells, **own}.items():
+            first = self.places[name]
+            cells[first : first + np.size(values)] = values
+        return cells
+
+    def leg(
         self,
-        runs: Mapping[str, np.ndarray],
+        parameters: Sequence[Mapping[str, np.ndarray]],
+        begin: Sequence[LaneState],
         rows: Sequence[Mapping[str, np.ndarray]],
+        samples: int,
+        *,
         signals: Collection[str] | None = None,
         laws: Laws | None = None,
-    ) -> list[dict[str, np.ndarray] | None]:
-        """Run a lane for each simulation.
+        ends: bool = False,
+    ) -> list[LaneEnd]:
+        """Go on by so many samples, with a lane for each run: at most ``width``.
+
+        The sample after them belongs to the next leg. It is seen, not logged: with the noise of
+        the sample before it, as Drake shows it before its update.
 
         Args:
-          runs: what each begins with, by the names of ``Blocks.parameters`` and ``states``:
-            (width, n); and the ``bound`` of the size of its known velocities, rad/s and m/s.
-          rows: what each reads at the samples, by the names of ``Blocks.row``: (samples, n), one
-            row after the other in memory.
+          parameters: what each has, by the names of ``Blocks.parameters``.
+          begin: where each begins.
+          rows: what each reads, by the names of ``Blocks.row``: (n, size) for the samples of its
+            run from the first one on.
+          samples: at least one, unless it ``ends``.
           signals: those that are kept; None: all.
           laws: of the lanes, if they are called.
+          ends: the runs end with the last sample, which is logged.
 
-        Returns: the signals of each by the names of ``Blocks.log`` (samples, size); None: it leaves
-        its bound, a number is not finite, or the call of its law fails. Raises what ends a call,
-        such as KeyboardInterrupt.
+        Raises what ends a call, such as KeyboardInterrupt.
         """
-        samples, cells = len(rows[0]["reference"]), np.zeros((self.size, self.width))
-        for name, values in runs.items():
-            first = self.places[name]
-            cells[first : first + values.shape[1]] = values.T
+        lanes = [*range(len(begin)), *[len(begin) - 1] * (self.width - len(begin))]
+        cells = np.array([self.cells_of(parameters[lane], begin[lane]) for lane in lanes]).T.copy()
         sizes = {
             name: size
             for name, (*_, size) in self.blocks.log.items()
             if signals is None or name in signals
         }
-        kept = [_arrays(sizes, samples) for _ in rows]
-        places = [[own[name].ctypes.data for own in rows] for name in self.read]
+        read = [self._read_from(rows[lane], begin[lane].sample, samples, ends) for lane in lanes]
+        kept = [_arrays(sizes, samples + 1) for _ in lanes]
+        places = [[own[name].ctypes.data for own in read] for name in self.read]
         places += [
             [own[name].ctypes.data if name in own else 0 for own in kept]
             for name in self.blocks.log
         ]
         given = np.array(places, dtype=np.uint64)
         call = None if laws is None else laws.function(cells, self.places)
-        self.call(cells.ctypes.data, given.ctypes.data, samples - 1, call)
+        self.call(cells.ctypes.data, given.ctypes.data, samples, call)
         if laws is not None and laws.stopped is not None:
             raise laws.stopped
-        lost = cells[self.places["lost"]].view(np.int64)
-        return [None if is_lost else own for own, is_lost in zip(kept, lost.tolist(), strict=True)]
+        return [
+            self._end(cells[:, lane], state, kept[lane], samples, ends=ends)
+            for lane, state in enumerate(begin)
+        ]
+
+    def _read_from(
+        self, rows: Mapping[str, np.ndarray], first: int, samples: int, ends: bool
+    ) -> dict[str, np.ndarray]:
+        """The rows of a leg."""
+        read = {name: rows[name][first : first + samples + 1] for name in self.read}
+        if "noise" in read and samples and not ends:
+            read["noise"] = read["noise"].copy()
+            read["noise"][-1] = read["noise"][-2]
+        return read
+
+    def _end(
+        self,
+        cells: np.ndarray,
+        begin: LaneState,
+        log: Mapping[str, np.ndarray],
+        samples: int,
+        *,
+        ends: bool,
+    ) -> LaneEnd:
+        def own(name: str, size: int) -> np.ndarray:
+            return cells[self.places[name] :][:size].copy()
+
+        states = {name: own(name, size) for name, size in self.blocks.states.items()}
+        last, count, left = begin.sample + samples, samples + ends, None
+        if own("lost", 1).view(np.int64)[0]:
+            states["x"][0] = own("x_before", 1)[0]
+            count = int(own("acted_on", 1)[0])
+            last = left = begin.sample + count - 1
+        return LaneEnd(
+            LaneState(states, last, begin.first_at),
+            {name: values[:count] for name, values in log.items()},
+            own("measurement", self.blocks.results["measurement"]),
+            left,
+        )
 
 
 def _arrays(sizes: Mapping[str, int], samples: int) -> dict[str, np.ndarray]:
@@ -254,7 +325,8 @@ class _Runs(_Text):
 
     The addresses in ``places`` are those of each lane's arrays from this sample on: rows that it
     reads, and signals that it writes, unless the address is 0. A lane is ``lost`` if it leaves its
-    bound, or a number is not finite; its ``x`` and time ``seen_at`` then stay.
+    bound, a number is not finite, or its supervisor acts; its states and time ``seen_at`` then
+    stay, with the first number of ``x`` at ``x_before``.
     """
 
     _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last, ptr %call"
@@ -265,8 +337,9 @@ class _Runs(_Text):
         self.read = [name for name, size in blocks.row.items() if size]
         logged = _ROWS * sum(size for *_, size in blocks.log.values())
         # ``lost`` has bits as soon as a lane is; ``begun`` and ``acted_on`` count samples, before
-        # the first one and with an action of the law
-        own = dict.fromkeys(("bound", "lost", "begun", "acted_on", "seen_at"), 1)
+        # the first one and with an action of the law; ``first_at`` is the law's first one
+        names = ("lost", "begun", "first_at", "acted_on", "seen_at", "x_before")
+        own = dict.fromkeys(names, 1)
         own |= {"log": logged, "spare": sum(blocks.results.values())}
         for name, size in (blocks.row | own).items():
             self.places[name] = self.size
@@ -317,10 +390,16 @@ class _Runs(_Text):
             place += width
         yield "  br i1 %ends, label %end, label %onward"
         yield "onward:"
+        yield f"  %any_is_lost = icmp ne i{width} %lanes, 0"
+        yield "  br i1 %any_is_lost, label %stop, label %carry"
+        yield "stop:"
         yield from self._stopped()
+        yield "carry:"
         yield from self._kept()
+        yield "  br label %carried"
+        yield "carried:"
         yield "  br label %move"
-        yield from self._moved(functions, "onward", "stepped")
+        yield from self._moved(functions, "carried", "stepped")
         yield "stepped:"
         yield "  %next = add i64 %k, 1"
         yield "  br label %begin"
@@ -344,7 +423,8 @@ class _Runs(_Text):
         reals, truths, width = self._registers.reals, self._registers.truths, self._registers.width
         size = sum(self._blocks.results.values())
         made = f"%{next(iter(self._blocks.results))}"
-        yield f"  %are_first = fcmp oeq {reals} %passed, zeroinitializer"
+        yield f"  %first_at.samples = load {reals}, ptr %first_at, align 8"
+        yield f"  %are_first = fcmp oeq {reals} %passed, %first_at.samples"
         yield f"  %first.lanes = bitcast {truths} %are_first to i{width}"
         yield f"  %none_is = icmp eq i{width} %first.lanes, 0"
         yield "  br i1 %none_is, label %later, label %first"
@@ -394,6 +474,12 @@ class _Runs(_Text):
         yield f"  %acted_on.now = fadd {reals} %acted_on.before, %one_more"
         yield f"  store {reals} %acted_on.now, ptr %acted_on, align 8"
         lost = "%beyond"
+        if self._blocks.watch is not None:
+            yield from self._loaded("mode", 1, "%cause")
+            yield f"  %acts = fcmp une {reals} %cause, zeroinitializer"
+            yield f"  %acts.bits = sext {self._registers.truths} %acts to {wholes}"
+            yield f"  %beyond.or_acts = or {wholes} {lost}, %acts.bits"
+            lost = "%beyond.or_acts"
         for cell, first, size in self._blocks.log.values():
             for entry in range(first, first + size):
                 value, rest, bits, more = (self._new() for _ in range(4))
@@ -408,12 +494,28 @@ class _Runs(_Text):
         yield f"  %no_lane = icmp eq i{width} %lanes, -1"
 
     def _stopped(self) -> Iterator[str]:
-        """The state of lost lanes is no number from then on, so that they ask for no loops."""
-        wholes = self._registers.wholes
+        """Where lanes are lost: theirs keep their states, but ``x`` is no number from then on, so
+        that they ask for no loops.
+        """
+        reals, wholes, truths = (
+            self._registers.reals, self._registers.wholes, self._registers.truths,
+        )  # fmt: skip
         yield f"  %lost.now = load {wholes}, ptr %lost, align 8"
-        yield f"  %x.before = load {wholes}, ptr %x, align 8"
-        yield f"  %x.after = or {wholes} %x.before, %lost.now"
+        yield f"  %x.now = load {reals}, ptr %x, align 8"
+        yield f"  %x.then = load {reals}, ptr %x_before, align 8"
+        yield f"  %x.is_none = fcmp uno {reals} %x.now, %x.now"
+        yield f"  %x.last = select {truths} %x.is_none, {reals} %x.then, {reals} %x.now"
+        yield f"  store {reals} %x.last, ptr %x_before, align 8"
+        yield f"  %x.bits = bitcast {reals} %x.now to {wholes}"
+        yield f"  %x.after = or {wholes} %x.bits, %lost.now"
         yield f"  store {wholes} %x.after, ptr %x, align 8"
+        for name, after in CARRIED.items():
+            if size := self._blocks.states[name]:
+                yield f"  br label %stop.{name}"
+                yield f"stop.{name}:"
+                own, other = f"%{name}", f"%{after}"
+                yield from self._chosen(f"stop.{name}", own, "%are_lost", own, other, size)
+        yield "  br label %carried"
 
     def _bounded(self, times: str, prefix: str = "") -> Iterator[str]:
         """The lost lanes at ``x``, as ``%beyond``, and the times at which the others are seen."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.called import Laws
-from ffsm_drake.plugins.compiled.kernel import Kernel
+from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.logs import engine_of, log_of, planned_signals
 from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.run import Case, Run
@@ -79,12 +79,8 @@ class Lanes:
         case = self._run.case.with_seed(seed)
         if (case.fixed, case.constants) != (self._run.case.fixed, self._run.case.constants):
             raise FfsmError(f"random_seed: {seed} gives the run other parts; use the engine drake")
-        numbers = self._run.parameters | case.parameters | self._run.states | case.states
-        numbers["bound"] = np.array([case.scenario.divergence_speed])
-        cells = self._at_start[lane]
-        for name, values in numbers.items():
-            first = self._kernel.places[name]
-            cells[first : first + values.size] = values
+        begin = LaneState(self._run.states | case.states)
+        self._at_start[lane] = self._kernel.cells_of(self._run.parameters | case.parameters, begin)
         rows = case.rows if self._planned is None else case.rows | {"planned": self._planned}
         self._cases[lane], self._rows[lane] = case, rows
         arrays: list[np.ndarray | None] = [rows[name] for name in self._kernel.read]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.called import Laws
-from ffsm_drake.plugins.compiled.kernel import Kernel
+from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.models import posed_model
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
@@ -26,24 +26,27 @@ def logs_of(
     ``signals``: those that the logs need; None: all.
     """
     start = time.perf_counter()
-    lanes = [*runs, *[runs[-1]] * (kernel.width - len(runs))]
-    given = {name: np.array([run.parameters[name] for run in lanes]) for name in runs[0].parameters}
-    given |= {name: np.array([run.states[name] for run in lanes]) for name in runs[0].states}
-    given["bound"] = np.array([[run.scenario.divergence_speed] for run in lanes])
-    rows = [run.rows for run in lanes]
-    laws = None
+    rows, laws = [run.rows for run in runs], None
     if kernel.blocks.called:
         detectors = [each for run in runs for each in run.case.detectors()]
         laws = Laws(kernel.blocks, [run.controller for run in runs], detectors)
     began = time.perf_counter()
-    found = kernel.run(given, rows, signals, laws)
+    found = kernel.leg(
+        [run.parameters for run in runs],
+        [LaneState(run.states) for run in runs],
+        rows,
+        runs[0].samples - 1,
+        signals=signals,
+        laws=laws,
+        ends=True,
+    )
     ended = time.perf_counter()
     wall_time = {"build": began - start, "advance_to": ended - began, "total": ended - start}
     return [
         None
-        if made is None
-        else _completed(run, made | _kept(run.case, signals), kernel.parts, wall_time)
-        for run, made in zip(runs, found, strict=False)
+        if end.left is not None
+        else _completed(run, {**end.log, **_kept(run.case, signals)}, kernel.parts, wall_time)
+        for run, end in zip(runs, found, strict=True)
     ]
 
 

@@ -22,7 +22,7 @@ from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Tree
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.controllers.sampled import SIGNALS
@@ -89,20 +89,20 @@ _SAMPLE = (
     "x", "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "drift",
     "share", "added", "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored",
     "loaded", "pushed", "held_before", "watch", "watched", "commanded", "memory", "applied",
-    "waiting", "limit", "force_resolution", "sines",
+    "waiting", "limit", "force_resolution", "sines", "joint_force",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
     "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "share", "added",
     "reference", "phases", "frame", "planned", "limit", "force_resolution", "sines", "t", "own",
-    "step", "watch",
+    "step", "watch", "joint_force",
 }  # fmt: skip
 _DERIVATIVE = (
     "state", "applied_force", "push", "acted", "t", "actuators", "last_forces", "sines", "own",
 )  # fmt: skip
 _ACTED = (
     "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
-    "phases", "push",
+    "phases", "push", "joint_force",
 )  # fmt: skip
 
 
@@ -152,6 +152,7 @@ class Blocks:
     limited: bool
     quantized: bool  # the force
     waits: int  # samples from a force to its effect
+    limp: bool  # a constant force acts on the joints, not the actuators'
     scheme: str
     called: str = ""  # why the law is called at each sample; empty: it is traced
 
@@ -186,6 +187,7 @@ class Blocks:
             "forces": self.num_forces, "last_forces": self.num_last, "deviation": nx, "limit": nv,
             "force_resolution": nv, "sines": 4 * nv, "share": self.num_drifts,
             "added": self.num_drifts, "sample_time": 1, "step": 1, "watch": self.num_watch,
+            "bound": 1, "joint_force": nv - NUM_BASE_VELOCITIES if self.limp else 0,
         }  # fmt: skip
 
     @property
@@ -197,7 +199,7 @@ class Blocks:
             "waiting": self.waits * self.nv, "stored": _size(self.sensors),
             "loaded": _size(self.actuators),
             "pushed": _size(self.forces.values()),
-            "held_before": sum(self._held.values()) if self.last else 0,
+            "held_before": sum(self._held.values()) if self.last or self._gyrates else 0,
             "watched": 0 if self.watch is None else _size([self.watch]),
             "commanded": 0 if self.watch is None else self.nv,
         }  # fmt: skip
@@ -355,7 +357,7 @@ class Blocks:
             given[name] = (reads, functools.partial(self._point, weights))
         if self.called:
             del given["sample"]
-            given["sensed"] = ((*_SAMPLE, "acted"), self._sensed)
+            given["sensed"] = _SAMPLE, self._sensed
             given["acted"] = _ACTED, self._acted
         if self.called or not begins:
             del given["first"]
@@ -420,7 +422,8 @@ class Blocks:
         if self._tells_new:
             made["is_new"] = signals["measurement_is_new"]
         if self._gyrates:
-            acted, _ = _parts(cells.acted, {name: np.zeros(n) for name, n in self.acted.items()})
+            held, _ = _parts(cells.held_before, _zeros(self._held))
+            acted, _ = _parts(held["acted"], _zeros(self.acted))
             made["gyroscopic"] = self._flow(cells, cells.x, acted)[1]["gyroscopic_force"]
         return made
 
@@ -457,6 +460,9 @@ class Blocks:
         signals = {"force": waiting[-self.nv :], "state": cells.x[list(self.known)], **flown}
         signals["isolated"] = np.zeros(self._found("isolated"))  # a call ends the run before
         loaded = self._act(cells, signals, now)
+        if self.limp:
+            own = signals["force"][:NUM_BASE_VELOCITIES]
+            signals["force"] = np.concatenate([own, cells.joint_force])
         return {
             "applied_force": signals["force"],
             "told": signals.get(TOLD, signals["force"]),  # to the law at the next sample
@@ -469,8 +475,8 @@ class Blocks:
         }
 
     def _holds(self, cells: Any, signals: Mapping[str, Any]) -> Any:
-        """What is held, for the last forces at the next sample."""
-        if not self.last:
+        """What is held, for the last forces and the detector at the next sample."""
+        if not (self.last or self._gyrates):
             return traced([])
         return _row([signals["force"], cells.push, *(signals[name] for name in self.acted)])
 
@@ -506,7 +512,7 @@ class Blocks:
         return _row(after)
 
     def _watched(self, cells: Any, signals: Mapping[str, Any], now: Now) -> dict[str, Any]:
-        """The mode; a cause to act is infinite, which ends the run."""
+        """The mode, and a cause to act, which ends the lane's run if it is not zero."""
         if self.watch is None:
             return {"mode": traced([]), "watched_after": traced([])}
         watch = with_symbols(self.watch, cells.watch, traced([]), traced_model)
@@ -517,8 +523,8 @@ class Blocks:
         }  # fmt: skip
         phase = cells.phases[-phases_of((self.watch,), 1).size :]
         found, after = _stepped(watch, watch.outputs, inputs, memory, now._replace(phase=phase))
-        cause = np.where(found["mode_cause"] == 0.0, 0.0, np.inf)
-        return {"mode": _row([found["mode"], cause]), "watched_after": _row(after.values())}
+        mode = _row([found["mode"], found["mode_cause"]])
+        return {"mode": mode, "watched_after": _row(after.values())}
 
     def _pushed(self, cells: Any, now: Now) -> dict[str, Any]:
         """The forces of a sample: those of this instant and those that are held."""
@@ -545,9 +551,7 @@ class Blocks:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
             after += [kept[name] for name in memory]
         if self.last:
-            before, _ = _parts(
-                cells.held_before, {name: np.zeros(n) for name, n in self._held.items()}
-            )
+            before, _ = _parts(cells.held_before, _zeros(self._held))
             each += self._last(
                 cells, cells.x, now.time, self._others(cells, cells.x, now.time, **before)[0]
             )
@@ -572,8 +576,9 @@ class Blocks:
         _, flows = self._with_symbols(cells)
         for flow, at_start in zip(flows, map(_at_start, self.flows), strict=True):
             own, values = _parts(values, at_start)
-            zeros = {name: np.zeros(n) for name, n in flow.inputs.items()}
-            outputs, changes = flow.flow(_read(flow, flow.inputs, zeros | signals), own)
+            outputs, changes = flow.flow(
+                _read(flow, flow.inputs, _zeros(flow.inputs) | signals), own
+            )
             found |= {name: traced(value) for name, value in outputs.items()}
             rates += [traced(changes[name]) for name in own]
         return rates, found
@@ -613,7 +618,7 @@ class Blocks:
         self, cells: Any, x: Any, time: Any, *, applied_force: Any, push: Any, acted: Any
     ) -> tuple[Any, list[Any]]:
         """All forces on the plant but the last ones, at an instant, and the rates of the flows."""
-        parts, _ = _parts(acted, {name: np.zeros(n) for name, n in self.acted.items()})
+        parts, _ = _parts(acted, _zeros(self.acted))
         rates, flown = self._flow(cells, x, parts)
         disturbance = force_at(time, cells.sines.reshape(4, -1))
         force = traced(np.zeros(self.tree.num_velocities))
@@ -647,6 +652,10 @@ class Blocks:
 def _at_instant(outputs: Mapping[str, Any], name: str) -> Any:
     """A force at a sample, for the record."""
     return outputs.get(NEXT + name, outputs[name])
+
+
+def _zeros(sizes: Mapping[str, int]) -> dict[str, np.ndarray]:
+    return {name: np.zeros(size) for name, size in sizes.items()}
 
 
 def _parts(values: Any, shapes: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], Any]:

@@ -120,6 +120,8 @@ class Case:
             "added": drift.added,
             "sample_time": np.array([scenario.sample_time]),
             "step": np.array([scenario.sample_time / self.steps]),
+            "bound": np.array([scenario.divergence_speed]),
+            "joint_force": np.zeros(0),
         }
         self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
         start = state_at_start(scenario, self.true)
@@ -154,6 +156,7 @@ class Case:
             "limited": bool(np.isfinite(limit).any()),
             "quantized": bool(resolution.any()),
             "waits": force.delay,
+            "limp": False,
             "scheme": config.integration_scheme,
         }
 

@@ -1,0 +1,156 @@
+"""A compiled run in legs, each of which goes on where the last one ended."""
+
+import os
+
+import numpy as np
+import pytest
+from compared_runs import of_seeds
+
+from ffsm_drake.plugins.compiled.called import Laws
+from ffsm_drake.plugins.compiled.engine import _kernel
+from ffsm_drake.plugins.compiled.kernel import LaneState
+from ffsm_drake.plugins.compiled.run import case_of
+from ffsm_drake.runs.rollout import Leg, Rollout
+
+DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
+LANES = 3
+VARIANTS = {
+    "postcapture": ["sensing.position_noise=0.001", "sensing.velocity_bias_walk=0.001"],
+    "flight_sensors": ["sensing.delay=2", "actuation.delay=1"],
+    "slow_navigation": [],
+    "thrusters_only": [],
+}
+
+
+def compiled(name, given, *, called=False):
+    """The kernel and runs of a scenario with several seeds."""
+    scenarios = of_seeds(name, ["duration=0.2", *given], LANES * [[]])
+    runs = [case_of(each).run(each) for each in scenarios]
+    if called:
+        runs = [run.with_called_law("a test") for run in runs]
+    return _kernel(runs[0], alone=False), runs
+
+
+def laws(kernel, runs):
+    return Laws(kernel.blocks, [run.controller for run in runs]) if kernel.blocks.called else None
+
+
+def in_legs(kernel, runs, lengths):
+    """The logs of runs in legs of so many samples, the first of different ones."""
+    begin, logs = [LaneState(run.states) for run in runs], [[] for _ in runs]
+    first = [1 + i for i in range(len(runs))]  # lanes of a register at different samples
+    ends = []
+    for run, state, samples in zip(runs, begin, first, strict=True):
+        ends += kernel.leg([run.parameters], [state], [run.rows], samples, laws=laws(kernel, [run]))
+    for i, end in enumerate(ends):
+        logs[i].append(end.log)
+    left = runs[0].samples - 1 - len(runs)
+    for samples in [*lengths, left - sum(lengths)]:
+        ends = kernel.leg(
+            [run.parameters for run in runs], [end.state for end in ends],
+            [run.rows for run in runs], samples, laws=laws(kernel, runs),
+        )  # fmt: skip
+        for i, end in enumerate(ends):
+            logs[i].append(end.log)
+    return [{name: np.concatenate([log[name] for log in own]) for name in own[0]} for own in logs]
+
+
+def check_legs(name, given, seed, *, called=False):
+    kernel, runs = compiled(name, given, called=called)
+    random = np.random.default_rng(seed)
+    whole = kernel.leg(
+        [run.parameters for run in runs], [LaneState(run.states) for run in runs],
+        [run.rows for run in runs], runs[0].samples - 1, laws=laws(kernel, runs), ends=True,
+    )  # fmt: skip
+    for one, end in zip(
+        in_legs(kernel, runs, random.integers(1, 6, 2).tolist()), whole, strict=True
+    ):
+        assert end.left is None
+        for key, values in one.items():
+            assert len(values) >= runs[0].samples - len(runs)
+            assert np.array_equal(values, end.log[key][: len(values)]), key
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("called", [False, True])
+def test_legs_have_the_bits_of_a_whole_run(called):
+    check_legs("postcapture", VARIANTS["postcapture"], 0, called=called)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VARIANTS)
+def test_drawn_legs_have_the_bits_of_a_whole_run(name):
+    for seed in range(DRAWS):
+        for called in (False, True):
+            check_legs(name, VARIANTS[name], seed, called=called)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_leg_ends_with_the_measurement_and_state_of_drake(name):
+    kernel, runs = compiled(name, VARIANTS[name])
+    run, found = runs[1], {}
+
+    def end(loop, context):
+        found["measured"] = loop.diagram.GetOutputPort("estimated_state").Eval(context).copy()
+        found["x"] = loop.whole_state(context)
+
+    rollout = Rollout(run.scenario)
+    for samples in (1, 7):
+        rollout.run(run.scenario, leg=Leg(last=samples, end=end))
+        (leg,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], samples)
+        assert leg.state.sample == samples
+        np.testing.assert_allclose(leg.measured, found["measured"], rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(
+            leg.state.cells["x"][: found["x"].size], found["x"], rtol=0.0, atol=1e-10
+        )
+    rollout.release()
+
+
+def test_a_first_sample_can_be_any():
+    """A law that begins at a sample forgets, traced and called."""
+    forces = []
+    for called in (False, True):
+        kernel, (run, *_) = compiled("postcapture", [], called=called)
+        for first_at in (3, 0):
+            begin = [LaneState(run.states, 3, first_at)]
+            (end,) = kernel.leg([run.parameters], begin, [run.rows], 1, laws=laws(kernel, [run]))
+            forces.append(end.log["generalized_force"])
+    np.testing.assert_allclose(forces[2:], forces[:2], rtol=0.0, atol=1e-9)
+    assert np.abs(forces[0] - forces[1]).max() > 1e-3
+
+
+def test_a_lane_that_leaves_keeps_its_state_before_the_sample():
+    kernel, runs = compiled("postcapture", [])
+    run = runs[0]
+    (whole,) = kernel.leg(
+        [run.parameters], [LaneState(run.states)], [run.rows], run.samples - 1, ends=True
+    )
+    speeds = np.abs(whole.log["state"][:, run.blocks.nq :]).max(axis=1)
+    bound = 0.5 * (np.sort(speeds)[-3] + np.sort(speeds)[-4])
+    left = int(np.flatnonzero(speeds > bound)[0])
+    assert left > 0
+    slower = run.parameters | {"bound": np.array([bound])}
+    (gone, stays) = kernel.leg(
+        [slower, run.parameters], 2 * [LaneState(run.states)], 2 * [run.rows], run.samples - 1
+    )
+    assert stays.left is None
+    assert gone.left == gone.state.sample == left
+    assert all(len(values) == left + 1 for values in gone.log.values())
+    (before,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], left)
+    for name, values in before.state.cells.items():
+        assert np.array_equal(gone.state.cells[name], values), name
+
+
+def test_a_supervisor_that_acts_ends_its_lane_with_the_cause_in_its_log():
+    given = ["supervisor={saturated_time: 0.03}", "actuation.limit=0.05", "duration=0.4"]
+    kernel, (run, *_) = compiled("postcapture", given)
+    (end,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], run.samples - 1)
+    causes = end.log["mode_cause"].ravel()
+    assert end.left == len(causes) - 1 > 0
+    assert causes[-1] > 0.0
+    assert np.isfinite(causes).all()
+    assert not causes[:-1].any()
+    (before,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], end.left)
+    for name, values in before.state.cells.items():
+        assert np.array_equal(end.state.cells[name], values), name
