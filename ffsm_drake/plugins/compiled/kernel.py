@@ -65,10 +65,12 @@ class Kernel:
 
     def cells_of(self, parameters: Mapping[str, np.ndarray], begin: LaneState) -> np.ndarray:
         """Return the numbers (size) of a lane that begins. Arguments: see ``leg``."""
-        cells, own = np.zeros(self.size), {"begun": begin.sample, "first_at": begin.first_at}
-        for name, values in {**parameters, **begin.cells, **own}.items():
+        cells = np.zeros(self.size)
+        for name, values in {**parameters, **begin.cells}.items():
             first = self.places[name]
-            cells[first : first + np.size(values)] = values
+            cells[first : first + values.size] = values
+        cells[self.places["begun"]] = begin.sample
+        cells[self.places["first_at"]] = begin.first_at
         return cells
 
     def leg(
