@@ -330,6 +330,22 @@ class Supervising(Sampled):
         outputs = {name: after[name] for name in self.outputs if name != "asks"}
         return outputs | {"asks": np.where(asks, 1.0, 0.0)}, after
 
+    @staticmethod
+    def follow(
+        memory: Arrays, desired: np.ndarray, acceleration: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the law follows in place of a plan: in rate damping the state last measured.
+
+        Args: the memory before a sample, and the plan then.
+        """
+        damps = memory["mode"] == float(Mode.RATE_DAMPING)
+        return np.where(damps, memory["held"], desired), np.where(damps, 0.0, acceleration)
+
+    @staticmethod
+    def give(memory: Arrays, force: np.ndarray) -> np.ndarray:
+        """Return the command in place of the law's force. Args: the memory after a sample."""
+        return np.where(memory["restart"] != 0.0, memory["force"], force)
+
     def _causes(
         self, inputs: Arrays, memory: Arrays, was_damping: np.ndarray
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -499,6 +515,9 @@ class _System(Diagram):
         builder.BuildInto(self)
 
 
+_MOTION = "given_desired_state", "given_desired_acceleration", "mode", "held", "plan"
+
+
 class _Passing(LeafSystem):
     """What the supervisor lets pass: the plan, or what replaces it; and the force."""
 
@@ -506,8 +525,7 @@ class _Passing(LeafSystem):
         super().__init__()
         self._supervisor, sizes = supervisor, supervisor.block.outputs
         states, nv = sizes["held"], sizes["force"]
-        motion = {"given_desired_state": states, "given_desired_acceleration": nv}
-        motion |= {name: sizes[name] for name in ("mode", "held", "plan")}
+        motion = dict(zip(_MOTION, (states, nv, 1, states, sizes["plan"]), strict=True))
         force = {"given_generalized_force": nv, "restart": 1, "force": nv}
         self._ports = {
             name: self.DeclareVectorInputPort(name, size) for name, size in (motion | force).items()
@@ -539,15 +557,11 @@ class _Passing(LeafSystem):
 
     def _motion(self, context: Context) -> np.ndarray:
         """[q_d; v_d; a_d] of the plan in force; in rate damping the state last measured."""
-        ports = self._ports
-        if ports["mode"].Eval(context)[0] == Mode.RATE_DAMPING:
-            held = ports["held"].Eval(context)
-            return np.pad(held, (0, ports["given_desired_acceleration"].size()))
-        plan = ports["plan"].Eval(context)
+        read = {name: port.Eval(context) for name, port in self._ports.items() if name in _MOTION}
+        plan, given = read["plan"], [read[name] for name in _MOTION[:2]]
         if plan[1] > 0.0:
-            return self._along(plan, context.get_time())
-        given = "given_desired_state", "given_desired_acceleration"
-        return np.concatenate([ports[name].Eval(context) for name in given])
+            given = np.split(self._along(plan, context.get_time()), [read["held"].size])
+        return np.concatenate(Supervising.follow(read, *given))
 
     def _along(self, plan: np.ndarray, time: float) -> np.ndarray:
         """[q_d; v_d; a_d] of a new plan."""
@@ -558,6 +572,6 @@ class _Passing(LeafSystem):
         return self._motion_of[1].row(sample if abs(sample - since) < 1e-9 else since)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        is_own = self._ports["restart"].Eval(context)[0] > 0.0
-        name = "force" if is_own else "given_generalized_force"
-        output.SetFromVector(self._ports[name].Eval(context))
+        memory = {name: self._ports[name].Eval(context) for name in ("restart", "force")}
+        given = self._ports["given_generalized_force"].Eval(context)
+        output.SetFromVector(Supervising.give(memory, given))

@@ -17,7 +17,7 @@ from ffsm_drake.systems.controllers import SampledController
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 
 _TRIED = 20  # calls of each law
-_KIND = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+KIND = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 
 
 class Laws:
@@ -36,24 +36,28 @@ class Laws:
         memory = {name: value.size for name, value in blocks.memory.items()}
         kept = sum(memory.values())
         self._num_made = blocks.nv + kept
-        own = _parts({name: size for name, (*_, size) in inputs.items()} | memory)
+        own = parts({name: size for name, (*_, size) in inputs.items()} | memory)
         self._start = np.concatenate([np.zeros(0), *map(np.ravel, blocks.memory.values())])
         self._memory = {name: own.pop(name) for name in memory}
+        read = sum(size for *_, size in inputs.values())
+        self._before = slice(read, read + kept)  # the law's memory, in a row
+        self._is_watched = blocks.watch is not None
         self._inputs = own
-        self._after = _parts(memory, first=blocks.nv)
+        self._after = parts(memory, first=blocks.nv)
         self._detectors = list(detectors)
         looked, found = blocks.detector_inputs, blocks.detector_outputs
         if not detectors:
             looked = found = {}
-        read = sum(size for *_, size in inputs.values()) + kept
-        self._looks = _parts({name: size for name, (*_, size) in looked.items()}, first=read)
-        self._found = _parts(
+        self._looks = parts(
+            {name: size for name, (*_, size) in looked.items()}, first=self._before.stop
+        )
+        self._found = parts(
             {name: size for name, (*_, size) in found.items()}, first=self._num_made
         )
         self._cells_of = (
             [*inputs.values(), ("memory", 0, kept), *looked.values()],
             [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept), *found.values()],
-            [("lost", 0, 1), ("begun", 0, 1), ("first_at", 0, 1)],
+            [(name, 0, 1) for name in ("lost", "begun", "first_at", "watched")],
         )
 
     def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
@@ -66,12 +70,12 @@ class Laws:
             np.concatenate([places[name] + first + np.arange(size) for name, first, size in group])
             for group in self._cells_of
         ]
-        return _KIND(functools.partial(self._called, cells, entries))
+        return KIND(functools.partial(self._called, cells, entries))
 
     def _called(
         self, cells: np.ndarray, entries: Sequence[np.ndarray], sample: int, other: Any
     ) -> bool:
-        reads, writes, (lost, begun, first_at) = entries
+        reads, writes, (lost, begun, first_at, restart) = entries
         try:
             rows, made = (
                 np.ascontiguousarray(cells[reads].T),
@@ -81,6 +85,10 @@ class Laws:
                 cells[lost].view(np.int64),
                 cells[begun] + sample == cells[first_at],
             )
+            if self._is_watched:
+                afresh = cells[restart] != 0.0
+                are_first |= afresh
+                rows[afresh, self._before] = self._start
             for lane in range(len(self._controllers)):
                 if not are_lost[lane]:
                     self.step(lane, rows[lane], made[lane], is_first=are_first[lane])
@@ -112,17 +120,17 @@ class Laws:
             made[:] = np.nan
 
     def _look(self, lane: int, row: np.ndarray, made: np.ndarray, inputs: dict[str, Any]) -> bool:
-        """Call the detector of a lane. False: it isolates a unit, or requests the supervisor."""
+        """Call the detector of a lane. False: it isolates a unit."""
         detector, before = self._detectors[lane]
         looks = {name: row[part] for name, part in self._looks.items()}
         outputs, after = detector.step(looks, before, Now(0.0))
         self._detectors[lane] = detector, after
+        outputs = {**outputs, "abort_request": after["abort_request"]}  # at the next sample
         for name, part in self._found.items():
             made[part] = outputs[name]
             if name in inputs:
                 inputs[name] = made[part]
-        acts = self._blocks.watch is not None and outputs["abort_request"][0] > 0.5
-        return not (acts or np.any(outputs.get("isolated", ())))
+        return not np.any(outputs.get("isolated", ()))
 
 
 class Trial(Laws):
@@ -171,7 +179,7 @@ class Trial(Laws):
         return np.concatenate([made[name] for name in self._inputs])
 
 
-def _parts(sizes: Mapping[str, int], first: int = 0) -> dict[str, slice]:
+def parts(sizes: Mapping[str, int], first: int = 0) -> dict[str, slice]:
     """The places of arrays one after the other, from a first one on."""
     ends = itertools.pairwise(itertools.accumulate(sizes.values(), initial=first))
     return {name: slice(*pair) for name, pair in zip(sizes, ends, strict=True)}

@@ -40,7 +40,7 @@ _PARTS = {
     "actuation.thrusters", "supervisor",
 }  # fmt: skip
 _OWN = re.compile(r"sensing\..*|forces\.(?!disturbance|gripper).*")  # blocks of users
-_LEFT = "its supervisor or fault detection acts, or it diverges"
+_LEFT = "its fault detection isolates a unit, or it diverges"
 _KEPT = 16  # kernels
 _TRIAL = 0.5  # s, of a run under actions that is compared with Drake's
 
@@ -114,8 +114,8 @@ class Compiled(Engine):
             runs = [run for _, run in group]
             found = results_of(runs, signals, alone=len(scenarios) == 1)
             for (index, run), result in zip(group, found, strict=True):
-                acting = run.case.watch is not None or run.case.detector is not None
-                results[index] = NotCovered(_LEFT) if result is None and acting else result
+                acts = result is None and run.case.detector is not None
+                results[index] = NotCovered(_LEFT) if acts else result
         for case in cases.values():
             case.forget_rows()
         return results

@@ -7,7 +7,7 @@ no state, so that a further call can go on with it: a *leg* of a run is a call.
 
 import ctypes
 import functools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, Blocks, Function
+from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.systems.part import Parts
 
@@ -38,8 +39,8 @@ class LaneEnd(NamedTuple):
     state: LaneState  # before the last sample, or the one at which the lane leaves
     log: Mapping[str, np.ndarray]  # signals (samples, size) by the names of ``Blocks.log``
     measured: np.ndarray  # (nq + nv) as the law would read it before the update of that sample
-    # the last sample in the log of a run that leaves its bound, has a number that is not finite, a
-    # supervisor that acts there, or a law whose call fails
+    # the last sample in the log of a run that leaves its bound, has a number that is not finite, or
+    # a law whose call fails
     left: int | None
 
 
@@ -61,7 +62,7 @@ class Kernel:
         text = _Runs(blocks, lanes, steps=steps)
         self.places, self.size, self.read = text.places, text.size, text.read
         self._code = text.code(f"runs of {self.width}", key)
-        self.call = self._code.function("run", 2, ctypes.c_int64, ctypes.c_void_p)
+        self.call = self._code.function("run", 2, ctypes.c_int64, *[ctypes.c_void_p] * 2)
 
     def cells_of(self, parameters: Mapping[str, np.ndarray], begin: LaneState) -> np.ndarray:
         """Return the numbers (size) of a lane that begins. Arguments: see ``leg``."""
@@ -82,6 +83,7 @@ class Kernel:
         *,
         signals: Collection[str] | None = None,
         laws: Laws | None = None,
+        plans: Plans | None = None,
         ends: bool = False,
     ) -> list[LaneEnd]:
         """Go on by so many samples, with a lane for each run: at most ``width``.
@@ -97,6 +99,7 @@ class Kernel:
           samples: at least one, unless it ``ends``.
           signals: those that are kept; None: all.
           laws: of the lanes, if they are called.
+          plans: of their supervisors, if they have one.
           ends: the runs end with the last sample, which is logged.
 
         Raises what ends a call, such as KeyboardInterrupt.
@@ -116,10 +119,14 @@ class Kernel:
             for name in self.blocks.log
         ]
         given = np.array(places, dtype=np.uint64)
-        call = None if laws is None else laws.function(cells, self.places)
-        self.call(cells.ctypes.data, given.ctypes.data, samples, call)
-        if laws is not None and laws.stopped is not None:
-            raise laws.stopped
+        calls = [
+            laws and laws.function(cells, self.places),
+            plans and plans.function(cells, self.places, read, [each.sample for each in begin]),
+        ]
+        self.call(cells.ctypes.data, given.ctypes.data, samples, *calls)
+        for each in filter(None, (laws, plans)):
+            if each.stopped is not None:
+                raise each.stopped
         return [
             self._end(cells[:, lane], state, kept[lane], samples, ends=ends)
             for lane, state in enumerate(begin)
@@ -130,6 +137,8 @@ class Kernel:
     ) -> dict[str, np.ndarray]:
         """The rows of a leg."""
         read = {name: rows[name][first : first + samples + 1] for name in self.read}
+        if self.blocks.watch is not None:  # which may change what is planned
+            read = {name: values.copy() for name, values in read.items()}
         if "noise" in read and samples and not ends:
             read["noise"] = read["noise"].copy()
             read["noise"][-1] = read["noise"][-2]
@@ -327,11 +336,11 @@ class _Runs(_Text):
 
     The addresses in ``places`` are those of each lane's arrays from this sample on: rows that it
     reads, and signals that it writes, unless the address is 0. A lane is ``lost`` if it leaves its
-    bound, a number is not finite, or its supervisor acts; its states and time ``seen_at`` then
-    stay, with the first number of ``x`` at ``x_before``.
+    bound, or a number is not finite; its states and time ``seen_at`` then stay, with the first
+    number of ``x`` at ``x_before``.
     """
 
-    _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last, ptr %call"
+    _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last, ptr %call, ptr %plan"
     _begins = True
 
     def __init__(self, blocks: Blocks, registers: Registers, *, steps: int) -> None:
@@ -366,14 +375,14 @@ class _Runs(_Text):
         yield f"  %times = fmul {reals} %passed, %sample_times"
         yield f"  store {reals} %times, ptr %t0, align 8"
         if blocks.called:
-            yield self._call(functions, "sensed")
+            yield from self._asked([self._call(functions, "sensed")])
             yield "  %goes_on = call i64 %call(i64 %k, ptr %cells)"
             yield "  %is_stopped = icmp eq i64 %goes_on, 0"
             yield "  br i1 %is_stopped, label %end, label %sampled"
             yield "sampled:"
             yield self._call(functions, "acted")
         else:
-            yield from self._sampled(functions)
+            yield from self._asked(self._sampled(functions))
         yield f"  %row = urem i64 %k, {_ROWS}"
         yield from self._logged()
         yield from self._lost()
@@ -426,7 +435,14 @@ class _Runs(_Text):
         size = sum(self._blocks.results.values())
         made = f"%{next(iter(self._blocks.results))}"
         yield f"  %first_at.samples = load {reals}, ptr %first_at, align 8"
-        yield f"  %are_first = fcmp oeq {reals} %passed, %first_at.samples"
+        begins = "%are_first"
+        if self._blocks.watch is not None:
+            begins = "%are_begun"
+            yield f"  %restart = load {reals}, ptr %watched, align 8"
+            yield f"  %are_afresh = fcmp une {reals} %restart, zeroinitializer"
+        yield f"  {begins} = fcmp oeq {reals} %passed, %first_at.samples"
+        if self._blocks.watch is not None:
+            yield f"  %are_first = or {truths} %are_begun, %are_afresh"
         yield f"  %first.lanes = bitcast {truths} %are_first to i{width}"
         yield f"  %none_is = icmp eq i{width} %first.lanes, 0"
         yield "  br i1 %none_is, label %later, label %first"
@@ -443,6 +459,26 @@ class _Runs(_Text):
         yield self._call(functions, "sample")
         yield "  br label %sampled"
         yield "sampled:"
+
+    def _asked(self, sampling: Iterable[str]) -> Iterator[str]:
+        """A sample, and once more after the answer if a supervisor asks for a plan."""
+        if self._blocks.watch is None:
+            yield from sampling
+            return
+        wholes, width = self._registers.wholes, self._registers.width
+        yield "  br label %sampling"
+        yield "sampling:"
+        yield from sampling
+        yield f"  %asks.now = load {wholes}, ptr %asks, align 8"
+        yield f"  %are_asking = icmp ne {wholes} %asks.now, zeroinitializer"
+        yield f"  %asking.lanes = bitcast {self._registers.truths} %are_asking to i{width}"
+        yield f"  %none_asks = icmp eq i{width} %asking.lanes, 0"
+        yield "  br i1 %none_asks, label %answered, label %ask"
+        yield "ask:"
+        yield "  %answers = call i64 %plan(i64 %k, ptr %cells)"
+        yield "  %is_unanswered = icmp eq i64 %answers, 0"
+        yield "  br i1 %is_unanswered, label %end, label %sampling"
+        yield "answered:"
 
     def _chosen(
         self, before: str, target: str, mask: str, then: str, otherwise: str, size: int
@@ -476,12 +512,6 @@ class _Runs(_Text):
         yield f"  %acted_on.now = fadd {reals} %acted_on.before, %one_more"
         yield f"  store {reals} %acted_on.now, ptr %acted_on, align 8"
         lost = "%beyond"
-        if self._blocks.watch is not None:
-            yield from self._loaded("mode", 1, "%cause")
-            yield f"  %acts = fcmp une {reals} %cause, zeroinitializer"
-            yield f"  %acts.bits = sext {self._registers.truths} %acts to {wholes}"
-            yield f"  %beyond.or_acts = or {wholes} {lost}, %acts.bits"
-            lost = "%beyond.or_acts"
         for cell, first, size in self._blocks.log.values():
             for entry in range(first, first + size):
                 value, rest, bits, more = (self._new() for _ in range(4))

@@ -122,7 +122,7 @@ class Lanes:
         needed = np.logical_or.reduceat(lanes, np.arange(0, self.number, width))
         for register in np.flatnonzero(needed).tolist():
             laws, call = self._calls[register]
-            self._kernel.call(*self._addresses[register], samples, call)
+            self._kernel.call(*self._addresses[register], samples, call, None)
             if laws is not None and laws.stopped is not None:
                 stopped, laws.stopped = laws.stopped, None
                 raise stopped

@@ -10,6 +10,7 @@ from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.models import posed_model
+from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.log import RunLog
@@ -30,6 +31,9 @@ def logs_of(
     if kernel.blocks.called:
         detectors = [each for run in runs for each in run.case.detectors()]
         laws = Laws(kernel.blocks, [run.controller for run in runs], detectors)
+    plans = None
+    if kernel.blocks.watch is not None:
+        plans = Plans([run.case.supervisor for run in runs], [run.law for run in runs])
     began = time.perf_counter()
     found = kernel.leg(
         [run.parameters for run in runs],
@@ -38,6 +42,7 @@ def logs_of(
         runs[0].samples - 1,
         signals=signals,
         laws=laws,
+        plans=plans,
         ends=True,
     )
     ended = time.perf_counter()
@@ -45,7 +50,7 @@ def logs_of(
     return [
         None
         if end.left is not None
-        else _completed(run, {**end.log, **_kept(run.case, signals)}, kernel.parts, wall_time)
+        else _completed(run, {**_kept(run.case, signals), **end.log}, kernel.parts, wall_time)
         for run, end in zip(runs, found, strict=True)
     ]
 

@@ -83,26 +83,28 @@ CARRIED = {
     "commanded": "commanded_after",
     "waiting": "waiting_after",
     "applied": "told",
+    "requested": "requested_after",
 }
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
     "x", "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "drift",
     "share", "added", "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored",
     "loaded", "pushed", "held_before", "watch", "watched", "commanded", "memory", "applied",
-    "waiting", "limit", "force_resolution", "sines", "joint_force",
+    "waiting", "limit", "force_resolution", "sines", "joint_force", "law_at_start", "request",
+    "requested",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
     "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "share", "added",
     "reference", "phases", "frame", "planned", "limit", "force_resolution", "sines", "t", "own",
-    "step", "watch", "joint_force",
+    "step", "watch", "joint_force", "law_at_start", "request",
 }  # fmt: skip
 _DERIVATIVE = (
     "state", "applied_force", "push", "acted", "t", "actuators", "last_forces", "sines", "own",
 )  # fmt: skip
 _ACTED = (
     "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
-    "phases", "push", "joint_force",
+    "phases", "push", "joint_force", "watch", "watched_after",
 )  # fmt: skip
 
 
@@ -138,7 +140,7 @@ class Blocks:
     flows: tuple[Continuous, ...]  # beside them
     forces: Mapping[str, Sampled]  # by name, held over a sample
     last: Mapping[str, Continuous]  # forces that read the sum of all others
-    watch: Sampled | None  # of the supervisor, whose acts the code has not
+    watch: Any  # the supervisor's block, or None
     detector: Sampled | None  # a last stage of sensing that is called, as the law is then
     recorded: tuple[str, ...]  # outputs of actuators and flows
     num_errors: int  # parameters of the sensors
@@ -188,6 +190,7 @@ class Blocks:
             "force_resolution": nv, "sines": 4 * nv, "share": self.num_drifts,
             "added": self.num_drifts, "sample_time": 1, "step": 1, "watch": self.num_watch,
             "bound": 1, "joint_force": nv - NUM_BASE_VELOCITIES if self.limp else 0,
+            "law_at_start": 0 if self.watch is None else _total(self.memory),
         }  # fmt: skip
 
     @property
@@ -202,6 +205,7 @@ class Blocks:
             "held_before": sum(self._held.values()) if self.last or self._gyrates else 0,
             "watched": 0 if self.watch is None else _size([self.watch]),
             "commanded": 0 if self.watch is None else self.nv,
+            "requested": 0 if self.watch is None else self._found("abort_request"),
         }  # fmt: skip
 
     @property
@@ -209,6 +213,8 @@ class Blocks:
         """What a sample makes, and room for a step of the integrator."""
         nx, nv, states = self.nq + self.nv, self.nv, self.states
         stages, forces = range(len(SCHEMES[self.scheme].times)), len(self._named)
+        watching = {} if self.watch is None else {"mode": 2, "asks": 1, "followed": nx + nv}
+        watching |= {"given": nv} if watching else {}
         return {
             "is_new": nx if self.called and self._tells_new else 0,
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
@@ -216,7 +222,7 @@ class Blocks:
             "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
             "detected": self._found("fault_detected"),
             "gyroscopic": self.nv if self._gyrates else 0,
-            "push": self._held["push"], "mode": 0 if self.watch is None else 2,
+            "push": self._held["push"], **watching,
             "hidden_push": len(self.loose) if self._push_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
             **{cell: states[name] for name, cell in CARRIED.items()},
@@ -279,18 +285,21 @@ class Blocks:
             return {}
         cells = {
             "estimated_state": "measurement", "measurement_is_new": "is_new",
-            "fault_detected": "detected",
+            "fault_detected": "detected", "abort_request": "requested_after",
         }  # fmt: skip
         sizes = sized(self.detector.outputs, {}, "detection")
+        if self.watch is None:
+            del cells["abort_request"]
         return {name: (cell, 0, sizes[name]) for name, cell in cells.items() if name in sizes}
 
     @property
     def law_inputs(self) -> dict[str, tuple[str, int, int]]:
         """Input of a law that is called -> its cell at a sample, first entry there, and size."""
         nx, nv, sizes = self.nq + self.nv, self.nv, self.results | self.row
+        plan = "reference" if self.watch is None else "followed"
         made = {
-            "estimated_state": ("measurement", 0, nx), "desired_state": ("reference", 0, nx),
-            "desired_acceleration": ("reference", nx, nv), "applied_force": ("applied", 0, nv),
+            "estimated_state": ("measurement", 0, nx), "desired_state": (plan, 0, nx),
+            "desired_acceleration": (plan, nx, nv), "applied_force": ("applied", 0, nv),
             "measurement_is_new": ("is_new", 0, sizes["is_new"]),
             "desired_frame": ("frame", 0, sizes["frame"]),
         }  # fmt: skip
@@ -306,6 +315,7 @@ class Blocks:
             "reference": self.nq + 2 * self.nv, "noise": noise,
             "drift_noise": self.num_drifts, "phases": phases,
             "frame": FRAME_SIZE if self.framed else 0, "planned": self.num_planned,
+            "request": 0 if self.watch is None else 1,
         }  # fmt: skip
 
     @property
@@ -334,6 +344,10 @@ class Blocks:
             }
         if self.watch is not None:
             made |= {name: ("mode", at, 1) for at, name in enumerate(("mode", "mode_cause"))}
+            nx = self.nq + self.nv
+            made["desired_state"] = "followed", 0, nx
+            made["desired_acceleration"] = "followed", nx, self.nv
+            made["generalized_force"] = "given", 0, self.nv
         if self.detector is not None:
             made["fault_detected"] = ("detected", 0, sizes["detected"])
         if sizes["hidden_push"]:
@@ -413,7 +427,7 @@ class Blocks:
         signals, made = self._measured(cells, now)
         force, memory = self._control(cells, signals, now)
         made |= {"generalized_force": force, "memory_after": memory}
-        cells.push = made["push"]
+        cells.push, cells.watched_after = made["push"], made["watched_after"]
         return made | self._given(cells, force, now)
 
     def _sensed(self, cells: Any) -> dict[str, Any]:
@@ -438,6 +452,11 @@ class Blocks:
         if self.noisy:
             signals["white"] = cells.deviation * cells.noise
         kept = self._measure(cells, signals, now)
+        nx = self.nq + self.nv
+        plan = cells.reference[:nx], cells.reference[nx:]
+        if self.watch is not None:
+            plan = self.watch.follow(self._remembered(cells.watched), *plan)
+        signals["desired_state"], signals["desired_acceleration"] = plan
         return signals, {
             "known": known,
             "hidden": cells.x[list(self.hidden)],
@@ -451,6 +470,9 @@ class Blocks:
     def _given(self, cells: Any, force: Any, now: Now) -> dict[str, Any]:
         """What becomes of the law's force."""
         commanded = force
+        if self.watch is not None:
+            force = self.watch.give(self._remembered(cells.watched_after), force)
+        given = force
         if self.limited:
             force = np.minimum(np.maximum(force, -cells.limit), cells.limit)
         if self.quantized:
@@ -471,7 +493,7 @@ class Blocks:
             "waiting_after": waiting[: -self.nv],
             "loaded_after": loaded,
             "held_after": self._holds(cells, signals),
-            "commanded_after": traced([]) if self.watch is None else commanded,
+            **({} if self.watch is None else {"commanded_after": commanded, "given": given}),
         }
 
     def _holds(self, cells: Any, signals: Mapping[str, Any]) -> Any:
@@ -512,19 +534,33 @@ class Blocks:
         return _row(after)
 
     def _watched(self, cells: Any, signals: Mapping[str, Any], now: Now) -> dict[str, Any]:
-        """The mode, and a cause to act, which ends the lane's run if it is not zero."""
+        """What the supervisor does."""
         if self.watch is None:
-            return {"mode": traced([]), "watched_after": traced([])}
+            return {"watched_after": traced([])}
         watch = with_symbols(self.watch, cells.watch, traced([]), traced_model)
-        memory, _ = _parts(cells.watched, _at_start(self.watch))
         inputs = {
             "estimated_state": signals["estimated_state"], "generalized_force": cells.commanded,
-            "desired_state": cells.reference[: self.nq + self.nv],
+            "desired_state": signals["desired_state"],
+            "abort_request": np.concatenate([cells.request, cells.requested]).sum(keepdims=True),
         }  # fmt: skip
         phase = cells.phases[-phases_of((self.watch,), 1).size :]
-        found, after = _stepped(watch, watch.outputs, inputs, memory, now._replace(phase=phase))
-        mode = _row([found["mode"], found["mode_cause"]])
-        return {"mode": mode, "watched_after": _row(after.values())}
+        memory, ports = self._remembered(cells.watched), watch.outputs
+        found, after = _stepped(watch, ports, inputs, memory, now._replace(phase=phase))
+        asks = found["asks"]
+        if self.num_planned:  # of a plan that follows from what is measured now
+            goes_on = (after["restart"] != 0.0) & (memory["answer"] == 0.0)
+            asks = np.where((asks == 0.0) & goes_on, 2.0, asks)
+        return {
+            "mode": _row([found["mode"], found["mode_cause"]]), "asks": asks,
+            "followed": _row([signals["desired_state"], signals["desired_acceleration"]]),
+            "watched_after": _row(after.values()),
+            # the call of a detector writes it
+            **({} if self.detector is None else {"requested_after": cells.requested}),
+        }  # fmt: skip
+
+    def _remembered(self, watched: Any) -> dict[str, Any]:
+        """The memory of the supervisor, by name."""
+        return _parts(watched, _at_start(self.watch))[0]
 
     def _pushed(self, cells: Any, now: Now) -> dict[str, Any]:
         """The forces of a sample: those of this instant and those that are held."""
@@ -592,15 +628,16 @@ class Blocks:
         """The force and the law's memory after a sample."""
         law = with_symbols(self.law, cells.law, cells.planned, traced_model)
         block = LawBlock(law, self.coordinates, errors=_tracking_errors)
-        nx = self.nq + self.nv
         signals = signals | {
-            "desired_state": cells.reference[:nx],
-            "desired_acceleration": cells.reference[nx:],
             "applied_force": cells.applied,
             "desired_frame": cells.frame if self.framed else None,
         }
         inputs = {name: signals[name] for name in block.inputs if signals.get(name) is not None}
         memory, _ = _parts(cells.memory, self.memory)
+        if self.watch is not None and now.is_first:
+            afresh = self._remembered(cells.watched)["restart"].item() != 0.0
+            at_start, _ = _parts(cells.law_at_start, self.memory)
+            memory = {name: np.where(afresh, at_start[name], memory[name]) for name in memory}
         outputs, after = _stepped(block, block.outputs, inputs, memory, now)
         return outputs["generalized_force"], _row(after[name] for name in memory)
 

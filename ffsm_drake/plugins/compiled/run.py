@@ -84,7 +84,8 @@ class Case:
         pushing = tuple(self.forces.values())
         of_forces, of_pushing, _ = parameters_of(pushing, "the forces")
         of_last, of_others, _ = parameters_of(tuple(self.last.values()), "the forces")
-        self.watch = self._watching()
+        self.supervisor = self._supervisor()
+        self.watch = None if self.supervisor is None else self.supervisor.block
         of_watch, watching, _ = parameters_of(self.watch, "the supervisor")
         self.actuators, self.flows = self._acting()
         acting = self.actuators, self.flows
@@ -181,10 +182,10 @@ class Case:
         row, beside = ((), ()) if make is None else make(self._settled, self.coordinates)
         return tuple(row), tuple(beside)
 
-    def _watching(self) -> Any:
-        """The supervisor's block; None: there is none."""
+    def _supervisor(self) -> Any:
+        """The supervisor, with a ``block``; None: there is none."""
         part: Any = section_parts(self._settled).get("supervisor")
-        return None if part is None else part.supervisor(self._setup("supervisor", {})).block
+        return None if part is None else part.supervisor(self._setup("supervisor", {}))
 
     def detectors(self) -> list[tuple[Sampled, Arrays]]:
         """The detector, with its memory at the start; none without it."""
@@ -298,6 +299,7 @@ class Case:
         made = {
             "reference": self.motion.rows(self.times),
             "phases": phases_of(timed, self.samples),
+            "request": np.zeros((self.samples, len(watch))),
         }
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
             made["frame"] = path.rows(self.times)
@@ -334,6 +336,7 @@ class Run:
         self.states = self.case.states | {
             "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
         }
+        self._at_start = self.states["memory"] if self.case.watch is not None else np.zeros(0)
         try:
             found = parameters_of(self.law)
         except NotCovered as error:
@@ -347,7 +350,7 @@ class Run:
     def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
-        self.parameters = self.case.parameters | {"law": law}
+        self.parameters = self.case.parameters | {"law": law, "law_at_start": self._at_start}
         kinds = ("sensors", "actuators", "flows", "forces", "last", "watch", "detector")
         blocks = {each: getattr(self.case, each) for each in kinds}
         self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)

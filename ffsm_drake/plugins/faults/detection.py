@@ -257,7 +257,7 @@ class Detector(Sampled):
         # momenta
         width = (MODELS + 3) * nv + units + wheel_count
         self._shapes = {
-            "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort": (1,),
+            "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort_request": (1,),
             "raw": (size,), "seen": (size,), "off": (2 * nv,), "stale": (size,),
             "codes": (len(self._names),), "repeats": (len(self._sensors),),
             "since": (2 * nv,), "jitter": (nv,), "rough": (nv,),
@@ -305,7 +305,7 @@ class Detector(Sampled):
         self._look_at(after, inputs)
         outputs = {
             "estimated_state": after["seen"].copy(), "fault_detected": before,
-            "abort_request": memory["abort"],
+            "abort_request": memory["abort_request"],
         }  # fmt: skip
         if self._may_be_old:
             outputs[IS_NEW] = self._renewed(inputs[IS_NEW], before)
@@ -523,7 +523,7 @@ class Detector(Sampled):
             memory["acceleration"][:] = 0.0
         lost = self._lost(memory["codes"])
         if (lost[:nv] & lost[nv:]).any() or not self._is_prompt[entries].all():
-            memory["abort"][0] = 1.0
+            memory["abort_request"][0] = 1.0
         self._forget(memory)
 
     def _collect(
@@ -565,7 +565,7 @@ class Detector(Sampled):
         if self._wheels is not None:
             self._look_at_wheels(memory, valid)
         # an unpredictable motion allows no further detection
-        if memory["abort"][0] or memory["samples"][0] < _LEARNT:
+        if memory["abort_request"][0] or memory["samples"][0] < _LEARNT:
             return
         if self._is_flexible and valid >= _KEPT:
             old = np.abs(slope_of(kept[:_OLD, :nv], step)[0])
@@ -604,7 +604,7 @@ class Detector(Sampled):
         if is_without and self._base is not None:
             is_without = self._base.without(self._isolated(memory["codes"]))[2]
         if not is_without:
-            memory["abort"][0] = 1.0
+            memory["abort_request"][0] = 1.0
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
         """Detect a momentum that does not follow the commanded torque."""

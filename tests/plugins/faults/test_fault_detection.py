@@ -284,4 +284,4 @@ def test_faults_with_a_supervisor(name, unit, kind):
     assert list(found) == [f"{unit} {kind}"]
     (time,) = found.values()
     assert 6.0 < time < 8.0
-    assert remarks == [f"{unit}: {kind} from 6.00 s on, detected at {time:.2f} s"]
+    assert remarks == [f"{unit}: {kind} since 6.00 s, detected at {time:.2f} s"]

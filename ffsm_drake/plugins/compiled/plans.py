@@ -1,0 +1,103 @@
+"""Plans of supervisors, made within a compiled run at the samples that ask for one."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.plugins.compiled.called import KIND, parts
+from ffsm_drake.plugins.compiled.parameters import rows_of
+
+
+class Plans:
+    """The supervisors of the first lanes of a register."""
+
+    def __init__(self, supervisors: Sequence[Any], laws: Sequence[Any]) -> None:
+        """Args: of each lane its supervisor, with a ``block`` and ``answered``, and its law."""
+        self.stopped: BaseException | None = None  # what ended the runs
+        self._supervisors, self._laws = supervisors, laws
+        self._memory = parts({name: each.size for name, each in supervisors[0].start().items()})
+
+    def function(
+        self,
+        cells: np.ndarray,
+        places: Mapping[str, int],
+        rows: Sequence[Mapping[str, np.ndarray]],
+        begun: Sequence[int],
+    ) -> Any:
+        """A function of the number of a sample (and another argument), which returns 0 if all runs
+        shall end.
+
+        Args: the cells (n, width), and the place of each array among them; what each lane reads
+          from the first sample on, which is changed to its plan; and the number of this sample.
+        """
+        watched = cells[places["watched"] :]  # a view
+        for lane, first in enumerate(begun):
+            plan = watched[self._memory["plan"], lane]
+            if plan[1] > 0.0:
+                self._follow(lane, plan, rows[lane], first)
+        return KIND(functools.partial(self._asked, cells, places, rows, begun))
+
+    def _asked(
+        self,
+        cells: np.ndarray,
+        places: Mapping[str, int],
+        rows: Sequence[Mapping[str, np.ndarray]],
+        begun: Sequence[int],
+        sample: int,
+        other: Any,
+    ) -> bool:
+        try:
+            for lane in np.flatnonzero(cells[places["asks"]]).tolist():
+                own = {name: cells[place:, lane] for name, place in places.items()}  # views
+                if lane < len(begun):
+                    self._answer(lane, own, rows[lane], begun[lane], sample)
+                else:  # it has no run
+                    own["watched"][self._memory["answer"]] = 2.0
+            return True
+        except BaseException as error:  # Python prints and forgets what a callback raises
+            self.stopped = error
+            return False
+
+    def _answer(
+        self,
+        lane: int,
+        own: Mapping[str, np.ndarray],
+        rows: Mapping[str, np.ndarray],
+        begun: int,
+        sample: int,
+    ) -> None:
+        """Write the answer to a lane into its cells, and what follows into its rows."""
+        supervisor = self._supervisors[lane]
+        memory = {name: own["watched"][part].copy() for name, part in self._memory.items()}
+        measured = own["measurement"][: memory["held"].size].copy()
+        time = (begun + sample) * supervisor.block.sample_time
+        if own["asks"][0] == 1.0:
+            memory = supervisor.answered(memory, measured, time)
+        else:
+            memory["answer"][:] = 2.0
+        for name, part in self._memory.items():
+            own["watched"][part] = memory[name]
+        after = {name: values[sample + 1 :] for name, values in rows.items()}
+        if memory["answer"] == 1.0:
+            self._follow(lane, memory["plan"], after, begun + sample + 1)
+            modes = np.ravel(supervisor.block.modes(np.array([time]), memory["plan"]))
+            own["phases"][: rows["phases"].shape[1]][-modes.size :] = modes
+        elif "planned" in rows:
+            nq = len(supervisor.coordinates.position_names)
+            after["planned"][:1] = rows_of(self._laws[lane], measured[None, :nq])
+
+    def _follow(
+        self, lane: int, plan: np.ndarray, rows: Mapping[str, np.ndarray], first: int
+    ) -> None:
+        """Let a lane read a plan, from the sample ``first`` on."""
+        supervisor, law = self._supervisors[lane], self._laws[lane]
+        step, block = supervisor.block.sample_time, supervisor.block
+        since = first - round(plan[0] / step) + np.arange(len(rows["reference"]))
+        rows["reference"][:] = supervisor.motion(plan).rows(step * since)
+        modes = np.transpose(block.modes(plan[0] + step * since, plan))
+        rows["phases"][:, -modes.shape[1] :] = modes
+        if "planned" in rows:
+            nq = len(supervisor.coordinates.position_names)
+            rows["planned"][:] = rows_of(law, rows["reference"][:, :nq])
