@@ -124,8 +124,8 @@ class Kernel:
             plans and plans.function(cells, self.places, read, [each.sample for each in begin]),
         ]
         self.call(cells.ctypes.data, given.ctypes.data, samples, *calls)
-        for each in filter(None, (laws, plans)):
-            if each.stopped is not None:
+        for each in (laws, plans):
+            if each is not None and each.stopped is not None:
                 raise each.stopped
         return [
             self._end(cells[:, lane], state, kept[lane], samples, ends=ends)

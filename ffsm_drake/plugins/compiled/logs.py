@@ -10,7 +10,7 @@ from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.models import posed_model
-from ffsm_drake.plugins.compiled.plans import Plans
+from ffsm_drake.plugins.compiled.plans import plans_of
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.log import RunLog
@@ -31,9 +31,6 @@ def logs_of(
     if kernel.blocks.called:
         detectors = [each for run in runs for each in run.case.detectors()]
         laws = Laws(kernel.blocks, [run.controller for run in runs], detectors)
-    plans = None
-    if kernel.blocks.watch is not None:
-        plans = Plans([run.case.supervisor for run in runs], [run.law for run in runs])
     began = time.perf_counter()
     found = kernel.leg(
         [run.parameters for run in runs],
@@ -42,7 +39,7 @@ def logs_of(
         runs[0].samples - 1,
         signals=signals,
         laws=laws,
-        plans=plans,
+        plans=plans_of(runs),
         ends=True,
     )
     ended = time.perf_counter()

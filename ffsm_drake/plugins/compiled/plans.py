@@ -8,6 +8,14 @@ import numpy as np
 
 from ffsm_drake.plugins.compiled.called import KIND, parts
 from ffsm_drake.plugins.compiled.parameters import rows_of
+from ffsm_drake.plugins.compiled.run import Run
+
+
+def plans_of(runs: Sequence[Run]) -> "Plans | None":
+    """Return the plans of runs with the same code; None: they have no supervisor."""
+    if runs[0].case.supervisor is None:
+        return None
+    return Plans([run.case.supervisor for run in runs], [run.law for run in runs])
 
 
 class Plans:

@@ -9,6 +9,7 @@ from compared_runs import of_seeds
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.engine import _kernel
 from ffsm_drake.plugins.compiled.kernel import LaneState
+from ffsm_drake.plugins.compiled.plans import plans_of
 from ffsm_drake.plugins.compiled.run import case_of
 from ffsm_drake.runs.rollout import Leg, Rollout
 
@@ -19,6 +20,11 @@ VARIANTS = {
     "flight_sensors": ["sensing.delay=2", "actuation.delay=1"],
     "slow_navigation": [],
     "thrusters_only": [],
+    "envisat": [
+        "supervisor={saturated_time: 0.03, end_share: 0.9, end_time: 0.02}",
+        "actuation.limit=0.05",
+        "controller=tde_aismc",
+    ],
 }
 
 
@@ -31,8 +37,11 @@ def compiled(name, given, *, called=False):
     return _kernel(runs[0], alone=False), runs
 
 
-def laws(kernel, runs):
-    return Laws(kernel.blocks, [run.controller for run in runs]) if kernel.blocks.called else None
+def called_of(kernel, runs):
+    """What the kernel calls."""
+    called = kernel.blocks.called
+    laws = Laws(kernel.blocks, [run.controller for run in runs]) if called else None
+    return {"laws": laws, "plans": plans_of(runs)}
 
 
 def in_legs(kernel, runs, lengths):
@@ -41,14 +50,16 @@ def in_legs(kernel, runs, lengths):
     first = [1 + i for i in range(len(runs))]  # lanes of a register at different samples
     ends = []
     for run, state, samples in zip(runs, begin, first, strict=True):
-        ends += kernel.leg([run.parameters], [state], [run.rows], samples, laws=laws(kernel, [run]))
+        ends += kernel.leg(
+            [run.parameters], [state], [run.rows], samples, **called_of(kernel, [run])
+        )
     for i, end in enumerate(ends):
         logs[i].append(end.log)
     left = runs[0].samples - 1 - len(runs)
     for samples in [*lengths, left - sum(lengths)]:
         ends = kernel.leg(
             [run.parameters for run in runs], [end.state for end in ends],
-            [run.rows for run in runs], samples, laws=laws(kernel, runs),
+            [run.rows for run in runs], samples, **called_of(kernel, runs),
         )  # fmt: skip
         for i, end in enumerate(ends):
             logs[i].append(end.log)
@@ -60,12 +71,15 @@ def check_legs(name, given, seed, *, called=False):
     random = np.random.default_rng(seed)
     whole = kernel.leg(
         [run.parameters for run in runs], [LaneState(run.states) for run in runs],
-        [run.rows for run in runs], runs[0].samples - 1, laws=laws(kernel, runs), ends=True,
+        [run.rows for run in runs], runs[0].samples - 1, **called_of(kernel, runs), ends=True,
     )  # fmt: skip
     for one, end in zip(
         in_legs(kernel, runs, random.integers(1, 6, 2).tolist()), whole, strict=True
     ):
         assert end.left is None
+        if "mode_cause" in one:  # a plan goes on in the next leg
+            assert {4.0} < {*one["mode"].ravel().tolist()}
+            assert one["mode_cause"].any()
         for key, values in one.items():
             assert len(values) >= runs[0].samples - len(runs)
             assert np.array_equal(values, end.log[key][: len(values)]), key
@@ -114,7 +128,7 @@ def test_a_first_sample_can_be_any():
         kernel, (run, *_) = compiled("postcapture", [], called=called)
         for first_at in (3, 0):
             begin = [LaneState(run.states, 3, first_at)]
-            (end,) = kernel.leg([run.parameters], begin, [run.rows], 1, laws=laws(kernel, [run]))
+            (end,) = kernel.leg([run.parameters], begin, [run.rows], 1, **called_of(kernel, [run]))
             forces.append(end.log["generalized_force"])
     np.testing.assert_allclose(forces[2:], forces[:2], rtol=0.0, atol=1e-9)
     assert np.abs(forces[0] - forces[1]).max() > 1e-3
@@ -140,17 +154,3 @@ def test_a_lane_that_leaves_keeps_its_state_before_the_sample():
     (before,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], left)
     for name, values in before.state.cells.items():
         assert np.array_equal(gone.state.cells[name], values), name
-
-
-def test_a_supervisor_that_acts_ends_its_lane_with_the_cause_in_its_log():
-    given = ["supervisor={saturated_time: 0.03}", "actuation.limit=0.05", "duration=0.4"]
-    kernel, (run, *_) = compiled("postcapture", given)
-    (end,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], run.samples - 1)
-    causes = end.log["mode_cause"].ravel()
-    assert end.left == len(causes) - 1 > 0
-    assert causes[-1] > 0.0
-    assert np.isfinite(causes).all()
-    assert not causes[:-1].any()
-    (before,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], end.left)
-    for name, values in before.state.cells.items():
-        assert np.array_equal(end.state.cells[name], values), name
