@@ -470,8 +470,10 @@ class _Wiring:
         }
         self.sources["disturbance_force"] = self._sum("external_force", list(now.values()))
         if on_hidden:
-            hidden, ports = "external_hidden_force", "next_hidden_force"
-            self.sources[hidden] = self._sum(hidden, [(system, ports) for system in on_hidden])
+            hidden, own = "external_hidden_force", "hidden_force"
+            ports = [(system, f"next_{own}") for system in on_hidden]
+            ports = [each if each[0].HasOutputPort(each[1]) else (each[0], own) for each in ports]
+            self.sources[hidden] = self._sum(hidden, ports)
         if len(now) > 1:
             self.sources |= {f"force_{each.partition('.')[2]}": now[each] for each in now}
 
@@ -483,6 +485,7 @@ class _Wiring:
     def record_parts(self, parts: Parts) -> None:
         """Record the signals of parts; signals of sensing at the last control sample."""
         for name, part in parts.items():
+            self.sources |= {each: (self._blocks[part.block], each) for each in part.part.logged}
             for signal in part.signals:
                 if signal.name in self.sources:
                     problem = f"signal '{signal.name}' has the name of another; rename it"

@@ -337,6 +337,7 @@ class Rollout:
         """
         loop, context = self.loop, self._simulator.get_context()
         held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
+        held.update(*(placed.part.logged for placed in loop.parts.values()))
         log = self._logger.FindLog(context)
         times, rows, parts = log.sample_times().copy(), log.data(), self._rows
         end = times.size if last is None else last + 1

@@ -11,6 +11,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.sampled import Arrays
 
 
 class Stage(Protocol):
@@ -41,6 +42,15 @@ class Stage(Protocol):
 
     def context(self, block: str) -> Context:
         """Return the context of a block that is a Drake system."""
+
+    def block(self, name: str) -> Any:
+        """Return a ``Sampled`` block."""
+
+    def memory(self, block: str) -> Arrays:
+        """Return the memory of a ``Sampled`` block."""
+
+    def remember(self, block: str, memory: Arrays) -> None:
+        """Set the memory of a ``Sampled`` block, with held outputs of zero."""
 
     def place(self, state: np.ndarray) -> None:
         """Put the plant to its own [q; v], and reset the blocks to it."""
@@ -99,6 +109,19 @@ class DrakeStage:
     def context(self, block: str) -> Context:
         """See Stage."""
         return self.loop.blocks[block].GetMyMutableContextFromRoot(self.root)
+
+    def block(self, name: str) -> Any:
+        """See Stage."""
+        return self.loop.blocks[name].block
+
+    def memory(self, block: str) -> Arrays:
+        """See Stage."""
+        found: Arrays = self.loop.blocks[block].memory(self.context(block))
+        return found
+
+    def remember(self, block: str, memory: Arrays) -> None:
+        """See Stage."""
+        self.loop.blocks[block].remember(self.context(block), memory)
 
     def place(self, state: np.ndarray) -> None:
         """See Stage."""

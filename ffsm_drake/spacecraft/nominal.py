@@ -157,6 +157,32 @@ class PlantModel:
         X_WF = self._frame(frame).CalcPoseInWorld(self.context)
         return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
 
+    def calc_frame_rotation(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """R_WF (3, 3) of a frame F at q (nq). Args and errors as ``calc_jacobian``."""
+        self._set_state(q)
+        rotation = self._frame(frame).CalcPoseInWorld(self.context).rotation()
+        return np.ascontiguousarray(rotation.matrix())
+
+    def calc_frame_twist(self, q: np.ndarray, v: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """[w_WF; v_WF] (6) of a frame F at q (nq), v (nv), world axes, rad/s, m/s. Args and errors
+        as ``calc_jacobian``.
+        """
+        self._set_state(q, v)
+        moving = self._frame(frame).CalcSpatialVelocityInWorld(self.context)
+        return np.array(moving.get_coeffs())
+
+    def calc_point_jacobian(
+        self, q: np.ndarray, frame: Frame | str, point: np.ndarray
+    ) -> np.ndarray:
+        """Jacobian (6, nv) of a point of a frame F (3; m, F's axes), in F's axes, at q (nq). Args
+        and errors as ``calc_jacobian``.
+        """
+        self._set_state(q)
+        world, own = self.plant.world_frame(), self._frame(frame)
+        return self.plant.CalcJacobianSpatialVelocity(
+            self.context, JacobianWrtVariable.kV, own, point, world, own
+        )
+
     def calc_frame_motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str
     ) -> np.ndarray:

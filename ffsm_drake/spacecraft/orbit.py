@@ -1,7 +1,6 @@
 """The circular orbit whose point the world frame W falls with; W's axes do not turn."""
 
 import dataclasses
-import functools
 import math
 from typing import Any
 
@@ -32,21 +31,24 @@ def turned_axes(first: np.ndarray, rate: Any, time: Any) -> np.ndarray:
     return turned
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Orbit:
     """Hill's axes, and what gravity does to a free body to first order in its distance from W."""
 
-    settings: Environment
+    rate: np.ndarray  # () n, rad/s
+    first: np.ndarray  # (3, 3) Hill's axes at the start, rows
+    tidal: bool
+    gravity_gradient: bool
 
-    @functools.cached_property
-    def rate(self) -> float:
-        """n, rad/s."""
-        return mean_motion(self.settings)
-
-    @functools.cached_property
-    def first(self) -> np.ndarray:
-        """Hill's axes at the start."""
-        return RollPitchYaw(self.settings.hill_rpy).ToRotationMatrix().matrix().T
+    @classmethod
+    def of(cls, settings: Environment) -> "Orbit":
+        """The orbit of an environment."""
+        return cls(
+            rate=np.array(mean_motion(settings)),
+            first=RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix().T,
+            tidal=settings.tidal,
+            gravity_gradient=settings.gravity_gradient,
+        )
 
     def axes(self, time: float) -> np.ndarray:
         """Hill's axes in the world frame at a time in s: rows r, t, h (3, 3)."""
@@ -54,13 +56,13 @@ class Orbit:
 
     def _up(self, time: float | np.ndarray) -> np.ndarray:
         """Hill's first axis (..., 3), from the Earth's centre outwards, at times (...)."""
-        angle = np.multiply(self.rate, time)[..., None]
+        angle = np.stack([self.rate * time], axis=-1)
         up: np.ndarray = np.cos(angle) * self.first[0] + np.sin(angle) * self.first[1]
         return up
 
     def tide(self, position: np.ndarray, time: float | np.ndarray) -> np.ndarray:
         """Acceleration (..., 3) at positions (..., 3) from W's origin, m/s^2."""
-        if not self.settings.tidal:
+        if not self.tidal:
             return np.zeros_like(position)
         up = self._up(time)
         along = (position * up).sum(axis=-1, keepdims=True) * up
@@ -71,7 +73,7 @@ class Orbit:
         """Torque (..., 3) in the axes of bodies with attitudes R (..., 3, 3) by their inertia in
         these axes (..., 3, 3), N m for kg m^2.
         """
-        if not self.settings.gravity_gradient:
+        if not self.gravity_gradient:
             return np.zeros(R.shape[:-1])
         up = (self._up(time)[..., None, :] @ R)[..., 0, :]
         torque: np.ndarray = 3.0 * self.rate**2 * np.cross(up, (inertia @ up[..., None])[..., 0])

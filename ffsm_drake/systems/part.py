@@ -404,6 +404,7 @@ class Part:
     about: ClassVar[str] = "Signals of the user-supplied parts."  # "": the text of ``sentence``
     # True: a campaign's prediction also simulates this actuator's limits.
     rehearsed: ClassVar[bool] = False
+    logged: tuple[str, ...] = ()  # held outputs that are in the log of a run, not in its record
 
     @property
     def is_helped(self) -> bool:

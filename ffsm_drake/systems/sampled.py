@@ -43,7 +43,7 @@ class Now(NamedTuple):
 
 
 class Sampled:
-    """A block that steps once in a control sample.
+    """A block that steps once in a control sample, or a force that steps ``per_sample`` times.
 
     It steps on what its inputs are at a sample. An actuator (``acts``) steps on the command that a
     sample makes, and on other inputs as they are at the sample (``latched``).
@@ -75,6 +75,8 @@ class Sampled:
     acts: ClassVar[bool] = False
     traced: ClassVar[bool] = True  # else Python calls it in compiled runs too
     optional: ClassVar[tuple[str, ...]] = ()  # inputs that another block may lack
+    # steps of a force in a control sample, evenly; 0: it never steps, and its outputs are zero
+    per_sample: int = 1
 
     @property
     def latched(self) -> Mapping[str, Sequence[float]]:
@@ -182,7 +184,8 @@ class SampledSystem(Diagram):
     Discrete state, updated every ``sample_time``: the block's memory, a group for each name; of an
     actuator also its latched inputs and phase. Its memory is brought up to date at the next sample,
     since its command changes at this one. Outputs that are ``held`` are state too; ``next_NAME``
-    has the value at this instant, unless the block has an output of this name.
+    has the value at this instant, unless the block has an output of this name, or steps several
+    times in a sample.
     """
 
     def __init__(
@@ -221,7 +224,7 @@ class SampledSystem(Diagram):
             if own.HasOutputPort(each):
                 builder.ExportOutput(own.GetOutputPort(each), each)
                 now = NEXT + each
-            if now == each or now not in outputs:
+            if now == each or (now not in outputs and block.per_sample == 1):
                 builder.ExportOutput(parts.get_output_port(index), now)
         builder.BuildInto(self)
         self.set_name(name)
@@ -234,6 +237,20 @@ class SampledSystem(Diagram):
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start."""
         self._own.set_initial_state(self.GetMutableSubsystemContext(self._own, context), state)
+
+    @property
+    def block(self) -> Sampled:
+        """The block."""
+        found: Sampled = self._own.block
+        return found
+
+    def memory(self, context: Context) -> Arrays:
+        """Return a copy of the block's memory."""
+        return self._own.memory(self.GetSubsystemContext(self._own, context))
+
+    def remember(self, context: Context, memory: Arrays) -> None:
+        """Set the block's memory, with held outputs of zero."""
+        self._own.remember(self.GetMutableSubsystemContext(self._own, context), memory)
 
 
 class BlockSystem(LeafSystem):
@@ -314,9 +331,14 @@ class _Stepping(BlockSystem):
             "result", ends[-1], weak_callback(self._calc_result), reads
         )
         for each, group in self._held.items():
-            self.DeclareStateOutputPort(each, group)
-        if memory or self._acts or held:
-            self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+            if block.per_sample:
+                self.DeclareStateOutputPort(each, group)
+            else:
+                size = outputs[each]
+                self.DeclareVectorOutputPort(each, size, _no_force, {self.nothing_ticket()})
+        if block.per_sample and (memory or self._acts or held):
+            period = sample_time / block.per_sample
+            self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
         untie(self)
 
     def _state(self, value: Sequence[float] | np.ndarray) -> Any:
@@ -324,9 +346,27 @@ class _Stepping(BlockSystem):
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start."""
-        own = memory_of(self.block_at(context), state, place=self._place)
+        self._set(context, memory_of(self.block_at(context), state, place=self._place))
+
+    @property
+    def block(self) -> Any:
+        """The block."""
+        return self._block
+
+    def memory(self, context: Context) -> Arrays:
+        """See SampledSystem."""
+        value = context.get_discrete_state().value
+        return {name: value(group).copy() for name, group in self._memory.items()}
+
+    def remember(self, context: Context, memory: Arrays) -> None:
+        """See SampledSystem."""
+        self._set(context, memory)
+        for name, group in self._held.items():
+            context.SetDiscreteState(group, np.zeros(dict(self._sizes)[name]))
+
+    def _set(self, context: Context, memory: Arrays) -> None:
         for name, group in self._memory.items():
-            context.SetDiscreteState(group, np.ravel(own[name]))
+            context.SetDiscreteState(group, np.ravel(memory[name]))
 
     @property
     def phase_period(self) -> int:
@@ -389,6 +429,10 @@ class _Stepping(BlockSystem):
             values.set_value(group, read)
         if self._acts and self._is_phased:
             values.set_value(self._phase, np.array(self._block.phase(self._sample(context))))
+
+
+def _no_force(context: Context, output: BasicVector) -> None:
+    output.SetFromVector(np.zeros(output.size()))
 
 
 def _checked(

@@ -313,7 +313,7 @@ def coast(
         time,
         period=scenario.sample_time if onward else -scenario.sample_time,
         samples=samples if onward else samples + 1,
-        orbit=None if scenario.environment is None else Orbit(scenario.environment),
+        orbit=None if scenario.environment is None else Orbit.of(scenario.environment),
         turn=FINE_TURN,
     )
     return found if onward else found[:0:-1]

@@ -17,12 +17,14 @@ the springs are stiff for the bare wrist (0.004 kg m^2 at 1e4 N m/rad: 1600 rad/
 """
 
 import dataclasses
-import math
-from collections.abc import Callable
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from ffsm_drake.common.choice import may_be
 from ffsm_drake.scenario.capture import Closing, Compliance
+from ffsm_drake.tape.arrays import repeated
 
 _ROUNDS = 50  # iterations of the search for the slip of a step
 _LEAST = 1e-6  # N m, N; of a limit
@@ -30,40 +32,46 @@ _LEAST = 1e-6  # N m, N; of a limit
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Jaws:
-    """A gripper from its first contact on."""
+    """A gripper that closes. Its arrays may hold symbols, and so may those of its methods."""
 
-    closing: Closing
-    compliance: Compliance
-    start: np.ndarray  # (6) offset at the first contact
+    stiffness: np.ndarray  # (6) N m/rad, N/m
+    damping: np.ndarray  # (6) N m s/rad, N s/m
+    palm: np.ndarray  # (6) unit vector along which the palm pushes; the first three are zero
+    time: np.ndarray  # () s; in which the jaws close
+    load: np.ndarray  # () N; force that friction bears between closed jaws
+    radius: np.ndarray  # () m; its lever arm
 
-    def __post_init__(self) -> None:
-        gripper, axis = self.compliance, np.array(self.closing.axis, dtype=float)
-        fill = object.__setattr__
-        fill(self, "_K", np.repeat([gripper.rotational_stiffness, gripper.stiffness], 3))
-        fill(self, "_D", np.repeat([gripper.rotational_damping, gripper.damping], 3))
-        fill(self, "_palm", np.concatenate([np.zeros(3), axis / np.linalg.norm(axis)]))
+    @classmethod
+    def of(cls, closing: Closing, compliance: Compliance) -> "Jaws":
+        """Build from settings."""
+        axis = np.array(closing.axis, dtype=float)
+        return cls(
+            stiffness=np.repeat([compliance.rotational_stiffness, compliance.stiffness], 3),
+            damping=np.repeat([compliance.rotational_damping, compliance.damping], 3),
+            palm=np.concatenate([np.zeros(3), axis / np.linalg.norm(axis)]),
+            time=np.array(closing.time),
+            load=np.array(2.0 * closing.friction * closing.preload),
+            radius=np.array(closing.radius),
+        )
 
-    _K: np.ndarray = dataclasses.field(init=False, repr=False)
-    _D: np.ndarray = dataclasses.field(init=False, repr=False)
-    _palm: np.ndarray = dataclasses.field(init=False, repr=False)
-
-    def closed(self, time: float) -> tuple[float, float]:
+    def closed(self, time: Any) -> tuple[Any, Any]:
         """The share (0 to 1) to which the jaws are closed at a time (s) since the first contact,
         and its rate.
         """
-        x = min(max(time / self.closing.time, 0.0), 1.0)
-        return x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / self.closing.time
+        x = np.minimum(np.maximum(time / self.time, 0.0), 1.0)
+        return x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / self.time
 
-    def limits(self, time: float) -> np.ndarray:
+    def limits(self, time: Any) -> np.ndarray:
         """The largest torque (N m) and force (N) that friction bears (2)."""
-        force = 2.0 * self.closing.friction * self.closing.preload * self.closed(time)[0]
-        return np.maximum([force * self.closing.radius, force], _LEAST)
+        force = self.load * self.closed(time)[0]
+        return np.maximum(np.stack([force * self.radius, force]), _LEAST)
 
     def act(
         self,
-        time: float,
-        step: float,
+        time: Any,
+        step: Any,
         *,
+        start: np.ndarray,
         offset: np.ndarray,
         rate: np.ndarray,
         slid: np.ndarray,
@@ -74,70 +82,84 @@ class Jaws:
         Args:
           time: of the step's end since the first contact, s.
           step: s.
-          offset, rate: x and x' (6) at its start, gripper axes.
+          start: x (6) at the first contact.
+          offset, rate: x and x' (6) at the step's start, gripper axes.
           slid: s (6) at its start.
           mobility: (6, 6) from an impulse between gripper and target to a change of rate.
 
         Returns: (6) torque and force, gripper axes, N m and N; s (6).
         """
-        (closed, closing), start = self.closed(time), self.start
-        K, D, palm = self._K, self._D, self._palm
+        closed, closing = self.closed(time)
+        K, D, palm = self.stiffness, self.damping, self.palm
         implicit = (step * D + step * step * K)[:, None] * mobility
         free = -K * (offset + step * rate - (1.0 - closed) * start - slid)
-        free -= D * (rate + closing * start)
+        free = free - D * (rate + closing * start)
         # The palm first retracts with the initial penetration.
-        depth, sinks = min(_sum(start * palm), 0.0), _sum((offset + step * rate) * palm)
+        depth = np.minimum((start * palm).sum(), 0.0)
+        sinks = ((offset + step * rate) * palm).sum()
         face = (1.0 - closed) * depth
-        pushed = -K[3] * (sinks - face) - D[3] * (_sum(rate * palm) + closing * depth)
+        pushed = -K[3] * (sinks - face) - D[3] * ((rate * palm).sum() + closing * depth)
         stiff = step * D[3] + step * step * K[3]
         limits = np.repeat(self.limits(time), 3)
         yields = (K + D / step) / (limits * limits)  # slip by force, along the normal
         # equations of the jaws' force and the palm's
-        matrix, wanted = np.zeros((7, 7)), np.append(free, pushed)
-        matrix[:6, :6] = implicit + np.eye(6)
-        matrix[:6, 6] = (implicit * palm).sum(axis=-1)
-        matrix[6, :6] = stiff * (mobility * palm[:, None]).sum(axis=0)
-        matrix[6, 6] = 1.0 + _sum(matrix[6, :6] * palm)
+        jaws = np.concatenate(
+            [implicit + np.eye(6), (implicit * palm).sum(axis=-1)[:, None]], axis=1
+        )
+        row = stiff * (mobility * palm[:, None]).sum(axis=0)
+        row = np.concatenate([row, np.stack([1.0 + (row * palm).sum()])])
+        fixed = {"yields": yields, "limits": limits}
 
-        def without_palm() -> None:
-            matrix[6, :6], matrix[6, 6], wanted[6] = 0.0, 1.0, 0.0
+        def slip(palm_holds: Any) -> Mapping[str, Any]:
+            last = np.where(palm_holds, row, _ALONE)
+            wanted = np.concatenate([free, np.stack([np.where(palm_holds, pushed, 0.0)])])
+            return _slip({"matrix": np.concatenate([jaws, last[None]]), "wanted": wanted, **fixed})
 
-        def solve(slip: float) -> tuple[np.ndarray, float]:
-            """The jaws' force and the palm's (7), and the share of the limit, for a slip's size."""
-            a = matrix.copy()
-            a[range(6), range(6)] += slip * yields
-            solved = np.linalg.solve(a, wanted)
-            return solved, math.sqrt(_sum((solved[:6] / limits) ** 2))
-
-        if pushed <= 0.0 or sinks >= face:
-            without_palm()
-        slip, forces = _slip(solve)
-        if forces[6] < 0.0:  # the palm does not hold
-            without_palm()
-            slip, forces = _slip(solve)
-        force = forces[:6]
-        return force + forces[6] * palm, slid - slip * yields * force / (K + D / step)
+        holds = np.logical_not((pushed <= 0.0) | (sinks >= face))
+        found = slip(holds)
+        pulls = holds & (found["forces"][6] < 0.0)
+        if may_be(pulls):
+            without = slip(holds & np.logical_not(pulls))
+            found = {name: np.where(pulls, without[name], found[name]) for name in found}
+        force, size = found["forces"][:6], found["slip"]
+        slid = slid - size * yields * force / (K + D / step)
+        return force + found["forces"][6] * palm, slid
 
 
-def _sum(values: np.ndarray) -> float:
-    return float(values.sum())
+_ALONE = np.array([0.0] * 6 + [1.0])  # equation of a palm without force
 
 
-def _slip(solve: Callable[[float], tuple[np.ndarray, float]]) -> tuple[float, np.ndarray]:
-    """The size of the slip on the limit surface, and the resulting forces (7). The search uses that
-    the inverse of the share is nearly linear in the size.
+def _slip(fixed: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The size of the ``slip`` on the limit surface, and the resulting ``forces`` (7): of the jaws
+    and the palm. The search uses that the inverse of the share is nearly linear in the size.
     """
-    now, before = 0.0, 0.0
-    forces, share = solve(now)
-    if share <= 1.0:
-        return now, forces
-    now, excess = 1.0, 1.0 / share - 1.0
-    for _ in range(_ROUNDS):
-        forces, share = solve(now)
-        left = 1.0 / share - 1.0
-        if abs(left) < 1e-9 or left == excess:
-            break
-        last, way = now, now - before
-        now = max(last - left * way / (left - excess), 0.0)
-        before, excess = last, left
-    return now, forces
+    forces, share = _solved(0.0, fixed)
+    goes = np.where(share > 1.0, 1.0, 0.0)
+    excess = 1.0 / np.maximum(share, 1.0) - 1.0
+    state = {"goes": goes, "slip": goes, "before": 0.0 * goes, "excess": excess, "forces": forces}
+    return repeated(_nearer, state, fixed, most=_ROUNDS)
+
+
+def _nearer(state: Mapping[str, Any], fixed: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A step of the search."""
+    now, excess = state["slip"], state["excess"]
+    forces, share = _solved(now, fixed)
+    left = 1.0 / share - 1.0
+    is_found = (abs(left) < 1e-9) | (left == excess)
+    way, slope = now - state["before"], np.where(is_found, 1.0, left - excess)
+    after = np.maximum(now - left * way / slope, 0.0)
+    return {
+        "goes": np.where(is_found, 0.0, 1.0),
+        "slip": np.where(is_found, now, after),
+        "before": now,
+        "excess": left,
+        "forces": forces,
+    }
+
+
+def _solved(slip: Any, fixed: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The jaws' force and the palm's (7), and the share of the limit, for a slip's size."""
+    matrix = fixed["matrix"].copy()
+    matrix[range(6), range(6)] += slip * fixed["yields"]
+    forces = np.linalg.solve(matrix, fixed["wanted"])
+    return forces, np.sqrt(((forces[:6] / fixed["limits"]) ** 2).sum())

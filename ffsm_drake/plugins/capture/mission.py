@@ -15,6 +15,7 @@ import numpy as np
 
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.plugins.capture.grasping import Aim, grasped_at_start, with_grasp
+from ffsm_drake.plugins.capture.gripper import MOTION
 from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
 from ffsm_drake.plugins.capture.phases.approach import CONTACTS, Approach
 from ffsm_drake.plugins.capture.phases.chase import Chase
@@ -119,6 +120,9 @@ def _with_target(log: RunLog, now: Situation) -> RunLog:
     contact = series.pop(f"force_{GRIPPER.partition('.')[2]}", None)
     if contact is not None:
         series["disturbance_force"] = series["disturbance_force"] - contact
+    target = now.own.path[: log.time.size]
+    if (moved := series.pop(MOTION, None)) is not None:  # by the gripper
+        target = np.where(np.isnan(moved), target, moved)
     log = dataclasses.replace(log, series=series)
     if isinstance(now.made, MadeGrasp):
         log = with_grasp(log, now.made)
@@ -126,7 +130,7 @@ def _with_target(log: RunLog, now: Situation) -> RunLog:
         grasp = GraspLog(
             sample=log.time.size,
             payload=now.own.scenario.payload.truth,
-            target=now.own.moved[: log.time.size],
+            target=target,
         )
         log = dataclasses.replace(log, grasp=grasp)
     assert log.grasp is not None

@@ -182,7 +182,7 @@ class TrackedReference(LeafSystem):
         scenario = part.scenario
         self._part, self._motion, self._scenario = part, motion, scenario
         self._settings, self._envelope = part.measured, part.grasp.envelope
-        orbit = None if scenario.environment is None else Orbit(scenario.environment)
+        orbit = None if scenario.environment is None else Orbit.of(scenario.environment)
         self._filter = TargetFilter(self._settings.filter, part.expected, orbit)
         self._period = scenario.sample_time
         self._nq, nv = len(motion.coordinates.position_names), len(motion.coordinates.names)

@@ -16,10 +16,11 @@ from ffsm_drake.plugins.compiled.apart import apart
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
-from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, Blocks, Function
+from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, TOUCHED, Blocks, Function
 from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.systems.part import Parts
+from ffsm_drake.tape.numbers import NotTraceable
 
 _BYTES = 8  # of a number
 _ROWS = 32  # of the log, which the second-level cache holds
@@ -100,7 +101,7 @@ class Kernel:
           signals: those that are kept; None: all.
           laws: of the lanes, if they are called.
           plans: of their supervisors, if they have one.
-          ends: the runs end with the last sample, which is logged.
+          ends: the runs end with the last sample, which is logged; no force steps several times.
 
         Raises what ends a call, such as KeyboardInterrupt.
         """
@@ -162,9 +163,14 @@ class Kernel:
             states["x"][0] = own("x_before", 1)[0]
             count = int(own("acted_on", 1)[0])
             last = left = begin.sample + count - 1
+        rows = {name: values[:count] for name, values in log.items()}
+        for name in self.blocks.late & log.keys():  # as they are before the next sample
+            rows[name] = log[name][1 : count + 1]
+            if left is not None:
+                rows[name] = np.vstack([log[name][1:count], np.full_like(log[name][:1], np.nan)])
         return LaneEnd(
             LaneState(states, last, begin.first_at),
-            {name: values[:count] for name, values in log.items()},
+            rows,
             own("measurement", self.blocks.results["measurement"]),
             left,
         )
@@ -182,9 +188,12 @@ class Step:
     """One control sample, the first excepted."""
 
     def __init__(self, blocks: Blocks, *, steps: int, key: str | None, slopes: bool) -> None:
-        """Arguments and errors as of ``Kernel``; with ``slopes`` the sample has its derivatives
-        along a direction in each lane, else it has one lane.
+        """Arguments and errors as of ``Kernel``, without forces that step several times; with
+        ``slopes`` the sample has its derivatives along a direction in each lane, else it has one
+        lane.
         """
+        if blocks.per_sample > 1:
+            raise NotTraceable("forces that step several times in a sample")
         lanes = registers() if slopes else Registers(1)
         self.width = lanes.width
         self._text = _Sample(blocks, lanes, steps=steps, slopes=slopes)
@@ -290,6 +299,7 @@ class _Text:
             yield f"  {later} = fmul double %the_step, {_number(time)}"
             yield from self._after("%start", later, at)
             yield f"  store {self._registers.reals} {at}, ptr %t{i}, align 8"
+        yield from self._touched(functions)
         for i, _ in enumerate(scheme.times):
             names = {"state": "x" if i == 0 else "y", "t": f"t{i}", "rates": f"k{i}"}
             names |= {f"d_{name}": f"d_{cell}" for name, cell in names.items()}
@@ -301,6 +311,10 @@ class _Text:
         yield "arrived:"
         yield f"  %more = icmp ult i64 %following, {self._steps}"
         yield f"  br i1 %more, label %move, label %{after}"
+
+    def _touched(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        """Forces that step several times in a sample, at the begin of a step."""
+        yield from ()
 
     def _arrived(self) -> Iterator[str]:
         """The end of a step."""
@@ -401,16 +415,11 @@ class _Runs(_Text):
             place += width
         yield "  br i1 %ends, label %end, label %onward"
         yield "onward:"
-        yield f"  %any_is_lost = icmp ne i{width} %lanes, 0"
-        yield "  br i1 %any_is_lost, label %stop, label %carry"
-        yield "stop:"
         yield from self._stopped()
-        yield "carry:"
-        yield from self._kept()
-        yield "  br label %carried"
-        yield "carried:"
+        yield f"  %any_is_lost = icmp ne i{width} %lanes, 0"
+        yield from self._carried("kept", CARRIED, "%are_lost", "%any_is_lost")
         yield "  br label %move"
-        yield from self._moved(functions, "carried", "stepped")
+        yield from self._moved(functions, "kept.end", "stepped")
         yield "stepped:"
         yield "  %next = add i64 %k, 1"
         yield "  br label %begin"
@@ -526,9 +535,7 @@ class _Runs(_Text):
         yield f"  %no_lane = icmp eq i{width} %lanes, -1"
 
     def _stopped(self) -> Iterator[str]:
-        """Where lanes are lost: theirs keep their states, but ``x`` is no number from then on, so
-        that they ask for no loops.
-        """
+        """The ``x`` of lost lanes is no number from then on, so that they ask for no loops."""
         reals, wholes, truths = (
             self._registers.reals, self._registers.wholes, self._registers.truths,
         )  # fmt: skip
@@ -541,13 +548,44 @@ class _Runs(_Text):
         yield f"  %x.bits = bitcast {reals} %x.now to {wholes}"
         yield f"  %x.after = or {wholes} %x.bits, %lost.now"
         yield f"  store {wholes} %x.after, ptr %x, align 8"
-        for name, after in CARRIED.items():
-            if size := self._blocks.states[name]:
-                yield f"  br label %stop.{name}"
-                yield f"stop.{name}:"
-                own, other = f"%{name}", f"%{after}"
-                yield from self._chosen(f"stop.{name}", own, "%are_lost", own, other, size)
-        yield "  br label %carried"
+
+    def _carried(
+        self, label: str, states: Mapping[str, str], mask: str, some: str
+    ) -> Iterator[str]:
+        """Copies to states, except to those of the lanes of a mask; ``some``: whether it has any.
+        At its end, the block is ``LABEL.end``.
+        """
+        sizes = {name: size for name in states if (size := self._blocks.states[name])}
+        yield f"  br i1 {some}, label %{label}.some, label %{label}.all"
+        yield f"{label}.some:"
+        for name, size in sizes.items():
+            at, own, other = f"{label}.{name}", f"%{name}", f"%{states[name]}"
+            yield f"  br label %{at}"
+            yield f"{at}:"
+            yield from self._chosen(at, own, mask, own, other, size)
+        yield f"  br label %{label}.end"
+        yield f"{label}.all:"
+        for name, size in sizes.items():
+            yield self._copy(f"%{states[name]}", f"%{name}", size)
+        yield f"  br label %{label}.end"
+        yield f"{label}.end:"
+
+    def _touched(self, functions: Mapping[str, Function]) -> Iterator[str]:
+        if "touching" not in functions:
+            return
+        width, wholes = self._registers.width, self._registers.wholes
+        yield f"  %in_part = urem i64 %j, {self._steps // self._blocks.per_sample}"
+        yield "  %touches = icmp eq i64 %in_part, 0"
+        yield "  br i1 %touches, label %touching, label %untouched"
+        yield "touching:"
+        yield self._call(functions, "touching")
+        yield f"  %touch.lost = load {wholes}, ptr %lost, align 8"
+        yield f"  %touch.out = icmp ne {wholes} %touch.lost, zeroinitializer"
+        yield f"  %touch.lanes = bitcast {self._registers.truths} %touch.out to i{width}"
+        yield f"  %touch.some = icmp ne i{width} %touch.lanes, 0"
+        yield from self._carried("touched", TOUCHED, "%touch.out", "%touch.some")
+        yield "  br label %untouched"
+        yield "untouched:"
 
     def _bounded(self, times: str, prefix: str = "") -> Iterator[str]:
         """The lost lanes at ``x``, as ``%beyond``, and the times at which the others are seen."""

@@ -85,13 +85,15 @@ CARRIED = {
     "applied": "told",
     "requested": "requested_after",
 }
+# Likewise of an instant at which forces step that step several times in a sample.
+TOUCHED = {"touched": "touched_after", "touch": "touch_after"}
 # What the functions of a sample and of the derivative read.
 _SAMPLE = (
     "x", "t0", "law", "sensors", "actuators", "forces", "last_forces", "deviation", "drift",
     "share", "added", "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored",
-    "loaded", "pushed", "held_before", "watch", "watched", "commanded", "memory", "applied",
-    "waiting", "limit", "force_resolution", "sines", "joint_force", "law_at_start", "request",
-    "requested",
+    "loaded", "pushed", "touch", "held_before", "watch", "watched", "commanded", "memory",
+    "applied", "waiting", "limit", "force_resolution", "sines", "joint_force", "law_at_start",
+    "request", "requested",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
@@ -100,12 +102,14 @@ _FIXED = {
     "step", "watch", "joint_force", "law_at_start", "request",
 }  # fmt: skip
 _DERIVATIVE = (
-    "state", "applied_force", "push", "acted", "t", "actuators", "last_forces", "sines", "own",
+    "state", "applied_force", "push", "touch", "acted", "t", "actuators", "last_forces", "sines",
+    "own",
 )  # fmt: skip
 _ACTED = (
     "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
     "phases", "push", "joint_force", "watch", "watched_after",
 )  # fmt: skip
+_TOUCH = "x", "t0", "forces", "touched", "touch"
 
 
 # Outputs of forces, and the entries of the plant's v that they are along.
@@ -142,7 +146,7 @@ class Blocks:
     last: Mapping[str, Continuous]  # forces that read the sum of all others
     watch: Any  # the supervisor's block, or None
     detector: Sampled | None  # a last stage of sensing that is called, as the law is then
-    recorded: tuple[str, ...]  # outputs of actuators and flows
+    recorded: tuple[str, ...]  # outputs of actuators, flows, and forces that do not step once
     num_errors: int  # parameters of the sensors
     num_actuators: int  # parameters of actuators and flows
     num_forces: int  # parameters of the forces
@@ -179,6 +183,27 @@ class Blocks:
         """Outputs of the flows, likewise."""
         return {name: n for each in self.flows for name, n in each.outputs.items()}
 
+    @functools.cached_property
+    def slow(self) -> dict[str, Sampled]:
+        """The forces that step once in a sample."""
+        return {name: each for name, each in self.forces.items() if each.per_sample == 1}
+
+    @functools.cached_property
+    def fast(self) -> dict[str, Sampled]:
+        """The others: they step several times, or never."""
+        return {name: each for name, each in self.forces.items() if each.per_sample != 1}
+
+    @property
+    def per_sample(self) -> int:
+        """Steps of forces in a sample."""
+        return max((each.per_sample for each in self.fast.values()), default=1) or 1
+
+    @property
+    def late(self) -> frozenset[str]:
+        """Signals of forces that step several times: at a sample as they were before it."""
+        several = [each for each in self.fast.values() if each.per_sample]
+        return frozenset(name for each in several for name in each.outputs) & {*self.recorded}
+
     @property
     def parameters(self) -> dict[str, int]:
         """Numbers that a run begins with and keeps."""
@@ -201,7 +226,9 @@ class Blocks:
             "memory": _total(self.memory), "applied": self.nv, "drift": self.num_drifts,
             "waiting": self.waits * self.nv, "stored": _size(self.sensors),
             "loaded": _size(self.actuators),
-            "pushed": _size(self.forces.values()),
+            "pushed": _size(self.slow.values()),
+            "touched": _size(self.fast.values()),
+            "touch": sum(_total(each) for each in map(_outputs, self.fast.values())),
             "held_before": sum(self._held.values()) if self.last or self._gyrates else 0,
             "watched": 0 if self.watch is None else _size([self.watch]),
             "commanded": 0 if self.watch is None else self.nv,
@@ -225,7 +252,7 @@ class Blocks:
             "push": self._held["push"], **watching,
             "hidden_push": len(self.loose) if self._push_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
-            **{cell: states[name] for name, cell in CARRIED.items()},
+            **{cell: states[name] for name, cell in (CARRIED | TOUCHED).items()},
             **{f"k{i}": states["x"] for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
 
@@ -243,7 +270,7 @@ class Blocks:
     @property
     def _held(self) -> dict[str, int]:
         """What acts from one sample to the next."""
-        push = self.nv + len(self.loose) if self.forces else 0
+        push = self.nv + len(self.loose) if self.slow else 0
         return {"applied_force": self.nv, "push": push, "acted": sum(self.acted.values())}
 
     @property
@@ -337,6 +364,12 @@ class Blocks:
                 for (name, n), at in zip(of.items(), ends, strict=False)
                 if name in self.recorded
             }
+        first = 0
+        for each in self.fast.values():
+            for name, n in _outputs(each).items():
+                if name in self.recorded:
+                    made[name] = ("touch", first, n.size)
+                first += n.size
         if self._named:
             made |= {
                 f"force_{name}": ("each_force", at * self.nv, self.nv)
@@ -366,6 +399,8 @@ class Blocks:
             "sample": (_SAMPLE, sample),
             "derivative": (_DERIVATIVE, self._derivative),
         }
+        if self.per_sample > 1:
+            given["touching"] = _TOUCH, self._touching
         for i, weights in enumerate(SCHEMES[self.scheme].points):
             name, reads = f"point{i}", ("x", "step", *(f"k{j}" for j in range(len(weights))))
             given[name] = (reads, functools.partial(self._point, weights))
@@ -568,11 +603,16 @@ class Blocks:
         held = traced(np.zeros(self.nv + len(self.loose)))
         on_hidden = traced(np.zeros(len(self.loose)))
         signals = {"state": cells.x[list(self.known)], "hidden_state": cells.x[list(self.hidden)]}
-        own, usual = tuple(self.forces.values()), usual_sizes("forces", self.coordinates)
-        blocks = with_symbols(own, cells.forces, traced([]), traced_model)
+        usual, touches = usual_sizes("forces", self.coordinates), self._touches(cells)
+        blocks = self._forces(cells)
         phases = cells.phases[phases_of((*self.sensors, *self.actuators), 1).size :]
-        stored = _stored(own, cells.pushed, phases)
-        for block, (memory, phase) in zip(blocks, stored, strict=True):
+        stored = _stored(self.slow.values(), cells.pushed, phases)
+        for name, block in blocks.items():
+            if name in touches:
+                each.append(touches[name]["generalized_force"])
+                on_hidden = on_hidden + touches[name].get("hidden_force", 0.0)
+                continue
+            memory, phase = next(stored)
             ports, inputs = sized(block.outputs, usual, "forces"), sized(block.inputs, usual, "")
             found, kept = _stepped(
                 block, ports, _read(block, inputs, signals), memory, now._replace(phase=phase)
@@ -594,10 +634,39 @@ class Blocks:
         return {
             "disturbance_force": functools.reduce(np.add, each),
             "each_force": _row(each if self._named else ()),
-            "push": held if own else traced([]),
+            "push": held if self.slow else traced([]),
             "hidden_push": on_hidden if self._push_hidden else traced([]),
             "pushed_after": _row(after),
         }
+
+    def _forces(self, cells: Any) -> dict[str, Any]:
+        """The sampled forces with symbols, by name."""
+        own = tuple(self.forces.values())
+        made = with_symbols(own, cells.forces, traced([]), traced_model)
+        return dict(zip(self.forces, made, strict=True))
+
+    def _touches(self, cells: Any) -> dict[str, dict[str, Any]]:
+        """The held outputs of forces that do not step once."""
+        found, values = dict[str, dict[str, Any]](), cells.touch
+        for name, each in self.fast.items():
+            found[name], values = _parts(values, _outputs(each))
+        return found
+
+    def _touching(self, cells: Any) -> dict[str, Any]:
+        """What becomes of these forces at an instant at which they step."""
+        signals = {"state": cells.x[list(self.known)], "hidden_state": cells.x[list(self.hidden)]}
+        made, after, values = list[Any](), list[Any](), cells.touched
+        touches, blocks = self._touches(cells), self._forces(cells)
+        for name, each in self.fast.items():
+            memory, values = _parts(values, _at_start(each))
+            outputs = touches[name]
+            if each.per_sample:
+                ports = sized(each.outputs, {}, "forces")
+                inputs = _read(each, each.inputs, signals)
+                outputs, memory = _stepped(blocks[name], ports, inputs, memory, Now(cells.t0[0]))
+            made += [outputs[port] for port in each.outputs]
+            after += [memory[own] for own in _at_start(each)]
+        return {"touch_after": _row(made), "touched_after": _row(after)}
 
     def _flow(
         self, cells: Any, x: Any, held: Mapping[str, Any]
@@ -660,8 +729,12 @@ class Blocks:
         disturbance = force_at(time, cells.sines.reshape(4, -1))
         force = traced(np.zeros(self.tree.num_velocities))
         force[list(self.forced)] = applied_force + disturbance
-        if self.forces:
+        if self.slow:
             force = force + push
+        for outputs in self._touches(cells).values():
+            for name in _OF_FORCES.keys() & outputs.keys():
+                entries = list(getattr(self, _OF_FORCES[name]))
+                force[entries] = force[entries] + outputs[name]
         for name in filter(flown.__contains__, BESIDES):
             force[list(self.forced)] = force[list(self.forced)] + flown[name]
         return force, rates
@@ -728,6 +801,11 @@ def _total(values: Mapping[str, np.ndarray]) -> int:
     return sum(each.size for each in values.values())
 
 
+def _outputs(block: Sampled) -> dict[str, np.ndarray]:
+    """Its outputs, of zero."""
+    return _zeros(sized(block.outputs, {}, "forces"))
+
+
 def _at_start(block: Sampled | Continuous) -> dict[str, np.ndarray]:
     return {name: np.asarray(value, float) for name, value in block.start().items()}
 
@@ -785,7 +863,23 @@ def kept_at(blocks: Iterable[Sampled | Continuous], state: np.ndarray) -> np.nda
     return np.concatenate([np.zeros(0), *(np.ravel(each) for of in kept for each in of.values())])
 
 
-def steps_of(sample_time: float, longest: float) -> int:
-    """Steps of the integrator in a control sample; 0: they do not divide it."""
+def forces_at(forces: Iterable[Sampled], state: np.ndarray) -> dict[str, np.ndarray]:
+    """The states of forces of a spacecraft that was at a state before (n), by name."""
+    own = tuple(forces)
+    fast = [each for each in own if each.per_sample != 1]
+    return {
+        "pushed": kept_at([each for each in own if each.per_sample == 1], state),
+        "touched": kept_at(fast, state),
+        "touch": np.zeros(sum(_total(_outputs(each)) for each in fast)),
+    }
+
+
+def steps_of(sample_time: float, longest: float, per_sample: int = 1) -> int:
+    """Steps of the integrator in a control sample; 0: they do not divide it.
+
+    Args: the sample and a step at most, s; the number of parts of a sample that have equal steps.
+    """
+    if per_sample > 1:
+        return per_sample * steps_of(sample_time / per_sample, longest)
     steps = max(1, math.ceil(sample_time / longest - 1e-9))
     return steps if steps == 1 or abs(steps * longest / sample_time - 1.0) < 1e-9 else 0

@@ -55,6 +55,18 @@ class TracedModel(PlantModel):
         rotation, origin = frames.pose(self.tree, _known(frame), list(q))
         return traced([*quaternion_of(rotation), *origin])
 
+    def calc_frame_rotation(self, q: Any, frame: Any) -> Any:
+        """See PlantModel."""
+        return traced(frames.pose(self.tree, _known(frame), list(q))[0])
+
+    def calc_frame_twist(self, q: Any, v: Any, frame: Any) -> Any:
+        """See PlantModel."""
+        return traced(frames.twist(self.tree, _known(frame), list(q), list(v)))
+
+    def calc_point_jacobian(self, q: Any, frame: Any, point: Any) -> Any:
+        """See PlantModel."""
+        return traced(frames.point_jacobian(self.tree, _known(frame), list(q), list(point)))
+
     def _set_state(self, q: Any, v: Any = None) -> None:
         raise NotTraceable("the law asks its model for more than its equations and frames")
 

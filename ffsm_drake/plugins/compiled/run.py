@@ -14,7 +14,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of, settle_faults
-from ffsm_drake.plugins.compiled.loop import Blocks, kept_at, phases_of, steps_of
+from ffsm_drake.plugins.compiled.loop import Blocks, forces_at, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
 from ffsm_drake.runs.engine import NotCovered
@@ -27,6 +27,7 @@ from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers import SampledController, controller_names, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.registry import Factory, call_factory, section_parts
@@ -71,6 +72,7 @@ class Case:
         self._gains_are_checked = False
         self._runs = dict[str, Run]()
         self.built = set[str]()  # names of blocks, see ``_built``
+        self._shown = list[str]()  # outputs of these
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = drift = errors.drift()
@@ -105,7 +107,8 @@ class Case:
             force.quantization, key="actuation.quantization", default=0.0
         )
         config = scenario.simulator_config
-        self.steps = steps_of(scenario.sample_time, config.max_step_size)
+        parts = max((each.per_sample for each in pushing), default=1) or 1
+        self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
         self.parameters = {
             "own": own.parameters(self.true.context),
             "sensors": of_sensors,
@@ -132,7 +135,7 @@ class Case:
             "drift": self._drift_at_start(),
             "stored": kept_at(sensors, start[known]),
             "loaded": kept_at(self.actuators, start[known]),
-            "pushed": kept_at(pushing, start[known]),
+            **forces_at(pushing, start[known]),
         }
         self.fixed = {
             "nq": len(self.coordinates.position_names),
@@ -195,10 +198,11 @@ class Case:
         return [(self.detector, self.detector.start(known))]
 
     def _recorded(self) -> tuple[str, ...]:
-        """Signals of the actuators."""
+        """Signals of actuators and forces."""
         setup = self._setup("actuation", {})
         parts = section_parts(self.scenario, of="actuation").values()
-        return tuple(signal.name for part in parts for signal in part.signals(setup))
+        names = [signal.name for part in parts for signal in part.signals(setup)]
+        return *names, *self._shown
 
     def _setup(self, name: str, settings: Mapping[str, Any]) -> BlockSetup:
         return BlockSetup(
@@ -220,10 +224,11 @@ class Case:
             if first != kind or not name or block == DISTURBANCE:
                 continue
             choice = choices.get(block, Block())
-            made = call_factory(
-                factory_of(block, scenario), self._setup(name, choice.settings),
-                place=f"blocks.{block} '{choice.system}'",
-            )  # fmt: skip
+            factory, setup = factory_of(block, scenario), self._setup(name, choice.settings)
+            made = call_factory(factory, setup, place=f"blocks.{block} '{choice.system}'")
+            if isinstance(factory, Part) and kind == "forces":
+                self._shown += [each.name for each in factory.signals(setup)]
+                self._shown += factory.logged
             is_last = kind == "forces" and isinstance(made, Continuous) and not made.start()
             if not (isinstance(made, Sampled) or is_last):
                 raise NotCovered(block)

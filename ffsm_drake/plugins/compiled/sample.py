@@ -76,7 +76,7 @@ class TracedSample:
         forces = tuple(blocks.forces.values())
         # of the loops that it can be the sample of
         self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.forces}
-        self._measured = {"stored": blocks.sensors, "pushed": forces}
+        self._measured = {"stored": blocks.sensors, "pushed": tuple(blocks.slow.values())}
         timed = (*blocks.sensors, *blocks.actuators, *forces)
         period = math.lcm(*(each.phase_period for each in timed))
         if period > _LONGEST:

@@ -97,13 +97,18 @@ class OrbitalForce:
 
 def orbital_force(settings: Environment, model: PlantModel) -> OrbitalForce:
     """Return the force of an environment on a plant."""
-    orbit, solar, pressure, arm = Orbit(settings), settings.solar_pressure, np.zeros(3), np.zeros(3)
+    orbit, solar, pressure, arm = (
+        Orbit.of(settings),
+        settings.solar_pressure,
+        np.zeros(3),
+        np.zeros(3),
+    )
     if solar is not None:
         sun = np.array(solar.sun, dtype=float)
         pressure = -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
         arm = np.array(solar.center_of_pressure, dtype=float)
     return OrbitalForce(
-        model=model, rate=np.array(orbit.rate), axes=orbit.first, tidal=settings.tidal,
+        model=model, rate=orbit.rate, axes=orbit.first, tidal=settings.tidal,
         gravity_gradient=settings.gravity_gradient, lit=solar is not None, pressure=pressure,
         arm=arm,
     )  # fmt: skip

@@ -16,6 +16,7 @@ from ffsm_drake.plugins.equations.vectors import (
     product,
     scaled,
     times,
+    transposed,
 )
 from ffsm_drake.tape.numbers import select, signed, square_root
 
@@ -57,9 +58,32 @@ def quaternion_of(rotation: Matrix) -> Vector:
     return scaled(signed(1.0, best[0]) / length, best)
 
 
-def jacobian(tree: Tree, place: Place, q: Sequence[Any]) -> Matrix:
-    """J (6, nv) with [w_WF; v_WF] = J v."""
+def twist(tree: Tree, place: Place, q: Sequence[Any], v: Sequence[Any]) -> Vector:
+    """[w_WF; v_WF] (6), rad/s, m/s."""
+    _, steps, shift, _ = _way(tree, place, q)
+    first = tree.base_velocity
+    turning, moving = list(v[first : first + 3]), list(v[first + 3 : first + 6])
+    for step in steps:
+        moving = plus(moving, cross(turning, step.shift))
+        moved = scaled(v[step.velocity], step.axis)
+        if step.slides:
+            moving = plus(moving, moved)
+        else:
+            turning = plus(turning, moved)
+    return [*turning, *plus(moving, cross(turning, shift))]
+
+
+def point_jacobian(tree: Tree, place: Place, q: Sequence[Any], point: Sequence[Any]) -> Matrix:
+    """J (6, nv) of a point of F (3; m, F's axes), in F's axes."""
+    rotation, *_ = _way(tree, place, q)
+    rows, down = jacobian(tree, place, q, times(rotation, point)), transposed(rotation)
+    return [*product(down, rows[:3]), *product(down, rows[3:])]
+
+
+def jacobian(tree: Tree, place: Place, q: Sequence[Any], arm: Sequence[Any] = ZERO) -> Matrix:
+    """J (6, nv) with [w_WF; v] = J v, of a point at ``arm`` (3, m) from F's origin."""
     _, steps, _, origin = _way(tree, place, q)
+    origin = plus(origin, arm)
     columns: Matrix = [[0.0] * 6 for _ in range(tree.num_velocities)]
     arm = minus(origin, q[tree.base_position + 4 : tree.base_position + 7])
     for k in range(3):

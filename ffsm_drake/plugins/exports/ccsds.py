@@ -37,7 +37,7 @@ def write_oem(record: RunRecord, path: Path) -> None:
     settings, data = record.scenario.environment, record.dataset
     if settings is None or settings.altitude is None:
         raise FfsmError("OEM needs an orbit: run the scenario with environment.altitude (m)")
-    orbit = Orbit(settings)
+    orbit = Orbit.of(settings)
     axes = np.array([orbit.axes(float(time)) for time in data.time.values])  # rows r, t, h
     radius = EARTH_RADIUS + settings.altitude
     place = radius * axes[:, 0] + record.positions().base_position.values

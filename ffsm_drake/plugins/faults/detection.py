@@ -197,7 +197,7 @@ class Detector(Sampled):
         }
         self._disturbance = coordinates.vector(largest, key="disturbance.harmonics", default=0.0)
         if scenario.environment is not None:
-            self._orbital = 3.0 * Orbit(scenario.environment).rate ** 2
+            self._orbital = 3.0 * float(Orbit.of(scenario.environment).rate) ** 2
 
     def _bound(self, mass: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The largest force (nv) that is neither reported nor a fault, friction included."""

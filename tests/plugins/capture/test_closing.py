@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.free_body import Target
-from ffsm_drake.plugins.capture.gripper import GripperForce
+from ffsm_drake.plugins.capture.gripper import Closing
 from ffsm_drake.plugins.capture.phases import retreat
 from ffsm_drake.plugins.capture.supervisor import Mode
 from ffsm_drake.runs.metrics import phases_of
@@ -91,7 +91,7 @@ def test_a_missed_target_is_left_at_once():
 def test_the_loops_of_a_run_are_freed():
     def alive():
         gc.collect()
-        return sum(isinstance(each, GripperForce) for each in gc.get_objects())
+        return sum(isinstance(each, Closing) for each in gc.get_objects())
 
     before = alive()
     again = "capture.retreat={tries: 1, duration: 1, distance: 0.05}"

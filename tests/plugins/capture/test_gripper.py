@@ -35,7 +35,7 @@ def mujoco_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray)
             <inertial pos="0 0 {arm}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>
             <geom type="box" size="0.4 0.02 0.4" friction="{closing.friction} 0 0"/></body>
         </worldbody></mujoco>""")
-    data, jaws_of = mujoco.MjData(model), Jaws(closing=closing, compliance=STIFF, start=np.zeros(6))
+    data, jaws_of = mujoco.MjData(model), Jaws.of(closing, STIFF)
     target = model.body("target").dofadr[0]
     data.qvel[target : target + 3], data.qvel[target + 3 : target + 6] = rate[3:], rate[:3]
     offsets = []
@@ -55,7 +55,7 @@ def mujoco_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray)
 
 def own_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray) -> np.ndarray:
     """The same by ``Jaws``."""
-    jaws = Jaws(closing=closing, compliance=STIFF, start=np.zeros(6))
+    jaws = Jaws.of(closing, STIFF)
     mobility = np.diag([10.0 / mass + 1.0 / 6.0] * 3 + [1.0 / mass + 1.0 / GRIPPER] * 3)
     cross = np.array([[0.0, arm, 0.0], [-arm, 0.0, 0.0], [0.0, 0.0, 0.0]])  # -[arm z] x
     mobility[:3, 3:] = 10.0 / mass * cross
@@ -64,7 +64,13 @@ def own_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray) ->
     offset, slid, rate, offsets = np.zeros(6), np.zeros(6), rate.copy(), []
     for step in range(1000):
         force, slid = jaws.act(
-            1e-3 * (step + 1), 1e-3, offset=offset, rate=rate, slid=slid, mobility=mobility
+            1e-3 * (step + 1),
+            1e-3,
+            start=np.zeros(6),
+            offset=offset,
+            rate=rate,
+            slid=slid,
+            mobility=mobility,
         )
         rate += 1e-3 * mobility @ force
         offset = offset + 1e-3 * rate
@@ -112,13 +118,19 @@ def test_it_slides_and_holds_as_mujocos_pads(preload, friction, time, mass, arm,
 
 def test_the_palm_pushes_only_and_the_target_bounces_off():
     closing = Closing(time=100.0, preload=1e-3)
-    jaws = Jaws(closing=closing, compliance=Compliance(), start=np.zeros(6))
+    jaws = Jaws.of(closing, Compliance())
     mobility = np.diag([0.1] * 3 + [1.0 / 50.0] * 3)
     offset, slid = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3]), np.zeros(6)
     rate, forces = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.05]), []
     for step in range(500):
         force, slid = jaws.act(
-            1e-3 * (step + 1), 1e-3, offset=offset, rate=rate, slid=slid, mobility=mobility
+            1e-3 * (step + 1),
+            1e-3,
+            start=np.zeros(6),
+            offset=offset,
+            rate=rate,
+            slid=slid,
+            mobility=mobility,
         )
         rate, forces = rate + 1e-3 * mobility @ force, [*forces, force[5]]
         offset = offset + 1e-3 * rate
@@ -132,13 +144,13 @@ def test_the_force_keeps_to_what_friction_bears():
     rng = np.random.default_rng(0)
     for _ in range(200):
         closing = Closing(preload=10 ** rng.uniform(-1, 3), radius=10 ** rng.uniform(-2, 0))
-        jaws = Jaws(closing=closing, compliance=Compliance(), start=0.02 * rng.standard_normal(6))
+        jaws, start = Jaws.of(closing, Compliance()), 0.02 * rng.standard_normal(6)
         root = rng.standard_normal((6, 6)) * 10 ** rng.uniform(-2, 1.2, 6)[:, None]
         time = rng.uniform(0.05, 1.0)
-        offset, rate = jaws.start + 0.01 * rng.random(6), 0.3 * rng.standard_normal(6)
+        offset, rate = start + 0.01 * rng.random(6), 0.3 * rng.standard_normal(6)
         mobility = root @ root.T
         force, slid = jaws.act(
-            time, 1e-3, offset=offset, rate=rate, slid=np.zeros(6), mobility=mobility
+            time, 1e-3, start=start, offset=offset, rate=rate, slid=np.zeros(6), mobility=mobility
         )
         force[5] = 0.0  # along the palm's axis
         share = np.linalg.norm(force / np.repeat(jaws.limits(time), 3))

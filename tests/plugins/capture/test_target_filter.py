@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -21,7 +20,7 @@ from ffsm_drake.plugins.capture.free_body import (
     inverse_inertia,
     shape_spread,
 )
-from ffsm_drake.plugins.capture.gripper import GripperForce
+from ffsm_drake.plugins.capture.gripper import Closing
 from ffsm_drake.plugins.capture.target_filter import TargetFilter, observed
 from ffsm_drake.scenario import (
     Environment,
@@ -34,6 +33,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import StateSplit
 from ffsm_drake.spacecraft.orbit import Orbit
+from ffsm_drake.systems.sampled import Now
 from ffsm_drake.systems.setup import BlockSetup
 
 BODY = MassProperties(
@@ -205,19 +205,15 @@ def released(start, environment, begin, end):
     scenario = dataclasses.replace(scenario, environment=environment)
     nominal = make_nominal_plant(scenario)
     setup = BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=StateSplit())
-    force = GripperForce(setup, closes=Compliance())
-    context = force.CreateDefaultContext()
+    block = Closing.of(setup, Compliance())
     state = np.zeros(2 * len(nominal.coordinates.names) + 1)
     state[0] = 1.0
-    force.GetInputPort("state").FixValue(context, state)
-    context.SetTime(begin)
-    force.begin(context, payload=payload.truth, target=start, state=state)
-    simulator = Simulator(force, context)
-    simulator.Initialize()
-    simulator.AdvanceTo(end)
-    found = force.met(context, state)
-    assert not force.GetOutputPort("contact_force").Eval(context).any()
-    return found.motion
+    memory = block.begun(time=begin, payload=payload.truth, target=start, state=state)
+    period = scenario.sample_time / block.per_sample
+    for step in range(round((end - begin) / period)):
+        outputs, memory = block.step({"state": state}, memory, Now(begin + step * period))
+        assert not outputs["contact_force"].any()
+    return block.met(memory, end, state).motion
 
 
 def off(found, expected):
@@ -238,7 +234,7 @@ def test_approach_filter_and_gripper_move_it_alike(seed):
     hill = random.normal(size=3).tolist()
     fast = Environment(mean_motion=5e-3, altitude=None, hill_rpy=hill)
     environment = None if seed == 2 else fast
-    target, orbit = Target.from_motion(start, BODY), environment and Orbit(environment)
+    target, orbit = Target.from_motion(start, BODY), environment and Orbit.of(environment)
     for lasts, most in ((0.5, 1e-9), (20.0, 1e-7)):
         end = 5.0 + lasts
         expected = integrated(start, environment, 5.0, end)
@@ -260,7 +256,7 @@ def test_approach_filter_and_gripper_move_it_alike(seed):
 @pytest.mark.parametrize("environment", [None, Environment(hill_rpy=[0.3, -0.2, 1.0])])
 def test_goes_on_at_each_sample(environment, period):
     target = Target.from_motion(motion(0.3), BODY)
-    orbit = environment and Orbit(environment)
+    orbit = environment and Orbit.of(environment)
     tracker = TargetFilter(SETTINGS, target, orbit)
     path = tracker.path(None, 5.0, period, 101)
     assert path.motion.shape == (101, 13)
@@ -279,7 +275,7 @@ def test_drifts_as_hill_s_equations_say():
     """Clohessy and Wiltshire's closed form, in axes that turn with the orbit."""
     n, time = 2e-3, 300.0
     target = Target.from_motion(motion(0.0), BODY)
-    rows = Orbit(ORBIT).axes(0.0)
+    rows = Orbit.of(ORBIT).axes(0.0)
     x, y, z = rows @ target.center
     turning = np.array([0.0, 0.0, n])
     u, v, w = rows @ target.velocity - np.cross(turning, [x, y, z])
@@ -291,12 +287,12 @@ def test_drifts_as_hill_s_equations_say():
     ]
     path = coasted(target, ORBIT, samples=3001)
     last = Target.from_motion(path[-1], BODY)
-    np.testing.assert_allclose(Orbit(ORBIT).axes(time) @ last.center, expected, atol=1e-9)
+    np.testing.assert_allclose(Orbit.of(ORBIT).axes(time) @ last.center, expected, atol=1e-9)
 
 
 def test_turns_as_the_tide_on_its_parts_says():
     """The torque of the tide on six points of mass that have the body's inertia."""
-    orbit, R = Orbit(ORBIT), matrix_of(np.array([0.7, -0.3, 0.5, 0.4]))
+    orbit, R = Orbit.of(ORBIT), matrix_of(np.array([0.7, -0.3, 0.5, 0.4]))
     masses = dataclasses.replace(BODY, inertia=[5.0, 7.0, 8.0], center_of_mass=[0.0, 0.0, 0.0])
     I = np.diag(inertia_matrix(masses))  # noqa: E741
     squares = 0.5 * I.sum() - I  # of x, y, z, summed by mass

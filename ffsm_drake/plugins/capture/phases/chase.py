@@ -32,9 +32,6 @@ class Chase:
     again: float | None = None  # s; begin of the approach after it
     why: Outcome | None = None  # of it
     reach: float = 0.0  # m; from the base to the centre of mass of the target at the grasp
-    # where the gripper moves the target: the sample at which it began to close, and the motions
-    # (13) from there on, to which the loop adds
-    pushed: tuple[int, list[np.ndarray]] = (0, [])
 
     @property
     def capture(self) -> Capture:
@@ -58,12 +55,6 @@ class Chase:
     def arm(self) -> np.ndarray:
         """p_PC (3) of the true target, in P's axes."""
         return np.array(self.scenario.payload.truth.center_of_mass)
-
-    @property
-    def moved(self) -> np.ndarray:
-        """``path`` with what the gripper has moved the target so far."""
-        first, motions = self.pushed
-        return np.vstack([self.path[:first], *motions]) if motions else self.path
 
     def numbered(self, name: str) -> str:
         """The name of a phase of the last try."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -11,7 +10,7 @@ from pydrake.math import RigidTransform
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.plugins.capture.contact import coast
-from ffsm_drake.plugins.capture.gripper import Gripper, Met
+from ffsm_drake.plugins.capture.gripper import MOTION, Gripper, Met
 from ffsm_drake.plugins.capture.phases.chase import Chase, failed, phase_of, replaced
 from ffsm_drake.runs.ending import BOUNCED, SLIPPED
 from ffsm_drake.runs.log import RunLog
@@ -47,29 +46,30 @@ class Close(PhaseKind):
         """Begin to close."""
         now = super().enter(now, phase, stage)
         chase: Chase = now.own
-        force: Any = stage.blocks[GRIPPER]
-        force.begin(
-            stage.context(GRIPPER),
+        memory = stage.block(GRIPPER).begun(
+            time=now.sample * chase.scenario.sample_time,
             payload=chase.scenario.payload.truth,
             target=chase.path[now.sample],
             state=stage.state,
         )
-        return replaced(now, pushed=(now.sample, force.motions))
+        stage.remember(GRIPPER, memory)
+        return now
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
         """Whether the gripper holds the target."""
         chase: Chase = now.own
-        force: Any = now.stage.blocks[GRIPPER]
-        met: Met = force.met(now.stage.context(GRIPPER), now.stage.state)
+        stage, period = now.stage, chase.scenario.sample_time
+        met: Met = stage.block(GRIPPER).met(stage.memory(GRIPPER), now.sample * period, stage.state)
         onward = free_motion(chase.scenario, met.motion, now.sample)
-        first, _ = chase.pushed
-        now = replaced(now, path=np.vstack([chase.moved[: now.sample], onward]), pushed=(0, []))
+        motions = now.logs[-1].series[MOTION]
+        first = now.sample - len(motions)
+        now = replaced(now, path=np.vstack([chase.path[:first], motions, onward]))
         turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
         if math.isinf(met.left) and max(turning, moving) <= self.settings.rest:
             return "held", now
         away = float(np.linalg.norm(met.offset[3:]))
         status = SLIPPED
-        if met.left < first * chase.scenario.sample_time + self.settings.time:
+        if met.left < first * period + self.settings.time:
             status = BOUNCED
         how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
         motion = f"{number(moving)} m/s and {number(turning)} rad/s"
