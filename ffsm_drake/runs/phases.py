@@ -253,7 +253,8 @@ class Course:
     def __init__(self, mission: Mission, scenario: Scenario) -> None:
         """Args: the mission of a scenario."""
         self._mission, self._scenario = mission, scenario
-        self._now, self._kind = Situation(own=mission.own), mission.kinds.get("")
+        self._now = Situation(own=mission.own)
+        self.kind = mission.kinds.get("")  # of the next phase
 
     @property
     def sample(self) -> int:
@@ -262,15 +263,15 @@ class Course:
 
     def plan(self) -> Phase | None:
         """Return the next phase; None: the run ends."""
-        if self._kind is None:
+        if self.kind is None:
             return None
-        phase, self._now = self._kind.plan(self._now)
+        phase, self._now = self.kind.plan(self._now)
         return phase
 
     def enter(self, phase: Phase, stage: Stage) -> None:
         """Put the loop of a phase, at its start, where the phase begins."""
-        assert self._kind is not None
-        self._now = self._kind.enter(self._now, phase, stage)
+        assert self.kind is not None
+        self._now = self.kind.enter(self._now, phase, stage)
 
     def leave(self, stage: Stage) -> None:
         """Note the loop of a phase at its end."""
@@ -285,10 +286,10 @@ class Course:
             logs=(*self._now.logs, log),
             names=(*self._now.names, *ends),
         )
-        kind, self._kind = self._kind, None
+        kind, self.kind = self.kind, None
         if kind is not None and log.outcome.completed and phase.names[-1][1] is not None:
             outcome, now = kind.judge(now)
-            self._kind = self._mission.kinds.get(outcome) if outcome else None
+            self.kind = self._mission.kinds.get(outcome) if outcome else None
         self._now = now
 
     def joined(self, total: float) -> RunLog:

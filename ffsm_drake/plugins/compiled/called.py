@@ -179,7 +179,7 @@ class Trial(Laws):
         return np.concatenate([made[name] for name in self._inputs])
 
 
-def parts(sizes: Mapping[str, int], first: int = 0) -> dict[str, slice]:
+def parts(sizes: Mapping[Any, int], first: int = 0) -> dict[Any, slice]:
     """The places of arrays one after the other, from a first one on."""
     ends = itertools.pairwise(itertools.accumulate(sizes.values(), initial=first))
     return {name: slice(*pair) for name, pair in zip(sizes, ends, strict=True)}

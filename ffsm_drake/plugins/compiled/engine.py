@@ -3,8 +3,9 @@
 import collections
 import copy
 import dataclasses
+import functools
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,13 @@ from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.lanes import Lanes
 from ffsm_drake.plugins.compiled.logs import COMPILED, logs_of
 from ffsm_drake.plugins.compiled.loop import SCHEMES, steps_of
+from ffsm_drake.plugins.compiled.missions import NUDGE, MissionLane, advance
 from ffsm_drake.plugins.compiled.run import Case, Run, case_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import all_but_controller
-from ffsm_drake.runs.ending import COMPLETED
 from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.faults import detects
@@ -39,7 +40,7 @@ _PARTS = {
     "sensing.detection", "flexible", "actuation.wheels", "actuation.drives",
     "actuation.thrusters", "supervisor",
 }  # fmt: skip
-_OWN = re.compile(r"sensing\..*|forces\.(?!disturbance|gripper).*")  # blocks of users
+_OWN = re.compile(r"(sensing|phases)\..*|forces\.(?!disturbance|gripper).*")  # of users
 _LEFT = "its fault detection isolates a unit, or it diverges"
 _KEPT = 16  # kernels
 _TRIAL = 0.5  # s, of a run under actions that is compared with Drake's
@@ -60,7 +61,9 @@ class Compiled(Engine):
         steps = steps_of(scenario.sample_time, config.max_step_size)
         replaced = {each for each in scenario.blocks.choices() if not _OWN.fullmatch(each)}
         own = replaced | {name for name, is_there in (
-            ("capture.approach", scenario.approach is not None),
+            ("capture.closing", scenario.closing is not None),
+            ("faults.detection with capture.approach",
+             scenario.approach is not None and detects(scenario)),
             ("contacts", scenario.contacts),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
@@ -74,6 +77,8 @@ class Compiled(Engine):
     def lanes(self, scenario: Scenario, factory: Factory, number: int, samples: int) -> Lanes:
         """See Engine."""
         self.check(scenario)
+        if scenario.approach is not None:
+            raise NotCovered("capture.approach under actions")
         trial = dataclasses.replace(scenario, duration=min(scenario.duration, _TRIAL))
         run = Run(trial, law=factory)
         if scenario.supervisor is not None or detects(scenario):
@@ -85,8 +90,7 @@ class Compiled(Engine):
         (found,) = results_of([run])
         if isinstance(found, NotCovered):
             raise found
-        kernel = _kernels[run.key, False]
-        assert isinstance(kernel, Kernel)
+        kernel = _kernel_of([run], alone=False)
         run = Run(scenario, Case(scenario, further=samples), factory)
         if why := kernel.blocks.called:
             run = run.with_called_law(why)
@@ -98,10 +102,13 @@ class Compiled(Engine):
         """See Engine."""
         results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
         groups: dict[Any, list[tuple[int, Run]]] = {}
-        cases = dict[Any, Case]()
+        cases, lanes = dict[Any, Case](), dict[int, MissionLane]()
         for index, scenario in enumerate(scenarios):
             try:
                 self.check(scenario)
+                if scenario.approach is not None:
+                    lanes[index] = MissionLane(scenario)
+                    continue
                 if (same := all_but_controller(scenario)) not in cases:
                     cases[same] = case_of(scenario)
                 run = cases[same].run(scenario)
@@ -110,6 +117,9 @@ class Compiled(Engine):
                 results[index] = error
             except FfsmError:  # Drake's run shows it
                 pass
+        _go(list(lanes.values()), alone=len(scenarios) == 1)
+        for index, lane in lanes.items():
+            results[index] = lane.result
         for group in groups.values():
             runs = [run for _, run in group]
             found = results_of(runs, signals, alone=len(scenarios) == 1)
@@ -122,7 +132,8 @@ class Compiled(Engine):
 
 
 _kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.OrderedDict()
-_judged = set[Any]()  # keys of kernels that were compared with Drake
+# what was compared with Drake: keys of kernels, and changes of phases; changes that differ
+_judged, _refused = set[Any](), dict[Any, NotCovered]()
 
 
 def results_of(
@@ -135,35 +146,93 @@ def results_of(
       alone: see ``Kernel``.
     """
     key = runs[0].key, alone
-    found, is_new = _kernels.get(key), False
     try:
-        if found is None:
-            found, is_new = _compiled(runs[0], alone=alone), True
-        if isinstance(found, Kernel):
-            width, why = found.width, found.blocks.called
-            runs = [run.with_called_law(why) for run in runs] if why else runs
-            if is_new and not is_shipped(runs[0].law):
+        kernel = _kernel_of(runs, alone=alone)
+        width, why = kernel.width, kernel.blocks.called
+        runs = [run.with_called_law(why) for run in runs] if why else runs
+        parts = [runs[at : at + width] for at in range(0, len(runs), width)]
+        needed = signals if key in _judged else None
+        logs = [log for part in parts for log in logs_of(kernel, part, needed)]
+        if key not in _judged:
+
+            def nudged(index: int) -> RunLog | None:
+                other = copy.copy(runs[index])
+                other.states = other.states | {"x": other.states["x"] * NUDGE}
+                (log,) = logs_of(kernel, [other])
+                return log
+
+            for index, log in enumerate(logs):
+                if log is None:
+                    continue
+                if _judge(runs[index], log, functools.partial(nudged, index)):
+                    _judged.add(key)
+                    break
+                logs[index] = None  # it diverges on Drake
+    except FfsmError as error:  # Drake's run may refuse it
+        _kernels[key] = refused = _refusal(error)
+        return [refused] * len(runs)
+    return [*logs]
+
+
+def _go(lanes: Sequence[MissionLane], *, alone: bool) -> None:
+    """Run lanes in phases. Each phase, after the one before it, is compared with Drake once in a
+    process.
+    """
+    kernel_of = functools.partial(_kernel_of, alone=alone)
+    advance(lanes, kernel_of)
+    for lane in lanes:
+        if not isinstance(log := lane.result, RunLog):
+            continue
+        changes = {(change, alone) for change in lane.changes}
+        refused = [_refused[change] for change in changes if change in _refused]
+        if not refused and not changes <= _judged:
+
+            def nudged(scenario: Scenario = lane.scenario) -> RunLog | None:
+                other = MissionLane(scenario, nudged=True)
+                advance([other], kernel_of)
+                return other.result if isinstance(other.result, RunLog) else None
+
+            try:
+                if _judge(lane.run, log, nudged, lane.scenario):
+                    _judged.update(changes)
+                else:
+                    lane.result = None
+            except FfsmError as error:
+                refused = [_refusal(error)]
+                _refused.update(dict.fromkeys(changes - _judged, refused[0]))
+        if refused:
+            lane.result = refused[0]
+
+
+def _refusal(error: FfsmError) -> NotCovered:
+    return error if isinstance(error, NotCovered) else NotCovered(one_line(error))
+
+
+def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
+    """The code of runs, compiled once in a process. Raises NotCovered."""
+    key = runs[0].key, alone
+    if key not in _kernels:
+        try:
+            found = _compiled(runs[0], alone=alone)
+            if not is_shipped(runs[0].law):
                 _try_calls(found, runs[:2])
-            parts = [runs[at : at + width] for at in range(0, len(runs), width)]
-            needed = signals if key in _judged else None
-            logs = [log for part in parts for log in logs_of(found, part, needed)]
-            if key not in _judged and _is_judged(found, runs, logs):
-                _judged.add(key)
-    except NotCovered as error:
-        found = error
-    except FfsmError as error:  # Drake's run, or llvmlite, refuses it
-        found = NotCovered(one_line(error))
-    _kernels[key] = found
+            _kernels[key] = found
+        except FfsmError as error:  # Drake's loop, or llvmlite, may refuse it
+            _kernels[key] = _refusal(error)
+    made = _kernels[key]
+    _kernels.move_to_end(key)
     if len(_kernels) > _KEPT:
         oldest, _ = _kernels.popitem(last=False)
         _judged.discard(oldest)
-    return [found] * len(runs) if isinstance(found, NotCovered) else [*logs]
+    if isinstance(made, NotCovered):
+        raise made
+    return made
 
 
 def _compiled(run: Run, *, alone: bool) -> Kernel:
     """Trace and compile. Raises NotCovered."""
     held_to_drake(run.blocks.tree, plant=run.case.true.plant)
-    rollout = make_rollout(run.scenario, blocks=run.given)
+    rollout = Rollout(run.scenario, blocks=run.given)
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - run.case.built
@@ -207,27 +276,22 @@ def _try_calls(kernel: Kernel, runs: Sequence[Run]) -> None:
     raise NotCovered(f"{runs[0].scenario.controller}: {'; '.join(said)}")
 
 
-def _is_judged(kernel: Kernel, runs: Sequence[Run], logs: list[RunLog | None]) -> bool:
-    """Compare the first run that completes on both engines. One that diverges on Drake loses its
-    log. False: none completes. Raises NotCovered: they differ.
+def _judge(
+    run: Run, log: RunLog, nudged: Callable[[], RunLog | None], whole: Scenario | None = None
+) -> bool:
+    """Compare a log with Drake's. False: the run ends in another way there. Raises NotCovered: they
+    differ by more than rounding.
+
+    Args: the run, its log, what runs it with other last bits, and its scenario before phases.
     """
-    for index, (run, log) in enumerate(zip(runs, logs, strict=True)):
-        if log is None:
-            continue
-        rollout = make_rollout(run.scenario, blocks=run.given)
-        try:
-            expected = rollout.run(run.scenario)
-        finally:
-            rollout.release()
-        if expected.outcome.status == COMPLETED:
-            _compare(kernel, run, log, expected)
-            return True
-        logs[index] = None
-    return False
-
-
-def _compare(kernel: Kernel, run: Run, log: RunLog, expected: RunLog) -> None:
-    """Raise NotCovered for a log that differs from Drake's by more than rounding."""
+    scenario = run.scenario if whole is None else whole
+    rollout = make_rollout(scenario, blocks=run.given if whole is None else None)
+    try:
+        expected = rollout.run(scenario)
+    finally:
+        rollout.release()
+    if (expected.outcome.status, expected.time.size) != (log.outcome.status, log.time.size):
+        return False
     own = getattr(run.law, "logged", ())
     if missing := (log.series.keys() - own) ^ expected.series.keys():
         raise NotCovered(f"the signals {', '.join(sorted(missing))}")
@@ -236,20 +300,20 @@ def _compare(kernel: Kernel, run: Run, log: RunLog, expected: RunLog) -> None:
         if difference <= LARGEST_DIFFERENCE:
             continue
         if of_rounding is None:
-            nudged = copy.copy(run)
-            nudged.states = run.states | {"x": run.states["x"] * (1.0 + np.finfo(float).eps)}
-            (other,) = logs_of(kernel, [nudged])
+            other = nudged()
             of_rounding = {} if other is None else _differences(other, log)
         if not difference <= _OF_LAST_BITS * of_rounding.get(name, np.inf):
             raise NotCovered(
-                f"{run.scenario.controller}: {name} differs from Drake's by {difference:.1e} of it"
+                f"{scenario.controller}: {name} differs from Drake's by {difference:.1e} of it"
             )
+    return True
 
 
 def _differences(one: RunLog, other: RunLog) -> dict[str, float]:
     """The largest difference of each signal, as a share of its largest value."""
     found = {}
     for name, values in other.series.items():
-        scale = max(float(np.abs(values).max()), 1e-3)
-        found[name] = float(np.abs(one.series[name] - values).max()) / scale
+        scale = float(np.nanmax(np.abs(values), initial=1e-3))
+        gap = np.abs(one.series[name] - values)
+        found[name] = float(gap[~(np.isnan(one.series[name]) & np.isnan(values))].max()) / scale
     return found

@@ -27,10 +27,7 @@ def logs_of(
     ``signals``: those that the logs need; None: all.
     """
     start = time.perf_counter()
-    rows, laws = [run.rows for run in runs], None
-    if kernel.blocks.called:
-        detectors = [each for run in runs for each in run.case.detectors()]
-        laws = Laws(kernel.blocks, [run.controller for run in runs], detectors)
+    rows, laws = [run.rows for run in runs], laws_of(kernel, runs)
     began = time.perf_counter()
     found = kernel.leg(
         [run.parameters for run in runs],
@@ -50,6 +47,14 @@ def logs_of(
         else _completed(run, {**_kept(run.case, signals), **end.log}, kernel.parts, wall_time)
         for run, end in zip(runs, found, strict=True)
     ]
+
+
+def laws_of(kernel: Kernel, runs: Sequence[Run]) -> Laws | None:
+    """Return the laws of lanes; None: they are traced."""
+    if not kernel.blocks.called:
+        return None
+    detectors = [each for run in runs for each in run.case.detectors()]
+    return Laws(kernel.blocks, [run.controller for run in runs], detectors)
 
 
 def planned_signals(case: Case) -> dict[str, np.ndarray]:

@@ -16,11 +16,16 @@ from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of, settle_faults
 from ffsm_drake.plugins.compiled.loop import Blocks, forces_at, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
-from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
+from ffsm_drake.plugins.compiled.parameters import (
+    Parameters,
+    parameters_of,
+    reader_of,
+    rows_of,
+)
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import Block, Scenario, scenario_to_dict
+from ffsm_drake.scenario import Block, MassProperties, Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.nominal import Carrier, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.continuous import Continuous
@@ -56,19 +61,44 @@ _FREE = (
     "disturbance",
     "payload",
     "capture",
+    "holds",
+    "closed",
 )
+_PHASES = "phases."
 
 
 class Case:
     """What runs share that differ in their controllers at most."""
 
-    def __init__(self, scenario: Scenario, *, further: int = 0) -> None:
-        """Args: the scenario; samples after its end of which rows are known."""
-        self.scenario, self._further = scenario, further
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        further: int = 0,
+        first: int = 0,
+        last: int | None = None,
+        motion: PlannedMotion | None = None,
+        blocks: Mapping[str, Factory] = {},
+        joint_force: np.ndarray | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        """Args:
+        scenario: the scenario.
+        further: samples after its end of which rows are known.
+        first: sample of the run at which a phase begins.
+        last: the sample after it; None: it lasts to the end.
+        motion: of the phase; None: from the scenario.
+        blocks: factories of blocks in place of the scenario's.
+        joint_force: see ``add_closed_loop``.
+        noise: of the run, if it is known.
+        """
+        self.scenario, self._further, self._given = scenario, further, blocks
+        self._given_motion, self._given_noise = motion, noise
         self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
         self.coordinates: Coordinates = self.nominal.coordinates
         self._settled = settle_faults(scenario, self.coordinates)
         self.samples = scenario.num_control_periods + 1 + further
+        self.window = slice(first, self.samples if last is None else last + 1)
         self._gains_are_checked = False
         self._runs = dict[str, Run]()
         self.built = set[str]()  # names of blocks, see ``_built``
@@ -76,30 +106,22 @@ class Case:
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = drift = errors.drift()
-        *stages, last = measurement_of(errors), *self._built("sensing").values()
-        self.detector = None if last.traced else last
-        self.sensors = sensors = (*stages, last) if last.traced else tuple(stages)
-        of_sensors, constants, _ = parameters_of(sensors, "the sensors")
+        stages = measurement_of(errors), *self._built("sensing").values()
+        is_traced = stages[-1].traced
+        self.detector = None if is_traced else stages[-1]
+        self.sensors = stages if is_traced else stages[:-1]
         built = self._built("forces")
         self.last = {name: each for name, each in built.items() if isinstance(each, Continuous)}
         self.forces = {name: each for name, each in built.items() if isinstance(each, Sampled)}
-        pushing = tuple(self.forces.values())
-        of_forces, of_pushing, _ = parameters_of(pushing, "the forces")
-        of_last, of_others, _ = parameters_of(tuple(self.last.values()), "the forces")
         self.supervisor = self._supervisor()
         self.watch = None if self.supervisor is None else self.supervisor.block
-        of_watch, watching, _ = parameters_of(self.watch, "the supervisor")
         self.actuators, self.flows = self._acting()
-        acting = self.actuators, self.flows
-        of_actuators, others, _ = parameters_of(acting, "the actuators")
+        of_blocks = self._of_blocks()
+        phased = *self.actuators, *self.forces.values()
         self.constants = (
-            constants,
-            others,
-            of_pushing,
-            of_others,
-            watching,
+            *(each.constants for each in of_blocks.values()),
             tuple(built),
-            *(len(each.phase(0)) for each in (*self.actuators, *pushing)),
+            *(len(each.phase(0)) for each in phased),
         )
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
@@ -107,15 +129,11 @@ class Case:
             force.quantization, key="actuation.quantization", default=0.0
         )
         config = scenario.simulator_config
-        parts = max((each.per_sample for each in pushing), default=1) or 1
+        parts = max((each.per_sample for each in self.forces.values()), default=1) or 1
         self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
         self.parameters = {
             "own": own.parameters(self.true.context),
-            "sensors": of_sensors,
-            "actuators": of_actuators,
-            "forces": of_forces,
-            "last_forces": of_last,
-            "watch": of_watch,
+            **{name: each.values for name, each in of_blocks.items()},
             "deviation": errors.deviation,
             "limit": limit,
             "force_resolution": resolution,
@@ -125,18 +143,10 @@ class Case:
             "sample_time": np.array([scenario.sample_time]),
             "step": np.array([scenario.sample_time / self.steps]),
             "bound": np.array([scenario.divergence_speed]),
-            "joint_force": np.zeros(0),
+            "joint_force": np.zeros(0) if joint_force is None else joint_force,
         }
         self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
-        start = state_at_start(scenario, self.true)
-        known = self.true.split.known_part(np.arange(start.size))
-        self.states = {
-            "x": np.concatenate([start, kept_at(self.flows, start[known])]),
-            "drift": self._drift_at_start(),
-            "stored": kept_at(sensors, start[known]),
-            "loaded": kept_at(self.actuators, start[known]),
-            **forces_at(pushing, start[known]),
-        }
+        known = self.true.split.known_part(np.arange(self.true.plant.num_multibody_states()))
         self.fixed = {
             "nq": len(self.coordinates.position_names),
             "nv": len(self.coordinates.names),
@@ -149,20 +159,64 @@ class Case:
             "loose": tuple(self.true.split.hidden.tolist()),
             "coordinates": self.coordinates,
             "recorded": self._recorded(),
-            "num_errors": of_sensors.size,
-            "num_actuators": of_actuators.size,
-            "num_forces": of_forces.size,
-            "num_last": of_last.size,
-            "num_watch": of_watch.size,
+            "num_errors": self.parameters["sensors"].size,
+            "num_actuators": self.parameters["actuators"].size,
+            "num_forces": self.parameters["forces"].size,
+            "num_last": self.parameters["last_forces"].size,
+            "num_watch": self.parameters["watch"].size,
             "noisy": bool(errors.deviation.any()),
             "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
             "limited": bool(np.isfinite(limit).any()),
             "quantized": bool(resolution.any()),
             "waits": force.delay,
-            "limp": False,
+            "limp": joint_force is not None,
             "scheme": config.integration_scheme,
         }
+
+    def _of_blocks(self) -> dict[str, Parameters]:
+        """The parameters of the blocks but the law. Raises NotCovered."""
+        blocks: dict[str, tuple[Any, str]] = {
+            "sensors": (self.sensors, "sensors"),
+            "actuators": ((self.actuators, self.flows), "actuators"),
+            "forces": (tuple(self.forces.values()), "forces"),
+            "last_forces": (tuple(self.last.values()), "forces"),
+            "watch": (self.watch, "supervisor"),
+        }
+        return {name: parameters_of(of, f"the {word}") for name, (of, word) in blocks.items()}
+
+    @functools.cached_property
+    def states(self) -> dict[str, np.ndarray]:
+        """What a run begins with but the memory of its law, by the names of ``Blocks.states``."""
+        return self.states_at(state_at_start(self.scenario, self.true))
+
+    def states_at(self, state: np.ndarray) -> dict[str, np.ndarray]:
+        """``states`` at the plant's own [q; v]."""
+        known = state[list(self.fixed["known"])]
+        return {
+            "x": np.concatenate([state, kept_at(self.flows, known)]),
+            "drift": self._drift_at_start(),
+            "stored": kept_at(self.sensors, known),
+            "loaded": kept_at(self.actuators, known),
+            **forces_at(self.forces.values(), known),
+        }
+
+    def carrying(self, payload: MassProperties) -> "Case":
+        """The same with other true mass properties of the payload."""
+
+        def loaded(block: Any) -> Any:
+            return block.with_payload(payload) if hasattr(block, "with_payload") else block
+
+        other = copy.copy(self)
+        other.true = Carrier(self.scenario).loaded(self.true, payload)
+        for name in ("sensors", "actuators", "flows"):
+            setattr(other, name, tuple(map(loaded, getattr(self, name))))
+        for name in ("forces", "last"):
+            setattr(other, name, {key: loaded(each) for key, each in getattr(self, name).items()})
+        found = {name: each.values for name, each in other._of_blocks().items()}
+        own = reader_of(self.true.plant).parameters(other.true.context)
+        other.parameters = self.parameters | found | {"own": own}
+        return other
 
     def _drift_at_start(self) -> np.ndarray:
         start = self._drift.start
@@ -187,7 +241,8 @@ class Case:
 
     def _supervisor(self) -> Any:
         """The supervisor, with a ``block``; None: there is none."""
-        part: Any = section_parts(self._settled).get("supervisor")
+        own = section_parts(self._settled).get("supervisor")
+        part: Any = self._given.get("supervisor", own)
         return None if part is None else part.supervisor(self._setup("supervisor", {}))
 
     def detectors(self) -> list[tuple[Sampled, Arrays]]:
@@ -219,13 +274,14 @@ class Case:
         """
         scenario, found = self._settled, dict[str, Any]()
         choices = scenario.blocks.choices()
-        for block in (*section_parts(scenario), *choices):
+        for block in dict.fromkeys((*section_parts(scenario), *choices, *self._given)):
             first, _, name = block.partition(".")
             if first != kind or not name or block == DISTURBANCE:
                 continue
             choice = choices.get(block, Block())
-            factory, setup = factory_of(block, scenario), self._setup(name, choice.settings)
-            made = call_factory(factory, setup, place=f"blocks.{block} '{choice.system}'")
+            factory = self._given.get(block) or factory_of(block, scenario)
+            setup, place = self._setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
+            made = call_factory(factory, setup, place=place)
             if isinstance(factory, Part) and kind == "forces":
                 self._shown += [each.name for each in factory.signals(setup)]
                 self._shown += factory.logged
@@ -282,12 +338,13 @@ class Case:
     @functools.cached_property
     def noise(self) -> Noise:
         """The samples of its sensors' noise."""
-        return noise_of(self.scenario.random_seed, self.samples, **self._sizes_of_noise)
+        seed = self.scenario.random_seed
+        return self._given_noise or noise_of(seed, self.samples, **self._sizes_of_noise)
 
     @functools.cached_property
     def motion(self) -> PlannedMotion:
         """The reference."""
-        return make_motion(self.scenario, self.coordinates)
+        return self._given_motion or make_motion(self.scenario, self.coordinates)
 
     @functools.cached_property
     def times(self) -> np.ndarray:
@@ -297,18 +354,22 @@ class Case:
     @functools.cached_property
     def planned(self) -> dict[str, np.ndarray]:
         """What they read at each sample, without noise (samples, n), by the names of
-        ``Blocks.row``.
+        ``Blocks.row``; 0 before and after a phase.
         """
         watch = () if self.watch is None else (self.watch,)
         timed = (*self.sensors, *self.actuators, *self.forces.values(), *watch)
+        times = self.times[self.window]
         made = {
-            "reference": self.motion.rows(self.times),
-            "phases": phases_of(timed, self.samples),
-            "request": np.zeros((self.samples, len(watch))),
+            "reference": self.motion.rows(times),
+            "phases": phases_of(timed, self.samples)[self.window],
+            "request": np.zeros((len(times), len(watch))),
         }
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
-            made["frame"] = path.rows(self.times)
-        return {name: np.ascontiguousarray(values) for name, values in made.items()}
+            made["frame"] = path.rows(times)
+        found = {name: np.zeros((self.samples, values.shape[1])) for name, values in made.items()}
+        for name, values in made.items():
+            found[name][self.window] = values
+        return found
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
@@ -324,7 +385,8 @@ class Run:
     ) -> None:
         """Args: the scenario, what it shares with other runs, and the factory of another law."""
         self.scenario, self.case = scenario, Case(scenario) if case is None else case
-        self.given = {} if law is None else {"controller": law}  # in place of the scenario's
+        # blocks in place of the scenario's
+        self.given: dict[str, Factory] = {} if law is None else {"controller": law}
         controller = (
             self.case.controller_of(scenario)
             if law is None
@@ -337,11 +399,7 @@ class Run:
             raise NotCovered("a law that reads contacts")
         self.coordinates, self.samples = self.case.coordinates, self.case.samples
         self.motion, self.steps = self.case.motion, self.case.steps
-        memory = self.law.initial_state()
-        self.states = self.case.states | {
-            "memory": np.concatenate([np.zeros(0), *(np.ravel(memory[each]) for each in memory)]),
-        }
-        self._at_start = self.states["memory"] if self.case.watch is not None else np.zeros(0)
+        self._first_memory = row_of(self.law.initial_state())
         try:
             found = parameters_of(self.law)
         except NotCovered as error:
@@ -354,12 +412,25 @@ class Run:
 
     def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
+        at_start = self._first_memory if self.case.watch is not None else np.zeros(0)
         fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
-        self.parameters = self.case.parameters | {"law": law, "law_at_start": self._at_start}
+        self.parameters = self.case.parameters | {"law": law, "law_at_start": at_start}
         kinds = ("sensors", "actuators", "flows", "forces", "last", "watch", "detector")
         blocks = {each: getattr(self.case, each) for each in kinds}
         self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
+
+    @functools.cached_property
+    def states(self) -> dict[str, np.ndarray]:
+        """What it begins with, by the names of ``Blocks.states``."""
+        return self.case.states | {"memory": self._first_memory}
+
+    def carrying(self, payload: MassProperties) -> "Run":
+        """See Case."""
+        other = copy.copy(self)
+        other.case = self.case.carrying(payload)
+        other.parameters = self.parameters | other.case.parameters
+        return other
 
     def _call_law(self, why: str) -> None:
         self._lay_out(np.zeros(0), (), 0, called=why)
@@ -387,8 +458,13 @@ class Run:
     def key_on_disk(self) -> str | None:
         """What the code is made from, besides this package; None for a user's law or block."""
         own = self.blocks.called or is_shipped(self.law)
-        own = own and not self.scenario.blocks.choices()
+        own = own and all(name.startswith(_PHASES) for name in self.scenario.blocks.choices())
         return repr(self.code) if own else None
+
+
+def row_of(memory: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return a law's memory as the numbers of a run."""
+    return np.concatenate([np.zeros(0), *map(np.ravel, memory.values())])
 
 
 _cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()

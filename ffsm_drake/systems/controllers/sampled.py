@@ -153,16 +153,23 @@ class SampledController(LeafSystem):
           context_before: the other controller's context.
           reference: [q_d; v_d] (nq + nv) at that instant.
         """
-        memory = {}
-        for name, shape in self._shapes.items():  # afresh where the other has nothing alike
-            alike = name in before._memory and before._shapes[name] == shape
-            value = before.state(context_before, name) if alike else self._first[name]
-            memory[name] = value.reshape(shape)
-        returned = calling(self._place, self.law.resume, memory, before.law, reference)
-        resumed = checked_memory(returned, f"{self._place}: resume", self._shapes)
+        memory = {
+            name: before.state(context_before, name).reshape(shape)
+            for name, shape in before._shapes.items()
+        }
+        resumed = self.resumed(memory, before.law, reference)
         context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
             context.SetDiscreteState(index, np.ravel(resumed[name]))
+
+    def resumed(self, memory: State, before: ControlLaw, reference: np.ndarray) -> State:
+        """Return the law's memory as ``resume`` sets it, from the memory of another law."""
+        alike = dict(self._first)  # afresh where the other has nothing alike
+        for name, first in self._first.items():
+            if name in memory and memory[name].shape == first.shape:
+                alike[name] = memory[name]
+        returned = calling(self._place, self.law.resume, alike, before, reference)
+        return checked_memory(returned, f"{self._place}: resume", self._shapes)
 
     def memory_groups(self) -> Mapping[str, int]:
         """Return the discrete group of each piece of the law's memory, by name."""

@@ -206,6 +206,29 @@ def broken_parts(random):
     return name, [*bases[name], *events, "duration=0.4"], [[f"random_seed={k}"] for k in range(3)]
 
 
+def approaches(random):
+    """A grasp after a short approach, perhaps after station keeping, in an orbit, with faults, or
+    missed; the target's rate and mass by run.
+    """
+    name = str(random.choice(["tumbling_capture", "capture_on_thrusters"]))
+    joints = "{joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: 0.58, joint_5: -0.69}"
+    given = ["capture.approach.duration=0.6", f"capture.approach.posture.joints={joints}"]
+    some = [
+        "phases=[{hold: {duration: 0.3, distance: 0}}, approach, stop]",
+        FAST,
+        f"faults.events={{event: {{unit: {random.choice(['sensing', 'joints'])}, time: [0, 1]}}}}",
+        f"sensing.delay={random.integers(1, 3)}",
+        "capture.envelope.position=1e-9",
+    ]
+    given += [each for each in some if random.random() < 0.3]
+    rates = np.round(random.uniform(-0.05, 0.05, size=(3, 3)), 4).tolist()
+    each = [
+        [f"capture.rate={rate}", f"payload.truth.mass={90 + 10 * k}"]
+        for k, rate in enumerate(rates)
+    ]
+    return name, [*given, "duration=1.3"], each
+
+
 def supervisors(random):
     """Supervisors that act again and again, once or not, with plans of their own."""
     name = str(random.choice(["flight_sensors", "envisat", "slow_navigation"]))
@@ -232,7 +255,7 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
     "draw",
     [
         late_sensors, flexible_parts, captures, undriven_bases, wheels, drives, environments,
-        flexible_joints, broken_parts,
+        flexible_joints, broken_parts, approaches,
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(DRAWS))
@@ -241,7 +264,8 @@ def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     name, given, each = draw(random)
     law = random.choice(LAWS)
     found = check(of_seeds(name, ["duration=0.2", f"controller={law}", *given], each))
-    assert draw is late_sensors or {record.engine for record in found} == {"compiled"}
+    engines = {record.engine for record in found if record.outcome.status != "diverged"}
+    assert draw is late_sensors or engines <= {"compiled"}
 
 
 def detected(random):
