@@ -9,12 +9,11 @@ deviations of the pose are compared with the envelope of the gripper.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, turn_between
 from ffsm_drake.plugins.capture.displacement import displaced, displacement, quintic
 from ffsm_drake.plugins.capture.free_body import SIZE, Target
@@ -25,6 +24,7 @@ from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHOWN = 12  # groups of the estimate's errors: rotation, rate, position, velocity
@@ -81,10 +81,10 @@ class TrackedTarget(Part):
         self.path, self.expected, self.motion = path, expected, motion
         self.approached, self.sees = approached, sees
 
-    def build(self, setup: BlockSetup) -> "TrackedReference":
-        """The block."""
+    def build(self, setup: BlockSetup) -> Any:
+        """The block, whose Drake system is made around it."""
         own = self.motion or make_motion(setup.scenario, setup.coordinates)
-        return TrackedReference(self, own)
+        return TrackedReference(part=self, motion=own)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The estimate at the last image, its errors and their deviations."""
@@ -174,112 +174,95 @@ def drawn_path(
     return true.motion, expected
 
 
-class TrackedReference(LeafSystem):
-    """The block. Outputs: those of a reference, the part's signals, ``abort_request``."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrackedReference(Sampled):
+    """The block, which has no inputs. Outputs: those of a reference, the part's signals, and
+    ``abort_request``; they follow from time and from the memory before it.
+    """
 
-    def __init__(self, part: TrackedTarget, motion: PlannedMotion) -> None:
-        super().__init__()
-        scenario = part.scenario
-        self._part, self._motion, self._scenario = part, motion, scenario
-        self._settings, self._envelope = part.measured, part.grasp.envelope
-        orbit = None if scenario.environment is None else Orbit.of(scenario.environment)
-        self._filter = TargetFilter(self._settings.filter, part.expected, orbit)
-        self._period = scenario.sample_time
-        self._nq, nv = len(motion.coordinates.position_names), len(motion.coordinates.names)
-        # time, whether there is one, poses that fitted, target, covariance
-        self._estimate = self.DeclareDiscreteState(3 + _ROW + SIZE * SIZE)
-        # begin and end, s, whether it is the last, coefficients of the displacement's polynomial
-        self._plan = self.DeclareDiscreteState(3 + 36)
-        self._shown = self.DeclareDiscreteState(sum(_SIZES.values()))
-        self._abort = self.DeclareDiscreteState(1)
-        self._first_velocity, self._last_velocity = self._nq, self._nq + nv
-        own = {self.time_ticket(), self.all_state_ticket()}
-        states = slice(0, self._last_velocity)
-        for name, within in (
-            ("desired_state", states),
-            ("desired_acceleration", slice(states.stop, states.stop + nv)),
-        ):
-            calc = functools.partial(weak_callback(self._calc_motion), within)
-            self.DeclareVectorOutputPort(name, within.stop - within.start, calc, own)
-        first = 0
-        for name, size in _SIZES.items():
-            within = slice(first, first + size)
-            calc = functools.partial(weak_callback(self._calc_shown), within)
-            self.DeclareVectorOutputPort(name, size, calc, {self.all_state_ticket()})
-            first += size
-        self.DeclareStateOutputPort("abort_request", self._abort)
-        self.DeclarePeriodicDiscreteUpdateEvent(self._period, 0.0, weak_callback(self._update))
-        untie(self)
+    traced: ClassVar = False
+    part: TrackedTarget
+    motion: PlannedMotion  # which is displaced
 
-    def estimate(self, context: Context) -> Estimate | None:
-        """Estimate of the target; None before the first pose."""
-        row = context.get_discrete_state(self._estimate).value()
-        if not row[1]:
-            return None
-        return Estimate(
-            time=row[0],
-            target=Target.from_row(row[3 : 3 + _ROW].copy()),
-            covariance=row[3 + _ROW :].reshape(SIZE, SIZE).copy(),
-            fitted=np.array(int(row[2])),
-        )
+    @functools.cached_property
+    def _filter(self) -> TargetFilter:
+        environment = self.part.scenario.environment
+        orbit = None if environment is None else Orbit.of(environment)
+        return TargetFilter(self.part.measured.filter, self.part.expected, orbit)
 
-    def known_path(self, context: Context, first: int, samples: int) -> Path:
+    @property
+    def _period(self) -> float:
+        return self.part.scenario.sample_time
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        nq, nv = len(self.motion.coordinates.position_names), len(self.motion.coordinates.names)
+        own = {"desired_state": nq + nv, "desired_acceleration": nv}
+        return {**own, **_SIZES, "abort_request": 1}
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled."""
+        return {
+            # time, whether there is one, poses that fitted, target, covariance
+            "estimate": np.zeros(3 + _ROW + SIZE * SIZE),
+            # begin and end, s, whether it is the last, coefficients of the displacement
+            "plan": np.zeros(3 + 36),
+            "shown": np.zeros(sum(_SIZES.values())),
+            "abort": np.zeros(1),
+        }
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        row, nx = self.motion.row(now.time), self.outputs["desired_state"]
+        if self.part.approached is not None:
+            c = _displacement(memory["plan"], now.time)
+            if c.any():
+                row = displaced(row, c, nx - self.outputs["desired_acceleration"])
+        outputs = {"desired_state": row[:nx], "desired_acceleration": row[nx:]}
+        shown = np.split(memory["shown"], np.cumsum([*_SIZES.values()])[:-1])
+        outputs |= dict(zip(_SIZES, shown, strict=True))
+        return outputs | {"abort_request": memory["abort"]}, {**memory, **self._seen(memory, now)}
+
+    def _seen(self, memory: Arrays, now: Now) -> dict[str, np.ndarray]:
+        """The memory that changes with an image at a sample."""
+        sample, sensor = round(now.time / self._period), self.part.measured.sensor
+        image, approached = sample - sensor.latency, self.part.approached
+        if not self.part.sees or image < 0 or image % sensor.period:
+            return {}
+        found = self._looked(_estimate(memory), image)
+        if found is None:
+            late = approached is not None and self._is_last(now.time, approached)
+            return {"abort": np.array([float(late)])}
+        after = {"estimate": _as_row(found), "shown": self._compared(found, image)}
+        if approached is not None:
+            after |= self._follow(memory["plan"], now.time, found, approached)
+        return after
+
+    def known_path(self, memory: Arrays, first: int, samples: int) -> Path:
         """Return the estimated motion of the target from a control sample."""
         time = first * self._period
-        return self._filter.path(self.estimate(context), time, self._period, samples)
+        return self._filter.path(_estimate(memory), time, self._period, samples)
 
-    def renew(self, context: Context, *, touched: bool) -> None:
-        """Forget the displacement; and, where the gripper touched the target, how it moved."""
-        context.SetDiscreteState(self._plan, np.zeros(3 + 36))
-        context.SetDiscreteState(self._abort, np.zeros(1))
-        found = self.estimate(context)
+    def renewed(self, memory: Arrays, time: float, *, touched: bool) -> dict[str, np.ndarray]:
+        """Return a memory at a time (s) without the displacement; and, if the gripper touched the
+        target, without its certain motion.
+        """
+        fresh = self.start()
+        after = {**memory, "plan": fresh["plan"], "abort": fresh["abort"]}
+        found = _estimate(memory)
         if touched and found is not None:
-            found = self._filter.predicted(found, context.get_time())
+            found = self._filter.predicted(found, time)
             covariance = found.covariance + np.diag(_TOUCH**2)
-            row = _as_row(dataclasses.replace(found, covariance=covariance))
-            context.SetDiscreteState(self._estimate, row)
-
-    def _calc_shown(self, within: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_discrete_state(self._shown).value()[within])
-
-    def _calc_motion(self, within: slice, context: Context, output: BasicVector) -> None:
-        row = self._motion.row(context.get_time())
-        if self._part.approached is not None:
-            c = self._displacement(context, context.get_time())
-            if c.any():
-                row = displaced(row, c, self._nq)
-        output.SetFromVector(row[within])
-
-    def _displacement(self, context: Context, time: float) -> np.ndarray:
-        """[c; c'; c''] (3, 6); at the end of its polynomial it goes on evenly."""
-        begin, end, _, *coefficients = context.get_discrete_state(self._plan).value()
-        if end <= begin:
-            return np.zeros((3, 6))
-        x, late = min(time, end) - begin, max(time - end, 0.0)
-        return displacement(np.reshape(coefficients, (6, 6)), x, late)
-
-    def _update(self, context: Context, new: DiscreteValues) -> None:
-        sample = round(context.get_time() / self._period)
-        sensor, image = self._settings.sensor, sample - self._settings.sensor.latency
-        if not self._part.sees or image < 0 or image % sensor.period:
-            return
-        found = self._looked(self.estimate(context), image)
-        if found is None:
-            approached = self._part.approached
-            late = approached is not None and self._is_last(context.get_time(), approached)
-            new.set_value(self._abort, [float(late)])
-            return
-        new.set_value(self._estimate, _as_row(found))
-        new.set_value(self._shown, self._compared(found, image))
-        if self._part.approached is not None:
-            self._follow(context, found, self._part.approached, new)
+            after["estimate"] = _as_row(dataclasses.replace(found, covariance=covariance))
+        return after
 
     def _looked(self, before: Estimate | None, image: int) -> Estimate | None:
         """The estimate at an image (control sample)."""
-        random = np.random.default_rng([self._scenario.random_seed, 2, image])
+        random = np.random.default_rng([self.part.scenario.random_seed, 2, image])
         time = image * self._period
-        place = self._motion.row(time)[4:7]
-        pose, given = observed(self._settings.sensor, self._true(image), place, random)
+        place = self.motion.row(time)[4:7]
+        pose, given = observed(self.part.measured.sensor, self._true(image), place, random)
         if before is None:
             return self._filter.first(time, pose) if given else None
         # after a leg that ended between an image and its pose, that time is over
@@ -287,7 +270,7 @@ class TrackedReference(LeafSystem):
         return self._filter.updated(self._filter.predicted(before, time), pose, given)
 
     def _true(self, sample: int) -> Target:
-        return Target.from_motion(self._part.path[sample], self._scenario.payload.truth)
+        return Target.from_motion(self.part.path[sample], self.part.scenario.payload.truth)
 
     def _compared(self, found: Estimate, image: int) -> np.ndarray:
         """Signals of an estimate."""
@@ -297,43 +280,40 @@ class TrackedReference(LeafSystem):
         return np.concatenate(shown)
 
     def _follow(
-        self, context: Context, found: Estimate, approached: Approached, new: DiscreteValues
-    ) -> None:
-        """Plan the displacement anew, if it is time to."""
-        time, plan = context.get_time(), context.get_discrete_state(self._plan).value()
+        self, plan: np.ndarray, time: float, found: Estimate, approached: Approached
+    ) -> dict[str, np.ndarray]:
+        """The displacement planned anew, if it is time to."""
         is_last = self._is_last(time, approached)
-        due = time >= plan[0] + self._settings.replan - 1e-9 or plan[1] <= plan[0]
+        due = time >= plan[0] + self.part.measured.replan - 1e-9 or plan[1] <= plan[0]
         if time < approached.begin - 1e-9 or plan[2] or not (due or is_last):
-            return
+            return {}
+        after = dict[str, np.ndarray]()
         if is_last:
             found = self._filter.predicted(found, approached.meets)
-            target = found.target
-            sizes = zip(
-                found.pose_deviation, (self._envelope.angle, self._envelope.position), strict=True
-            )
+            target, envelope = found.target, self.part.grasp.envelope
+            sizes = zip(found.pose_deviation, (envelope.angle, envelope.position), strict=True)
             unsure = any(most is not None and _SIGMAS * size > most for size, most in sizes)
-            new.set_value(self._abort, [float(unsure)])
+            after["abort"] = np.array([float(unsure)])
         else:
             target = self._filter.moved(found.target, found.time, approached.meets)
-        goal = self._goal(target.motion, approached)
-        left = approached.meets - time
-        coefficients = quintic(self._displacement(context, time), goal, left)
+        goal, left = self._goal(target.motion, approached), approached.meets - time
+        coefficients = quintic(_displacement(plan, time), goal, left)
         row = np.concatenate([[time, approached.meets, is_last], coefficients.ravel()])
-        new.set_value(self._plan, row)
+        return after | {"plan": row}
 
     def _is_last(self, time: float, approached: Approached) -> bool:
         """True if the plan at a time, s, is the last one."""
-        return time >= approached.contact - self._settings.last - 1e-9
+        return time >= approached.contact - self.part.measured.last - 1e-9
 
     def _goal(self, motion: np.ndarray, approached: Approached) -> np.ndarray:
         """[c; c'; c''] (3, 6) with which the arm meets a target in a motion (13)."""
-        planned, v = approached.motion, self._first_velocity
-        q = self._motion.row(approached.meets - self._period)
+        planned, v = approached.motion, len(self.motion.coordinates.position_names)
+        q = self.motion.row(approached.meets - self._period)
         turn = matrix_of(planned[:4]) @ turn_between(planned[:4], motion[:4])
         R = matrix_of(quaternion_of(turn))
         arm, goal = R @ (q[4:7] - planned[4:7]), np.zeros((3, 6))
         goal[0] = np.concatenate([turn, motion[4:7] + arm - q[4:7]])
-        if self._part.grasp.servicer.startswith("track"):
+        if self.part.grasp.servicer.startswith("track"):
             dw = motion[7:10] - R @ planned[7:10]
             goal[1, :3] = dw - 0.5 * np.cross(turn, dw)
             goal[1, 3:] = motion[10:] - R @ planned[10:] + np.cross(dw, arm)
@@ -341,7 +321,29 @@ class TrackedReference(LeafSystem):
         return goal
 
 
+def _displacement(plan: np.ndarray, time: float) -> np.ndarray:
+    """[c; c'; c''] (3, 6) at a time, s; at the end of its polynomial it goes on evenly."""
+    begin, end, _, *coefficients = plan
+    if end <= begin:
+        return np.zeros((3, 6))
+    x, late = min(time, end) - begin, max(time - end, 0.0)
+    return displacement(np.reshape(coefficients, (6, 6)), x, late)
+
+
+def _estimate(memory: Arrays) -> Estimate | None:
+    """The estimate of the target in a memory; None before the first pose."""
+    row = memory["estimate"]
+    if not row[1]:
+        return None
+    return Estimate(
+        time=row[0],
+        target=Target.from_row(row[3 : 3 + _ROW].copy()),
+        covariance=row[3 + _ROW :].reshape(SIZE, SIZE).copy(),
+        fitted=np.array(int(row[2])),
+    )
+
+
 def _as_row(found: Estimate) -> np.ndarray:
-    """An estimate as the vector in a context."""
+    """An estimate as a vector."""
     head = [found.time, 1.0, float(found.fitted)]
     return np.concatenate([head, found.target.as_row(), found.covariance.ravel()])

@@ -1,7 +1,7 @@
 """Away from a target that was not captured, and to it again (``capture.retreat``)."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -37,10 +37,13 @@ class Again(PhaseKind):
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """The reference forgets what it displaced and, after a touch, how the target moved."""
         now = super().enter(now, phase, stage)
-        if now.own.expected is not None:
-            block: Any = stage.blocks["reference"]
-            touched = self.touched and now.own.why.status != MISSED
-            block.renew(stage.context("reference"), touched=touched)
+        chase: Chase = now.own
+        if chase.expected is not None:
+            assert chase.why is not None
+            touched = self.touched and chase.why.status != MISSED
+            memory, time = stage.memory("reference"), now.sample * chase.scenario.sample_time
+            renewed = stage.block("reference").renewed(memory, time, touched=touched)
+            stage.remember("reference", renewed)
         return now
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
@@ -116,9 +119,8 @@ def _seen(now: Situation) -> Path:
     assert chase.known is not None
     if chase.expected is None:
         return dataclasses.replace(chase.known, motion=chase.path)
-    block: Any = now.stage.blocks["reference"]
-    context = now.stage.context("reference")
-    path: Path = block.known_path(context, now.sample, len(chase.path) - now.sample)
+    block, memory = now.stage.block("reference"), now.stage.memory("reference")
+    path: Path = block.known_path(memory, now.sample, len(chase.path) - now.sample)
     return dataclasses.replace(path, motion=np.vstack([chase.path[: now.sample], path.motion]))
 
 
