@@ -19,6 +19,7 @@ from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, TOUCHED, Blocks, Function
 from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.tape.numbers import NotTraceable
 
@@ -59,6 +60,7 @@ class Kernel:
         """
         lanes = Registers(1) if alone else registers()
         self.blocks, self.width = blocks, lanes.width
+        self._sizes = blocks.parameters | blocks.states
         self.parts: Parts = {}  # whose signals follow from the log
         text = _Runs(blocks, lanes, steps=steps)
         self.places, self.size, self.read = text.places, text.size, text.read
@@ -66,9 +68,16 @@ class Kernel:
         self.call = self._code.function("run", 2, ctypes.c_int64, *[ctypes.c_void_p] * 2)
 
     def cells_of(self, parameters: Mapping[str, np.ndarray], begin: LaneState) -> np.ndarray:
-        """Return the numbers (size) of a lane that begins. Arguments: see ``leg``."""
-        cells = np.zeros(self.size)
-        for name, values in {**parameters, **begin.cells}.items():
+        """Return the numbers (size) of a lane that begins. Arguments: see ``leg``.
+
+        Raises NotCovered: an array has another size than in this loop.
+        """
+        cells, given = np.zeros(self.size), {**parameters, **begin.cells}
+        if self.blocks.per_sample == 1:  # the force of a leg before would act
+            given.pop("touch", None)
+        for name, values in given.items():
+            if values.size != self._sizes[name]:
+                raise NotCovered(f"{self._sizes[name]} numbers of {name} after {values.size}")
             first = self.places[name]
             cells[first : first + values.size] = values
         cells[self.places["begun"]] = begin.sample
