@@ -237,7 +237,7 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - run.case.built
         blocks -= set() if run.case.watch is None else {"supervisor"}
-        others = (blocks - BLOCKS) | (set(parts) - _PARTS)
+        others = (blocks - BLOCKS) | (set(parts) - _PARTS - run.case.built)
     finally:
         rollout.release()
     if others:

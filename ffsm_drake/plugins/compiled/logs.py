@@ -63,7 +63,7 @@ def planned_signals(case: Case) -> dict[str, np.ndarray]:
     found = dict(zip(("desired_state", "desired_acceleration"), desired, strict=True))
     if "frame" in case.planned:
         found["desired_frame"] = case.planned["frame"]
-    return found
+    return found | case.shown
 
 
 def _kept(case: Case, signals: Collection[str] | None) -> dict[str, np.ndarray]:

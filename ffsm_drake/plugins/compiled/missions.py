@@ -31,7 +31,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.sampled import Arrays
 
 NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
-_OWN = re.compile(r"(sensing|forces)\..*|supervisor")  # blocks of a phase
+_OWN = re.compile(r"(sensing|forces)\..*|supervisor|reference")  # blocks of a phase
 
 
 class LaneStage:
@@ -41,6 +41,9 @@ class LaneStage:
         """Args: the run of a phase, and the sample at which it begins."""
         self.run, self.begin = run, LaneState({}, sample, sample)
         self.measured = np.zeros(0)  # at its end
+        own = run.case.reference
+        # memory of the reference, and at the end
+        self.followed = self._followed_then = None if own is None else own.start()
 
     @property
     def coordinates(self) -> Coordinates:
@@ -77,15 +80,20 @@ class LaneStage:
 
     def block(self, name: str) -> Any:
         """See Stage."""
-        return self.blocks[name]
+        return self.run.case.reference if name == "reference" else self.blocks[name]
 
     def memory(self, block: str) -> Arrays:
         """See Stage."""
+        if block == "reference" and self.followed is not None:
+            return self.followed
         touched = self.begin.cells["touched"]
         return {name: touched[place] for name, place in self._places(block).items()}
 
     def remember(self, block: str, memory: Arrays) -> None:
         """See Stage."""
+        if block == "reference":
+            self.followed = memory
+            return
         touched = self.begin.cells["touched"].copy()
         for name, place in self._places(block).items():
             touched[place] = memory[name]
@@ -131,13 +139,21 @@ class LaneStage:
             memory = {name: part.reshape(np.shape(each)) for (name, each), part in parts}
             law = before.run.law
             cells["memory"] = row_of(self.run.controller.resumed(memory, law, reference))
+        if "reference" not in afresh and self.followed is not None:
+            self.followed = before.followed or self.followed
         if "supervisor" in afresh:
             cells["watched"] = np.zeros_like(cells["watched"])
         self.begin = LaneState(cells, self.begin.sample, first_at)
 
+    def follow(self) -> None:
+        """Let the reference go through the phase."""
+        if self.followed is not None:
+            self._followed_then = self.run.case.follow(self.followed)
+
     def leave(self, end: LaneEnd) -> None:
         """Come to the end of its phase."""
         self.begin, self.measured = end.state, end.measured
+        self.followed = self._followed_then
 
     def _set(self, cells: Mapping[str, np.ndarray]) -> None:
         self.begin = self.begin._replace(cells=cells)
@@ -196,6 +212,7 @@ class MissionLane:
         run.given = dict(phase.blocks)
         self._phase, self._stage, self.kind = phase, LaneStage(run, first), self._course.kind
         self._course.enter(phase, self._stage)
+        self._stage.follow()
         if self._nudged and first == 0:
             self._stage.place(self._stage.state * NUDGE)
         self.ends = last is None

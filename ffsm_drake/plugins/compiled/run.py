@@ -36,7 +36,7 @@ from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.registry import Factory, call_factory, section_parts
-from ffsm_drake.systems.sampled import Arrays, Sampled
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.sensing.block import measurement_of
 from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import BlockSetup
@@ -103,6 +103,7 @@ class Case:
         self._runs = dict[str, Run]()
         self.built = set[str]()  # names of blocks, see ``_built``
         self._shown = list[str]()  # outputs of these
+        self.shown = dict[str, np.ndarray]()  # signals of a reference (samples, n), see ``follow``
         own = reader_of(self.true.plant)
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = drift = errors.drift()
@@ -113,6 +114,7 @@ class Case:
         built = self._built("forces")
         self.last = {name: each for name, each in built.items() if isinstance(each, Continuous)}
         self.forces = {name: each for name, each in built.items() if isinstance(each, Sampled)}
+        self.reference = self._reference()
         self.supervisor = self._supervisor()
         self.watch = None if self.supervisor is None else self.supervisor.block
         self.actuators, self.flows = self._acting()
@@ -245,6 +247,38 @@ class Case:
         part: Any = self._given.get("supervisor", own)
         return None if part is None else part.supervisor(self._setup("supervisor", {}))
 
+    def _reference(self) -> Any:
+        """A reference of blocks without inputs; None: the motion. Raises NotCovered."""
+        factory = self._given.get("reference")
+        if factory is None:
+            return None
+        setup = self._setup("reference", {})
+        made = call_factory(factory, setup, place="blocks.reference")
+        if not isinstance(made, Sampled) or made.inputs:
+            raise NotCovered("blocks.reference")
+        signals = factory.signals(setup) if isinstance(factory, Part) else ()
+        self._held = {signal.name: signal.held for signal in signals}
+        self.built.add("reference")
+        return made
+
+    def follow(self, memory: Arrays) -> Arrays:
+        """Let the reference go through the phase from its memory at the begin. Returns that before
+        the last sample.
+        """
+        period, samples = self.scenario.sample_time, range(self.window.start, self.window.stop)
+        found, memories = list[Arrays](), [memory]
+        for sample in (*samples, samples[-1]):  # again, to see what comes after it
+            outputs, memory = self.reference.step({}, memory, Now(period * sample))
+            found.append(outputs)
+            memories.append(memory)
+        rows = {name: np.array([each[name] for each in found]) for name in found[0]}
+        self._followed = {name: values[:-1] for name, values in rows.items()}
+        for name, is_held in self._held.items():
+            self.shown[name] = np.zeros((self.samples, rows[name].shape[1]))
+            self.shown[name][self.window] = rows[name][1:] if is_held else rows[name][:-1]
+        vars(self).pop("planned", None)
+        return memories[-3]
+
     def detectors(self) -> list[tuple[Sampled, Arrays]]:
         """The detector, with its memory at the start; none without it."""
         if self.detector is None:
@@ -364,6 +398,11 @@ class Case:
             "phases": phases_of(timed, self.samples)[self.window],
             "request": np.zeros((len(times), len(watch))),
         }
+        if self.reference is not None:
+            plan = [self._followed[name] for name in ("desired_state", "desired_acceleration")]
+            made["reference"] = np.hstack(plan)
+            if watch and "abort_request" in self._followed:
+                made["request"] = self._followed["abort_request"]
         if (path := make_frame_motion(self.scenario, self.motion)) is not None:
             made["frame"] = path.rows(times)
         found = {name: np.zeros((self.samples, values.shape[1])) for name, values in made.items()}
